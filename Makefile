@@ -8,7 +8,7 @@ DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd
 # And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, and Debian 13.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap
 
-.PHONY: deb dist lock help run quick test test-all nightly check bench kernel walk soak mutants schemas docs format clean debian-packages
+.PHONY: three deb dist lock help run quick test test-all nightly check bench kernel soak mutants schemas docs format clean debian-packages
 
 help:
 	@echo "make run      the service with a simulated controller and a black box, and the console in the browser (makes $(VENV))"
@@ -20,16 +20,14 @@ help:
 	@echo "              twelve minutes in all"
 	@echo "make nightly  and what takes long: falls, walks, releases, the kernel's spidev, all mutants, an hour's soak, benchmarks"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
-	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute)"
+	@echo "make bench    the benchmark: this gateway beside the naive script (QUICK=1: in a minute; RELEASE=FOLDER: and an earlier one)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
 	@echo "              (SCENES=\"atomic killed\": only these)"
-	@echo "make walk     a simulated robot (MuJoCo) walks by a gateway's frames: every gait, direction and assumption"
-	@echo "make falls    what a stop does to that robot: each gait, every way of stopping, 24 phases; a table"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
 	@echo "make mutants  small faults in the files that keep the robot safe, one at a time: does a test fail for each?"
 	@echo "              (MUTANTS=\"spi zenoh_io\": only files whose name has one of these in it)"
 	@echo "make docs     all pages and the Python API as one searchable site, in build/docs; fails on a broken link"
-	@echo "make schemas  write schemas/json/ anew"
+	@echo "make schemas  write schemas/json/ anew, and what docs/ has of the settings"
 	@echo "make format   let ruff format"
 	@echo "make deb      the package for a robot, in dist/ (for a Pi, from another machine: make deb FOR=arm64)"
 	@echo "make lock     write uv.lock and release/build.txt anew, after a change of the dependencies (UPGRADE=1: newer versions)"
@@ -64,18 +62,13 @@ check: $(VENV)/dev
 	$(BIN)/mypy
 	$(BIN)/mypy examples
 	$(BIN)/python -m schemas --check
+	$(BIN)/python -m release.settings_page --check
 
 bench: $(VENV)/dev debian-packages
-	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick)
+	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick) $(if $(RELEASE),--release $(RELEASE))
 
 kernel: $(VENV)/dev
 	@$(BIN)/python -m tests.kernel $(SCENES)
-
-walk: $(VENV)/dev
-	$(BIN)/python -m tests.walking
-
-falls: $(VENV)/dev
-	$(BIN)/python -m tests.falls
 
 soak: $(VENV)/dev
 	$(BIN)/python -m tests.benchmarks.soak
@@ -89,6 +82,7 @@ docs: $(VENV)/dev
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas
+	$(BIN)/python -m release.settings_page
 
 format: $(VENV)/dev
 	$(BIN)/ruff format .
@@ -106,6 +100,15 @@ deb: $(VENV)/dev
 # KEY: an Ed25519 key of ssh-keygen's; without one, nothing is signed.
 dist: $(VENV)/dev
 	$(BIN)/python -m release $(if $(KEY),--key $(KEY))
+
+# three.js for the console's page: what its modules use, minified. Needs npm; tests/unit/test_console_page.py has its checksum.
+THREE := gateway/people/console/page/vendor/three/three.js
+three:
+	@made=$$(mktemp -d) && grep -oh 'three\.[A-Z][A-Za-z0-9]*' $(dir $(THREE))../../*.js | sed 's/three\.//' | sort -u | paste -sd, \
+		| sed 's/.*/export{&}from"three"/' > $$made/entry.js \
+		&& npm install --silent --no-audit --no-fund --prefix $$made three@0.187.0 esbuild@0.28.2 \
+		&& $$made/node_modules/.bin/esbuild $$made/entry.js --bundle --minify --format=esm --legal-comments=inline --outfile=$(THREE); \
+		rm -rf $$made
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -71,7 +71,8 @@ def main() -> int:
 
 def _quick() -> bool:
     with _behind(["make", "--no-print-directory", "check"]) as check:
-        unit = subprocess.run([*_PYTEST, "-q", "-n", "2", "-m", "not full and not nightly", "tests/unit"], check=False)
+        options = ("-q", "-n", "2", "-m", "not full and not nightly", "--hypothesis-profile=quick")
+        unit = subprocess.run([*_PYTEST, *options, "tests/unit"], check=False)
     return unit.returncode == check.returncode == 0
 
 

@@ -21,6 +21,7 @@ from tests.support.lacks import skip_where_lacking
 hypothesis_settings.register_profile(
     "any machine", hypothesis_settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )
+hypothesis_settings.register_profile("quick", hypothesis_settings.get_profile("any machine"), max_examples=20)
 hypothesis_settings.load_profile("any machine")
 MANY = 1000
 """Reports, of which each test makes three."""

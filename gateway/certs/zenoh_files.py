@@ -1,7 +1,7 @@
 """The Zenoh files for the certificates: gateway.json5 for the robot, NAME.json5 for a laptop.
 
 Their paths are relative to the file's own folder (gateway/zenoh_config.py), so the folder can be copied and unzipped
-anywhere. Every rule has a test with real sessions (tests/zenoh/test_certs_zenoh.py).
+anywhere. Each role is tried with real sessions (tests/zenoh/test_security.py).
 """
 
 import hashlib

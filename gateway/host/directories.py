@@ -4,6 +4,8 @@ import os
 from pathlib import Path
 from typing import Final
 
+CONFIGURATION: Final = Path("/etc/hexapod-gateway/gateway.toml")
+"""The settings' file, where none is named."""
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), as a command finds it that systemd did not start."""
 SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")

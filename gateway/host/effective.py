@@ -3,8 +3,7 @@
 The file may be edited since, and a shell does not have the variables of a drop-in. Bare frames make a controller that
 expects announced ones deaf, so `stop-servos` and `check` read these. The service writes them into its runtime
 directory before its first frame, and names its process there: they are current while that process runs, and for the
-commands that systemd runs after its end. They stay after that, for a `stop-servos` that finds no other settings. This
-loads as little as `plain_settings`.
+commands that systemd runs after its end. They stay after that, for a `stop-servos` that finds no other settings.
 """
 
 import json
@@ -14,34 +13,22 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway import nesting
-from gateway.host import plain_settings
-from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
-from gateway.host.plain_settings import (
-    ControllerValues,
-    PlainController,
-    PlainPower,
-    PlainSpi,
-    PowerValues,
-)
+from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
+from gateway.host.settings_reader import ForStops, read_for_stops
+from gateway.host.settings_table import FOR_STOPS, ControllerSettings, PowerSettings, SpiSettings
+from gateway.model.protocols import SpiProtocol
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
 """systemd's number for one start of a unit, which the commands after its end have, too."""
 
 
-_SECTIONS: Final = (
-    ("spi", PlainSpi),
-    ("controller", PlainController),
-    ("power", PlainPower),
-)
-
-
 class Effective(NamedTuple):
     """What a service uses, and which one."""
 
-    spi: PlainSpi
-    controller: PlainController
-    power: PlainPower | None
+    spi: SpiSettings
+    controller: ControllerSettings
+    power: PowerSettings | None
     tables: Mapping[str, Any]
     """As they stand in the file."""
 
@@ -57,21 +44,18 @@ class Effective(NamedTuple):
         return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
 
 
-def write(spi: Mapping[str, Any], controller: ControllerValues, power: PowerValues) -> None:
-    """Write what this process uses (`spi` as in a file); nothing without a runtime directory.
-
-    Raises OSError, ValueError.
-    """
+def write(used: ForStops) -> None:
+    """Write what this process uses; nothing without a runtime directory. Raises OSError, ValueError."""
     folder = runtime_directory()
     if folder is None:
         return
-    stated = {name: value for name, value in spi.items() if value is not None}
-    line = {name: getattr(controller, name) for name in PlainController._fields}
-    supply = {name: getattr(power, name) for name in PlainPower._fields}
+    stated = {
+        f"[{section}]": {name: getattr(getattr(used, section), name) for name in names}
+        for section, names in FOR_STOPS.items()
+    }
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    tables = {"": process, "[spi]": stated, "[controller]": line, "[power]": supply}
-    for head, table in tables.items():
+    for head, table in {"": process, **stated}.items():
         lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
     staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
@@ -91,8 +75,9 @@ def read() -> Effective | None:
             tables = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
     except (OSError, ValueError):
         return None
-    found = plain_settings.of(tables)
-    return None if found is None else Effective(*found, tables)
+    found, faults = read_for_stops(tables)
+    framed = found.spi.protocol is SpiProtocol.HEXAPOD_1_0
+    return None if faults or (framed and "framing" not in tables.get("spi", {})) else Effective(*found, tables)
 
 
 def differences(used: Effective, path: Path) -> list[str]:
@@ -102,22 +87,20 @@ def differences(used: Effective, path: Path) -> list[str]:
             stated = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
     except (OSError, ValueError):
         return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
+    defaults = ForStops(SpiSettings(protocol=used.spi.protocol), ControllerSettings(), PowerSettings())
     found = []
-    for section, fields in _SECTIONS:
+    for section, names in FOR_STOPS.items():
         table, theirs = stated.get(section), used.tables.get(section)
         table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
-        for name in fields._fields:
-            default = fields._field_defaults.get(name)
-            default = list(default) if isinstance(default, tuple) else default  # as TOML has it
+        for name in names:
+            default = getattr(getattr(defaults, section), name)
             value, uses = table.get(name, default), theirs.get(name, default)
             if value != uses:
-                states = "does not set" if value is None else "has"
-                what = f"{section}.{name}" if value is None else f"{section}.{name} = {_shown(value)}"
-                found.append(f"{path} {states} {what}, and the service uses {_shown(uses)}")
+                found.append(f"{path} has {section}.{name} = {_shown(value)}, and the service uses {_shown(uses)}")
     return found
 
 
-def differs_here(path: Path = plain_settings.DEFAULT_PATH) -> list[str]:
+def differs_here(path: Path = CONFIGURATION) -> list[str]:
     """The same for the service that runs on this machine; nothing where none runs, or nobody may look."""
     used = read()
     return [] if used is None or not used.runs else differences(used, path)

@@ -18,8 +18,7 @@ from threading import Timer
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.host.directories import SERVICE_RUNTIME
-from gateway.host.plain_settings import DEFAULT_PATH as CONFIGURATION
+from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME
 
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")

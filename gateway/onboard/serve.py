@@ -12,13 +12,13 @@ import zenoh
 
 from gateway import own_command
 from gateway.errors import GatewayError, SpiError, ZenohError
+from gateway.host.settings_table import SIMULATED
 from gateway.onboard.simulation_process import BoardProcess, BodyProcess
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint, say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
-from gateway.robot.sections import SIMULATED
 from gateway.robot.settings import Settings
 from gateway.robot.spi import unreliable
 from gateway.robot.spi.unreliable import Faults

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.host import effective, plain_settings, realtime
+from gateway.host import effective, realtime
+from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
-from gateway.host.plain_settings import DEFAULT_PATH, ControllerValues, PowerValues, SpiValues
+from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings
 from gateway.model.frames import STOP_REPEATS
 from gateway.model.protocols import SpiProtocol
+from gateway.robot import settings
 from gateway.robot.spi.stop_all import stop_servos as stop
 
 if TYPE_CHECKING:
@@ -64,11 +66,11 @@ def run(path: Path | None) -> bool:
     finally:
         off = off if cut is None else cut.end()
     if chosen.used is not None and not chosen.used.ended_here:  # the unit's file lacks the unit's variables
-        _say(*(f"{each}; used the latter" for each in effective.differences(chosen.used, path or DEFAULT_PATH)))
+        _say(*(f"{each}; used the latter" for each in effective.differences(chosen.used, path or CONFIGURATION)))
     return off
 
 
-def _cut(power: PowerValues | None) -> "SupplyCut | None":
+def _cut(power: PowerSettings | None) -> "SupplyCut | None":
     """Take the supply from now on, where the settings want that. Loads little: the first Stops wait for it."""
     if power is None:
         raise ConfigError("[power] of the configuration is wrong")
@@ -80,9 +82,9 @@ def _cut(power: PowerValues | None) -> "SupplyCut | None":
 
 
 class _Chosen(NamedTuple):
-    spi: SpiValues
-    controller: ControllerValues
-    power: PowerValues | None
+    spi: SpiSettings
+    controller: ControllerSettings
+    power: PowerSettings | None
     """None: not as it should be."""
     used: Effective | None = None
     """The service whose settings these are; None: a file's."""
@@ -96,7 +98,7 @@ def _choose(path: Path | None) -> _Chosen:
     """
     used = effective.read()
     theirs = None if used is None else _Chosen(used.spi, used.controller, used.power, used)
-    named = path is not None or bool(plain_settings.overrides(os.environ))
+    named = path is not None or bool(settings.overrides(os.environ))
     runs = used is not None and used.runs
     if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
         return theirs
@@ -106,22 +108,12 @@ def _choose(path: Path | None) -> _Chosen:
             return theirs
         os.environ.update(variables)
     try:
-        stated = _of_file(path)
+        stated = _Chosen(*settings.load_for_stops(path))
     except ConfigError:
         if theirs is None:
             raise
         return theirs
     return theirs if theirs is not None and runs and stated.spi.device == theirs.spi.device else stated
-
-
-def _of_file(path: Path | None) -> _Chosen:
-    plain = plain_settings.read(path or DEFAULT_PATH)
-    if plain is not None:
-        return _Chosen(*plain)
-    from gateway.robot import settings  # slow: it takes longer than all Stops
-
-    found = settings.load(path, for_stops=True)
-    return _Chosen(found.spi, found.controller, found.power)
 
 
 def unit() -> tuple[int, dict[str, str]]:
@@ -137,18 +129,18 @@ def unit() -> tuple[int, dict[str, str]]:
         shown = subprocess.run(command, capture_output=True, text=True, timeout=_ANSWER_S, check=True).stdout
         found = dict(line.partition("=")[::2] for line in shown.splitlines())
         variables = dict(each.partition("=")[::2] for each in shlex.split(found["Environment"]))
-        return int(found["MainPID"]), plain_settings.overrides(variables)
+        return int(found["MainPID"]), settings.overrides(variables)
     except (OSError, ValueError, KeyError, subprocess.SubprocessError):
         return 0, {}
 
 
 def stop_servos(
-    spi: SpiValues,
-    controller: ControllerValues,
+    spi: SpiSettings,
+    controller: ControllerSettings,
     written: Callable[[], None] = lambda: None,
 ) -> None:
     """Stop all six legs. Raises SpiError."""
-    spi, changed = plain_settings.within_limits(spi)
+    spi, changed = spi.within_limits()
     try:
         noticed = stop(spi, controller, written)
     finally:  # after the Stops, which wait for nobody who reads this

@@ -20,6 +20,7 @@ from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.kernel_tables import forgets
+from gateway.host.settings_reader import ForStops
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
@@ -197,8 +198,7 @@ def _configured(
 
 def _show_settings(settings: Settings) -> None:
     try:
-        spi = settings.spi.model_dump(mode="json")
-        effective.write(spi, settings.controller, settings.power)
+        effective.write(ForStops(settings.spi, settings.controller, settings.power))
     except (OSError, ValueError) as error:
         logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
 
@@ -264,9 +264,9 @@ async def _run(
         with owner:
             for part in (conductor, keeper, calibrations):
                 part.announce_start()
+        on_ready(config)  # first, so what `make run` prints when it is notified comes after this
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out, late)
-        on_ready(config)
         tasks = [
             *_report_tasks(settings, conductor, outbox),
             asyncio.create_task(

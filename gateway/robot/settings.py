@@ -1,34 +1,39 @@
-"""The service's settings: frozen, validated, with units in their names; each fault is one line naming its place.
+"""The service's settings: frozen, checked, with units in their names; each fault is one line naming its place.
 
 A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVICE`). docs/interface.md lists them.
+`stop-servos` reads them here as well, so nothing slow is imported.
 """
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Final, Self
-
-from pydantic import ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from types import MappingProxyType
+from typing import Any, Final, Self, get_origin
 
 from gateway import nesting
 from gateway.errors import ConfigError
-from gateway.host import plain_settings
-from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
-from gateway.model.framing import Framing
-from gateway.model.protocols import SpiProtocol
-from gateway.own_command import CONNECT_VARIABLE
-from gateway.robot.sections import (
-    FOR_STOPS,
+from gateway.host.directories import CONFIGURATION
+from gateway.host.settings_reader import (
+    NO_SETTING,
     SERVOS,
+    ForStops,
+    Place,
+    SettingFault,
+    Text,
+    dotted,
+    read,
+    read_for_stops,
+)
+from gateway.host.settings_table import (
+    FOR_STOPS,
     ButtonSettings,
     ControllerSettings,
     LeaseSettings,
     LimitSettings,
     PowerSettings,
     SafetySettings,
-    Section,
     ServoLimits,
     SpiSettings,
     StateSettings,
@@ -36,118 +41,128 @@ from gateway.robot.sections import (
     WatchdogSettings,
     ZenohSettings,
 )
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
+from gateway.model.framing import Framing
+from gateway.model.protocols import SpiProtocol
+from gateway.own_command import CONNECT_VARIABLE
 from gateway.text import echo, key_name
 
-DEFAULT_PATH: Final = plain_settings.DEFAULT_PATH
 ENV_PREFIX: Final = "HEXAPOD_"
 
 
-class Settings(Section):
+@dataclass(frozen=True)
+class Settings:
     """All settings of one service."""
 
-    zenoh: ZenohSettings = ZenohSettings()
-    spi: SpiSettings = SpiSettings()
-    controller: ControllerSettings = ControllerSettings()
-    limits: LimitSettings = LimitSettings()
-    watchdog: WatchdogSettings = WatchdogSettings()
-    lease: LeaseSettings = LeaseSettings()
-    buttons: ButtonSettings = ButtonSettings()
-    state: StateSettings = StateSettings()
-    telemetry: TelemetrySettings = TelemetrySettings()
-    safety: SafetySettings = SafetySettings()
-    power: PowerSettings = PowerSettings()
+    zenoh: ZenohSettings = field(default_factory=ZenohSettings)
+    spi: SpiSettings = field(default_factory=SpiSettings)
+    controller: ControllerSettings = field(default_factory=ControllerSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
+    lease: LeaseSettings = field(default_factory=LeaseSettings)
+    buttons: ButtonSettings = field(default_factory=ButtonSettings)
+    state: StateSettings = field(default_factory=StateSettings)
+    telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
+    safety: SafetySettings = field(default_factory=SafetySettings)
+    power: PowerSettings = field(default_factory=PowerSettings)
 
     @property
     def starts_whole(self) -> bool:
         """Whether only the whole robot can be started and stopped: with a power board, each servo can."""
         return self.spi.protocol.starts_whole and not self.power.interface
 
-    @model_validator(mode="after")
-    def _known_to_protocol(self) -> Self:
+    @classmethod
+    def of(cls, tables: Mapping[str, Any]) -> Self:
+        """Settings from tables as of a file. Raises ConfigError with a line for each fault."""
+        faults: list[SettingFault] = []
+        found = read(cls, tables, faults)
+        faults = faults or list(found.faults())
+        if faults:
+            raise ConfigError("\n".join(f"{dotted(fault.place)}: {fault.sentence}" for fault in faults))
+        return found
+
+    def faults(self) -> Iterable[SettingFault]:
+        """What does not go together, of sections that are each right."""
         protocol = self.spi.protocol
         if self.starts_whole and self.limits.start_stagger_ms:
-            why = f"{protocol} starts all servos at once, so leave it at 0"
-            raise _PlacedError(("limits", "start_stagger_ms"), why)
-        for name, value in self.safety:
-            if value and not protocol.measures:
-                raise _PlacedError(("safety", name), f"{protocol} has nothing that measures it; leave it at 0")
-        return self
-
-    @model_validator(mode="after")
-    def _pose_within_limits(self) -> Self:
+            yield SettingFault(
+                ("limits", "start_stagger_ms"), f"{protocol} starts all servos at once, so leave it at 0"
+            )
+        for each in fields(self.safety):
+            if getattr(self.safety, each.name) and not protocol.measures:
+                yield SettingFault(("safety", each.name), f"{protocol} has nothing that measures it; leave it at 0")
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, ServoLimits())
             if not limits.min_deg <= angle_deg <= limits.max_deg:
-                allowed = f"{limits.min_deg:g} to {limits.max_deg:g}"
-                raise _PlacedError(
-                    ("watchdog", "landing", servo),
-                    f"{angle_deg:g} will not do: limits.servos.{servo} allows {allowed}",
-                )
-        return self
-
-
-Place = tuple[int | str, ...]
-"""Path to a value: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
-Fault = tuple[Place, str]
-
-
-class _PlacedError(ValueError):
-    """A fault found in the settings as a whole, with the place that pydantic does not give it."""
-
-    def __init__(self, place: Place, sentence: str) -> None:
-        super().__init__(sentence)
-        self.place = place
-
-
-Context = Mapping[str, str] | None
-"""FOR_STOPS, or None."""
+                allowed = f"limits.servos.{servo} allows {limits.min_deg:g} to {limits.max_deg:g}"
+                yield SettingFault(("watchdog", "landing", servo), f"{angle_deg:g} will not do: {allowed}")
 
 
 class FramingNotSetError(ConfigError):
     """spi.framing is not set; the text lists all other faults as well."""
 
 
-def load(path: Path | None = None, *, simulated: bool = False, for_stops: bool = False) -> Settings:
+Variables = Mapping[Place, tuple[str, Any]]
+"""The environment's variables and their values, by what they set."""
+
+
+def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     """Settings from `path` (else the default file, if there is one) and the environment.
 
     Raises ConfigError with one line per fault, naming the file's entry or the environment variable. Unless the
     controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, and no
-    Stop reaches its servos until its reset. `for_stops`: spi.speed_hz and spi.frame_gap_us may exceed the framing's
-    limits, since `stop-servos` uses the nearest allowed value (`plain_settings.within_limits`).
+    Stop reaches its servos until its reset.
     """
-    context = FOR_STOPS if for_stops else None
-    from_file: dict[str, Any] = {}
     lines: list[str] = []
-    unread = False
+    tables: dict[str, Any] = {}
     try:
-        from_file = _without_emptied(_read(path))
+        tables = _without_emptied(_read(path))
     except ConfigError as error:
         lines.append(str(error))
-        unread = True
-    variables, faults = _environment()
-    if for_stops:  # which no file of an earlier version may prevent
-        from_file = _without_removed(from_file)
-        faults = [fault for fault in faults if not fault.endswith(tuple(_REMOVED.values()))]
-    in_file = _faults_of_file(from_file, context)
-    merged = from_file
-    for place, (_, value) in variables.items():
-        merged = _put(merged, place, value)
-    lines += [f"{path or DEFAULT_PATH}: {dotted(place)}: {sentence}" for place, sentence in in_file]
-    lines += faults
-    places = {place for place, _ in in_file}
-    lines += [
-        f"{' and '.join(named) or dotted(place)}: {sentence}"
-        for place, sentence in _faults(merged, context)
-        if ((named := _variables_at(place, variables)) or place not in places) and (place, sentence) not in in_file
-    ]
-    spi = merged.get("spi", {})
-    framed = isinstance(spi, Mapping) and spi.get("protocol") != SpiProtocol.ELKAPOD_2025
-    if not (simulated or unread) and framed and "framing" not in spi:
-        lines += [f"{path or DEFAULT_PATH}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
-        raise FramingNotSetError("\n".join(lines))
+    unread = bool(lines)
+    variables, misnamed = _environment()
+    in_file, merged = _faults(tables), _merged(tables, variables)
+    lines += [_line(path, fault) for fault in in_file]
+    lines += [f"{key_name(variable)}: {fault.sentence}" for variable, fault in misnamed]
+    lines += [_line(path, fault, variables) for fault in _faults(merged) if fault not in in_file]
+    if not (simulated or unread):
+        _require_framing(path, merged, lines)
     if lines:
         raise ConfigError("\n".join(lines))
-    return Settings.model_validate(merged, context=context)
+    return read(Settings, merged, [])
+
+
+def load_for_stops(path: Path | None = None) -> ForStops:
+    """What `stop-servos` needs of the same. Raises ConfigError where [spi] or the UART is wrong.
+
+    All else is ignored, settings of earlier versions too. What the framing allows: `SpiSettings.within_limits`.
+    """
+    variables, misnamed = _environment()
+    merged = _merged(_read(path), variables)
+    found, faults = read_for_stops(merged)
+    wrong = [(variable, fault) for variable, fault in misnamed if fault.place[0] == "spi"]
+    lines = [f"{key_name(variable)}: {fault.sentence}" for variable, fault in wrong if fault.place not in _REMOVED]
+    lines += [_line(path, fault, variables) for fault in faults if fault.place not in _REMOVED]
+    _require_framing(path, merged, lines)
+    if lines:
+        raise ConfigError("\n".join(lines))
+    return found
+
+
+def _faults(tables: Mapping[str, Any]) -> list[SettingFault]:
+    faults: list[SettingFault] = []
+    found = read(Settings, tables, faults)
+    faults = faults or list(found.faults())
+    return [
+        fault._replace(sentence=_REMOVED.get(fault.place, NO_SETTING)) if fault.sentence == NO_SETTING else fault
+        for fault in faults
+    ]
+
+
+def _line(path: Path | None, fault: SettingFault, variables: Variables = MappingProxyType({})) -> str:
+    named = _variables_at(fault.place, variables)
+    where = " and ".join(named) or f"{path or CONFIGURATION}: {dotted(fault.place)}"
+    return f"{where}: {fault.sentence}"
 
 
 _WHICH_FRAMING: Final = (
@@ -156,11 +171,24 @@ _WHICH_FRAMING: Final = (
 )
 
 
+def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
+    spi = tables.get("spi", {})
+    if isinstance(spi, Mapping) and spi.get("protocol") != SpiProtocol.ELKAPOD_2025 and "framing" not in spi:
+        lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
+        raise FramingNotSetError("\n".join(lines))
+
+
+def overrides(variables: Mapping[str, str]) -> dict[str, str]:
+    """Those that override what a file states of what a Stop needs."""
+    prefixes = tuple(f"{ENV_PREFIX}{section.upper()}__" for section in FOR_STOPS)
+    return {name: value for name, value in variables.items() if name.upper().startswith(prefixes)}
+
+
 # ---- the file
 
 
 def _read(path: Path | None) -> dict[str, Any]:
-    found = path or DEFAULT_PATH
+    found = path or CONFIGURATION
     try:
         with found.open("rb") as file:
             return nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
@@ -203,52 +231,39 @@ def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
     return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
 
 
-def _without_removed(tables: dict[str, Any]) -> dict[str, Any]:
-    """The same without all settings of earlier versions."""
-    kept = {name: table for name, table in tables.items() if (name,) not in _REMOVED}
-    return {
-        section: {name: value for name, value in table.items() if (section, name) not in _REMOVED}
-        if isinstance(table, dict)
-        else table
-        for section, table in kept.items()
-    }
-
-
-def _faults_of_file(values: dict[str, Any], context: Context) -> list[Fault]:
-    """Strict, since a TOML value has a type: "50" is no number."""
-    # Validated as JSON, since strict Python types reject TOML's arrays and strings for tuples and enumerations; and
-    # again unchanged, since JSON turns TOML's dates into strings.
-    faults = _faults(json.dumps(values, default=str), context)
-    places = {place for place, _ in faults}
-    return faults + [fault for fault in _faults(values, context) if fault[0] not in places]
-
-
 # ---- the environment
 
 
-def _environment() -> tuple[dict[Place, tuple[str, Any]], list[str]]:
-    """Variables that begin with ENV_PREFIX: by place, the variable and its value as in a file; and faults.
+def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
+    """Variables that begin with ENV_PREFIX, and those of them that are wrong.
 
     A variable that names no setting is a fault, but for CONNECT_VARIABLE, which is for client commands.
-    pydantic-settings would ignore it, accept lower case, name no variable for a list that is no JSON, and take 0.1 s at
-    each start.
     """
     found: dict[Place, tuple[str, Any]] = {}
-    faults: list[str] = []
+    faults: list[tuple[str, SettingFault]] = []
     for variable, text in sorted(os.environ.items()):
         if not variable.upper().startswith(ENV_PREFIX) or variable == CONNECT_VARIABLE:
             continue
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
-        if variable != variable.upper() or not _is_setting(place):
-            why = _REMOVED.get(place) or _REMOVED.get(place[:1]) or f"is no setting; {_NAMES}"
-            faults.append(f"{key_name(variable)}: {why}")
+        kind = None if variable != variable.upper() else _kind(place)
+        if kind is None:
+            why = _REMOVED.get(place) or _REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
+            faults.append((variable, SettingFault(place, why)))
             continue
         try:
-            found[place] = variable, json.loads(text) if place in _LISTS else text
+            found[place] = variable, json.loads(text) if get_origin(kind) is tuple else Text(text)
         except (ValueError, RecursionError):
-            example = f"write the list as JSON, such as '{_LISTS[place]}'"
-            faults.append(f"{variable}: {echo(text)} will not do: {example}")
+            example = """write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
+            faults.append((variable, SettingFault(place, f"{echo(text)} will not do: {example}")))
     return found, faults
+
+
+def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
+    """The file's tables with what the environment sets."""
+    merged = dict(tables)
+    for place, (_, value) in variables.items():
+        merged = _put(merged, place, value)
+    return merged
 
 
 def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
@@ -261,82 +276,31 @@ def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
     }
 
 
-_LISTS: Final[Mapping[Place, str]] = {
-    ("zenoh", "listen"): '["tcp/127.0.0.1:7447"]',
-    ("buttons", "names"): '["kitchen"]',
-    ("power", "servos"): "[]",
-}
-_NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(Settings.model_fields)}"
-
-
-def _is_setting(place: tuple[str, ...]) -> bool:
+def _kind(place: tuple[str, ...]) -> Any:
+    """The type of the setting at this place; None: there is none."""
     match place:
-        case ("limits", "servos", servo, name):
-            return servo in SERVOS and name in ServoLimits.model_fields
-        case ("watchdog", "landing", servo):
-            return servo in SERVOS
-        case (section, name) if section in Settings.model_fields:
-            return place not in _TABLES and name in getattr(_DEFAULTS, section).__class__.model_fields
+        case ("limits", "servos", servo, name) if servo in SERVOS:
+            return _kinds(ServoLimits).get(name)
+        case ("watchdog", "landing", servo) if servo in SERVOS:
+            return float
+        case (section, name):
+            kind = _kinds(_kinds(Settings).get(section, type)).get(name)
+            return None if get_origin(kind) is Mapping else kind
         case _:
-            return False
+            return None
 
 
-_DEFAULTS: Final = Settings()
-_TABLES: Final = (("limits", "servos"), ("watchdog", "landing"))
+def _kinds(section: type) -> dict[str, Any]:
+    return {each.name: each.type for each in fields(section)} if is_dataclass(section) else {}
 
 
-def _variables_at(place: Place, variables: Mapping[Place, tuple[str, Any]]) -> list[str]:
+_NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(_kinds(Settings))}"
+
+
+def _variables_at(place: Place, variables: Variables) -> list[str]:
     """The variables that set the value at `place`, a part of it, or a table that contains it."""
     return [
         variable
         for set_place, (variable, _) in variables.items()
         if place[: len(set_place)] == set_place or set_place[: len(place)] == place
     ]
-
-
-# ---- both
-
-
-def _faults(values: dict[str, Any] | str, context: Context) -> list[Fault]:
-    """Faults of a table, in which text is converted (the environment has only text), or of JSON, strictly."""
-    try:
-        if isinstance(values, str):
-            Settings.model_validate_json(values, strict=True, context=context)
-        else:
-            Settings.model_validate(values, context=context)
-    except ValidationError as error:
-        return faults_of(error)
-    return []
-
-
-def faults_of(error: ValidationError) -> list[Fault]:
-    """Place and sentence of each fault; a default that follows from a faulty value is none of its own."""
-    return [
-        (_place(fault), _sentence(fault))
-        for fault in error.errors(include_url=False)
-        if fault["type"] != "default_factory_not_called"
-    ]
-
-
-def _place(fault: ErrorDetails) -> Place:
-    found = fault.get("ctx", {}).get("error")
-    return found.place if isinstance(found, _PlacedError) else fault["loc"]
-
-
-def _sentence(fault: ErrorDetails) -> str:
-    if fault["type"] == "missing":
-        return MISSING
-    if fault["type"] == "extra_forbidden":
-        return _REMOVED.get(fault["loc"], "is no setting")
-    if fault["type"] == "value_error":  # a sentence of our own
-        return str(fault["ctx"]["error"])
-    return f"{echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def dotted(place: Place) -> str:
-    """`spi.speed_hz`, `zenoh.listen[0]`; a name that is no bare TOML key is quoted."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{key_name(part)}" for part in place)
-    return text.removeprefix(".")
-
-
-MISSING: Final = "is missing"

@@ -8,12 +8,12 @@ from typing import Final
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.host.descriptors import Spare
+from gateway.host.settings_table import SpiSettings
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.protocols import SpiProtocol
 from gateway.own_command import command
 from gateway.robot.protocol import Wire
-from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import Settings
 from gateway.robot.spi import DuplexDevice, SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus

@@ -10,13 +10,11 @@ import os
 import resource
 import ssl
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
 from tests.support.child import Child
-
-Connect = Callable[[], Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
 
 CLIENT_HELLO_HALF: Final = bytes.fromhex("16030102000100") + bytes(200)
 """The beginning of a handshake whose rest does not come."""
@@ -43,17 +41,6 @@ class Stranger:
 
     # ---- each once; they are repeated
 
-    async def chunked(self) -> None:
-        """A POST whose body does not end, also after the 403."""
-        head = f"POST / HTTP/1.1\r\nHost: {self.host}\r\nTransfer-Encoding: chunked\r\n\r\n"
-        await self._send_on(head, b"1\r\nx\r\n" * 10_000)
-
-    async def body(self) -> None:
-        """A GET with a body of a terabyte."""
-        await self._send_on(
-            f"GET / HTTP/1.1\r\nHost: {self.host}\r\nContent-Length: 1000000000000\r\n\r\n", bytes(50_000)
-        )
-
     async def silent(self) -> None:
         """Says nothing."""
         reader, writer = await self.open(tcp_only=True)
@@ -78,26 +65,9 @@ class Stranger:
         """A byte at a time."""
         await self._send_on(f"GET / HTTP/1.1\r\nHost: {self.host}\r\nX-Slow: ", b"x", pause_s=0.005)
 
-    async def huge_headers(self) -> None:
-        """Headers without an end."""
-        await self._send_on(f"GET / HTTP/1.1\r\nHost: {self.host}\r\n", b"X-Large: " + b"y" * 4000 + b"\r\n")
-
     async def get(self) -> None:
         """A request like that of a page, and its answer."""
         await self._ask("GET / HTTP/1.1\r\nHost: {host}\r\nCookie: hexapod-console-8080=nonsense\r\n\r\n")
-
-    async def link(self) -> None:
-        """A link that nobody has made."""
-        await self._ask("GET /?token=0123456789012345678901234567890123456789012 HTTP/1.1\r\nHost: {host}\r\n\r\n")
-
-    async def upgrade(self) -> None:
-        """A WebSocket without a session."""
-        await self._ask(
-            "GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: https://{host}\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-            "Sec-WebSocket-Protocol: hexapod-console, key.0123456789\r\n\r\n"
-        )
 
     async def garbage(self) -> None:
         """Random bytes instead of a handshake or a request."""
@@ -129,16 +99,11 @@ class Stranger:
 
 
 KINDS: Final = {
-    "chunked": Stranger.chunked,
-    "body": Stranger.body,
     "silent": Stranger.silent,
     "half_open": Stranger.half_open,
     "handshake": Stranger.handshake,
     "slow_headers": Stranger.slow_headers,
-    "huge_headers": Stranger.huge_headers,
     "get": Stranger.get,
-    "link": Stranger.link,
-    "upgrade": Stranger.upgrade,
     "garbage": Stranger.garbage,
 }
 

@@ -1,4 +1,4 @@
-"""A console without descriptors, without memory for threads, whose stderr nobody reads: a press of STOP ALL arrives."""
+"""A console without descriptors, whose stderr nobody reads: a press of STOP ALL arrives."""
 
 import os
 import resource
@@ -8,11 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
-from gateway.people.console.link import PAGE_QUESTIONS_AT_ONCE, STOPS_AT_ONCE
 from gateway.people.console.server.sessions import Sessions
 from tests.attack.strangers import strangers
-from tests.benchmarks.processes import threads
 from tests.support.closing import Closing
 from tests.support.console_process import Page, sign_in
 from tests.support.gateway_process import COMMAND, Gateway, free_port
@@ -20,15 +17,12 @@ from tests.support.gateway_process import COMMAND, Gateway, free_port
 pytestmark = [pytest.mark.full, pytest.mark.alone]
 
 LATE_S = 60
-PAGES = 8
-STOP = {"servos": [{"op": "stop"}] * 3}
 
 
 class BareConsole(Closing):
     """A console without anybody who reads what it writes: both pipes are full from the beginning."""
 
-    def __init__(self, folder: Path, endpoint: str, *limits: str) -> None:
-        """`limits` are prlimit's."""
+    def __init__(self, folder: Path, endpoint: str) -> None:
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._folder = folder
@@ -41,7 +35,7 @@ class BareConsole(Closing):
             os.set_blocking(write, True)
         command = [*COMMAND, "console", "--listen", f"127.0.0.1:{self.port}", "--connect", endpoint]
         self._popen = subprocess.Popen(
-            ["prlimit", *limits, "--", *command],
+            command,
             env={**os.environ, "STATE_DIRECTORY": str(folder)},
             stdin=subprocess.DEVNULL,
             stdout=write,
@@ -113,30 +107,3 @@ def test_without_descriptors_and_with_the_link_lost(tmp_path: Path) -> None:
             assert not page.wait("stop")["answered"]
             with Gateway(tmp_path, listens):
                 assert confirmed(page, 1)
-
-
-def test_a_press_while_other_stops_wait(tmp_path: Path) -> None:
-    """With the memory that the service unit allows, fifteen Stops of each page, and no gateway."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    listens = {"zenoh": {"listen": [endpoint]}}
-    own = PAGE_QUESTIONS_AT_ONCE + STOPS_AT_ONCE + REQUESTS_AT_ONCE
-    with BareConsole(tmp_path, endpoint, f"--data={512 * 2**20}") as console:
-        opened = [console.page() for _ in range(PAGES)]
-        with Gateway(tmp_path, listens) as gateway:
-            for page in opened:
-                page.wait("link", lambda message: message["status"] == "connected", LATE_S)
-            gateway.child.kill()
-            for page in opened:
-                page.wait("link", lambda message: message["status"] == "gone", LATE_S)
-        for page in opened:
-            for number in range(15):
-                leg = f"hexapod/leg/{number % 6 + 1}/cmd"
-                page.send(type="command", id=number, key=leg, payload=STOP, sent_ms=page.now_ms())
-            for number in range(100, 115):
-                page.send(type="stop_all", id=number)
-        assert not opened[-1].wait("stop", lambda message: message["attempts"] > 0, LATE_S)["answered"]
-        assert threads(console.pid) < own + 3 * (STOPS_AT_ONCE + REQUESTS_AT_ONCE) + 40, "some are Zenoh's"
-        with Gateway(tmp_path, listens):
-            for page in opened:
-                assert confirmed(page, 114)
-                page.socket.close()

@@ -35,16 +35,11 @@ THREADS: Final = 100
 MEMORY_MB: Final = 150
 """It allows 192 (MemoryMax)."""
 CASES: Final = {
-    "chunked": 20,
-    "body": 40,
     "silent": 700,
     "half_open": 700,
     "handshake": 50,
     "slow_headers": 200,
-    "huge_headers": 50,
     "get": 50,
-    "link": 20,
-    "upgrade": 50,
     "garbage": 100,
 }
 """What strangers do, and on how many connections at once."""

@@ -1,7 +1,4 @@
-"""The first of a laptop's hosts is no way to the robot: a Stop goes by the second one, at once.
-
-One that drops packets, and a name that no resolver answers for: tests/net/test_hosts.py.
-"""
+"""The first of a laptop's hosts is no way to the robot: a Stop goes by the second one, at once."""
 
 import json
 import socket

@@ -2,12 +2,8 @@
 
 from itertools import product
 
-import pytest
-
-from gateway.model.frames import OneLeg, OneServo, Op, ServoOp
 from gateway.model.framing import Framing
-from gateway.robot.spi.simulator import SimulatedController
-from tests.deaf.shifts import KILLS, OPERATIONS, commands, faults, lost_and_doubled, neighbours, worst
+from tests.deaf.shifts import KILLS, OPERATIONS, commands, faults, neighbours, worst
 
 AVOID = Framing.LENGTH_PREFIXED.avoid_cdeg
 ALL_FAULTS = [(servos, what, stream) for servos in (1, 3) for what, stream in faults(servos)]
@@ -23,30 +19,9 @@ def test_no_legal_frame_with_one_byte_lost_or_doubled_has_an_id_that_kills() -> 
 def test_wherever_the_firmware_begins_to_read_two_bytes_of_one_angle_kill_and_no_others() -> None:
     """A record's id and operation are neighbours on the wire: 0.01 to 0.03 and 10.01 to 10.03 degrees remain.
 
-    It takes more than one lost byte to read them so, as the next test does.
+    It takes more than one lost byte to read them so: tests/unit/robot/test_simulator.py.
     """
     found = {pairs: pairs & KILLS for pairs in neighbours(AVOID) if pairs & KILLS}
     assert set().union(*found.values()) == set(product((0, 10), OPERATIONS))
     angles = {(whole_deg, hundredths) for _, whole_deg, hundredths in commands(AVOID)}
     assert all(pairs <= angles for pairs in found)
-
-
-@pytest.mark.parametrize("whole_deg", [0, 1, 2, 3, 4, 10, 90])
-@pytest.mark.parametrize("op", [Op.START, Op.SET])
-def test_the_simulated_controller_dies_of_what_the_rule_says(op: Op, whole_deg: int) -> None:
-    """Of each frame with such an angle, each byte lost and doubled, and the next frame behind it."""
-    command, other = ServoOp(op, 100 * whole_deg + 50), ServoOp(Op.SET, 90_00)
-    frames: list[OneLeg | OneServo] = [
-        OneServo(32, command),
-        OneLeg(3, (command, other, other)),
-        OneLeg(3, (other, other, command)),
-    ]
-    for frame in frames:
-        died = set()
-        for what, data in lost_and_doubled(frame):
-            controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: 0)
-            controller.take(data)
-            controller.take(b"\x0e")
-            if controller.dead is not None:
-                died.add(what)
-        assert bool(died) is (whole_deg in OPERATIONS), (frame, died)

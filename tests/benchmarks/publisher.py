@@ -1,11 +1,9 @@
 """The third process of the benchmark: publishes setpoints for legs, and notes when.
 
-    python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50 [--log FILE] [--shape SHAPE]
+    python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50 [--log FILE]
 
-Of the shapes, `apart` spreads the legs evenly over time, `burst` publishes all in one instant (and notes for each when
-the first one was), `one-message` is all legs in one message on `hexapod/legs/cmd`.
-
-What is not a flood carries what the shipped client sends with it: a source, and the time by the sender's clock.
+The legs are spread evenly over time. What is not a flood carries what the shipped client sends with it: a source, and
+the time by the sender's clock.
 
 It prints `ready` once it is connected. Then each line on its standard input is a number of seconds to publish for; it
 answers `done COUNT`. The log is appended to after each: three 64-bit numbers a message (leg, number, monotonic ns).
@@ -26,8 +24,7 @@ from pathlib import Path
 import zenoh
 
 from gateway.zenoh_config import client_config
-from schemas.keys import LEASE, LEGS_COMMAND, leg_command
-from schemas.lease import LeaseAck
+from schemas.keys import leg_command
 
 ANGLES = 177_00
 """How many numbers fit into one angle: 0.00° to 179.99°, without 1.00° to 3.99°, which one framing does not send."""
@@ -48,20 +45,6 @@ def payload(number: int) -> str:
         f'{{"servos":[{{"op":"start","angle_deg":{angle_deg(high)}}},'
         f'{{"op":"start","angle_deg":{angle_deg(low)}}},{{"op":"start","angle_deg":90}}]}}'
     )
-
-
-def acquired(session: zenoh.Session) -> str:
-    """The token of the lease, which nobody else must hold."""
-    for reply in session.get(LEASE, payload='{"do": "acquire", "source": "publisher"}', timeout=5):
-        if reply.ok is not None:
-            return str(LeaseAck.model_validate_json(reply.ok.payload.to_bytes()).lease)
-    raise RuntimeError("no answer")
-
-
-def legs_payload(number: int, legs: Sequence[int]) -> str:
-    """The same for several legs in one message."""
-    one = payload(number)
-    return '{"legs":{' + ",".join(f'"{leg}":{one}' for leg in legs) + "}}"
 
 
 def number_of(frame: bytes) -> tuple[int, int] | None:
@@ -88,22 +71,17 @@ def wait_until(when_s: float) -> None:
 class Stream:
     """What is sent, in which rhythm."""
 
-    def __init__(
-        self, session: zenoh.Session, shape: str, legs: Sequence[int], hz: float, *, block: bool, token: str = ""
-    ) -> None:
-        """`token`: that of a lease, which each message then carries."""
-        self._end = f',"lease":"{token}"}}' if token else "}"
+    def __init__(self, session: zenoh.Session, legs: Sequence[int], hz: float, *, block: bool) -> None:
         self._as_client = hz > 0
         control = zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP
-        one_message = shape == "one-message"
-        self._legs = legs
-        self._shape = shape
-        keys = [LEGS_COMMAND] if one_message else [leg_command(leg) for leg in legs]
-        self._pause_s = 0.0 if not hz else 1 / hz / (len(keys) if shape == "apart" else 1)
+        self._pause_s = 1 / hz / len(legs) if hz else 0.0
         self._publishers = [
-            session.declare_publisher(key, encoding="application/json", congestion_control=control, express=hz > 0)
-            for key in keys
+            session.declare_publisher(
+                leg_command(leg), encoding="application/json", congestion_control=control, express=hz > 0
+            )
+            for leg in legs
         ]
+        self._legs = legs
         self._numbers = itertools.count()
 
     def run(self, duration_s: float, log: "array.array[int]") -> int:
@@ -111,31 +89,20 @@ class Stream:
         count = 0
         due_s = time.monotonic()
         end_s = due_s + duration_s
-        noted_ns = 0
-        for index, publisher in itertools.cycle(enumerate(self._publishers)):
+        for leg, publisher in itertools.cycle(zip(self._legs, self._publishers, strict=True)):
             number = next(self._numbers)
-            text = self._text(number)[:-1]
-            begins = self._shape != "burst" or index == 0
-            if begins and self._pause_s:
-                wait_until(due_s)
+            text = payload(number)
+            wait_until(due_s)
             now_ns = time.monotonic_ns()
-            if begins:
-                if now_ns / 1e9 >= end_s:
-                    return count
-                due_s += self._pause_s
-                noted_ns = now_ns
+            if now_ns / 1e9 >= end_s:
+                return count
+            due_s += self._pause_s
             if self._as_client:
-                text += f',"source":"publisher","sent_ms":{now_ns / 1e6}'
-            publisher.put(text + self._end)
+                text = f'{text[:-1]},"source":"publisher","sent_ms":{now_ns / 1e6}}}'
+            publisher.put(text)
             count += 1
-            for leg in self._legs if self._shape == "one-message" else self._legs[index : index + 1]:
-                log.extend((leg, number, noted_ns))
+            log.extend((leg, number, now_ns))
         return count
-
-    def _text(self, number: int) -> str:
-        if self._shape == "one-message":
-            return legs_payload(number, self._legs)
-        return payload(number)
 
 
 def main() -> None:
@@ -145,13 +112,10 @@ def main() -> None:
     parser.add_argument("--legs", type=int, nargs="+", required=True)
     parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg; 0: a flood")
     parser.add_argument("--log", type=Path, help="leave it out for runs without end: it grows")
-    parser.add_argument("--shape", choices=("apart", "burst", "one-message"), default="apart")
-    parser.add_argument("--lease", action="store_true", help="acquire the lease, and send its token with each message")
     parser.add_argument("--block", action="store_true", help="wait where the way is congested, and lose nothing")
     options = parser.parse_args()
     with zenoh.open(client_config(options.endpoint)) as session:
-        token = acquired(session) if options.lease else ""
-        stream = Stream(session, options.shape, options.legs, options.hz, block=options.block, token=token)
+        stream = Stream(session, options.legs, options.hz, block=options.block)
         print("ready", flush=True)
         for line in sys.stdin:
             log = array.array("q")

@@ -5,10 +5,8 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from gateway.client import Client
-from gateway.model.framing import Framing
 from tests.benchmarks.processes import OnDevice, Written
 from tests.benchmarks.publisher import number_of, read_log
 from tests.support.child import Child
@@ -31,7 +29,6 @@ class Subject:
         name: str,
         folder: Path,
         stack: ExitStack,
-        settings: dict[str, dict[str, Any]] | None = None,
         prefix: tuple[str, ...] = (),
     ):
         """`prefix` goes before the gateway's command."""
@@ -41,12 +38,12 @@ class Subject:
         self._stack = stack
         self._publishers = 0
         if name == "gateway":
-            ours: dict[str, dict[str, Any]] = {"zenoh": {"listen": [self.endpoint]}, "spi": {"framing": "plain"}}
-            config = write_settings(folder / "gateway.toml", {**ours, **(settings or {})})
+            config = write_settings(
+                folder / "gateway.toml", {"zenoh": {"listen": [self.endpoint]}, "spi": {"framing": "plain"}}
+            )
             command, ready = [*prefix, *COMMAND, "run", "--config", str(config)], READY
         else:
-            framing = (settings or {}).get("spi", {}).get("framing", Framing.PLAIN)
-            command, ready = [sys.executable, "-m", "tests.benchmarks.naive", self.endpoint, framing], "ready"
+            command, ready = [sys.executable, "-m", "tests.benchmarks.naive", self.endpoint], "ready"
         self.device = stack.enter_context(OnDevice(command, folder / f"{name}.log", ready=ready))
 
     @property
@@ -91,12 +88,12 @@ class Publisher:
         time.sleep(SETTLE_S)
         return count
 
-    def latencies_ns(self, written: list[Written], leg: int | None = None) -> list[int]:
-        """Published → transferred, of those of its messages (for `leg`) that were transferred."""
+    def latencies_ns(self, written: list[Written]) -> list[int]:
+        """Published → transferred, of those of its messages that were transferred."""
         published = read_log(self._log)
         found = []
         for transfer in written:
             number = number_of(transfer.data)
-            if number in published and leg in (None, number[0]):
+            if number in published:
                 found.append(transfer.monotonic_ns - published[number])
         return found

@@ -1,7 +1,6 @@
 """The benchmark's results: one row a figure, as text for a terminal."""
 
 from dataclasses import dataclass
-from statistics import median
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +33,3 @@ def as_text(rows: list[Row]) -> str:
 def microseconds(value_us: float) -> str:
     """µs while that is short, else ms."""
     return f"{value_us:.0f} µs" if value_us < 10_000 else f"{value_us / 1000:,.0f} ms"
-
-
-def ratio_row(name: str, ours: list[float], theirs: list[float], unit: str, aim: float | None) -> Row:
-    """Medians of both over the rounds, and the median of the rounds' ratios with its spread, held against the aim."""
-    ratios = [our / their for our, their in zip(ours, theirs, strict=True)]
-    middle = median(ratios)
-    return Row(
-        name,
-        f"{median(ours):.0f} {unit}, {middle:.2f}× ({min(ratios):.2f} to {max(ratios):.2f})",
-        f"{median(theirs):.0f} {unit}",
-        f"at most {aim}×" if aim else "",
-        middle <= aim if aim else None,
-    )

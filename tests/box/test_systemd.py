@@ -14,13 +14,13 @@ from gateway.model.frames import ONE_LEG_LEN, Op, decode, stop_leg
 from gateway.model.framing import Framing
 from gateway.people.recorder.incidents import kind_of
 from gateway.people.recorder.story import story
+from schemas import keys
 from tests.box.box import Box, Unit
 from tests.box.installed import CONFIGURATION, DROP_IN, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
-from tests.hil.test_incidents import frames_in
 from tests.hil.wire import Replay
 from tests.support.child import Child
-from tests.support.mcap_file import read
+from tests.support.mcap_file import checked, read
 
 pytestmark = pytest.mark.systemd
 
@@ -110,7 +110,7 @@ def test_sandbox(robot: InstalledGateway) -> None:
 
 @pytest.mark.nightly
 def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
-    """The service's incidents, as the wire was; one of each kind is in tests/hil/test_incidents.py."""
+    """The service's incidents, as the wire was."""
     robot.unit.systemctl("start")
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
     moved = max(place for place, each in enumerate(robot.bed.transfers) if starts_leg_3(each.data))
@@ -136,7 +136,7 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
     assert found.keys() >= KINDS
     on_wire = [each.data.hex() for each in robot.bed.transfers if each.delivered]
     for kind in KINDS:
-        frames = frames_in(found[kind])
+        frames = [content["bytes"] for topic, content in checked(found[kind]) if topic == keys.FRAME]
         rest = iter(on_wire)
         assert all(frame in rest for frame in frames), f"{kind}: in the order of the wire"
         assert any(has_started_hex(frame) for frame in frames), kind

@@ -1,1 +1,1 @@
-"""What a controller makes of lost bytes and stalls in a minute of traffic: `python -m tests.deaf` tries them all."""
+"""What a controller makes of lost bytes in a minute of traffic (tests/attack/test_deaf_controller.py)."""

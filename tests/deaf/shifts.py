@@ -10,10 +10,8 @@ from functools import cache
 from itertools import pairwise, product
 from typing import Final, NamedTuple
 
-from gateway.model.frames import ONE_LEG_LEN, ONE_SERVO_LEN, OneLeg, OneServo, Op, ServoOp, servo_ids_of
-from gateway.model.framing import Framing
+from gateway.model.frames import ONE_LEG_LEN, ONE_SERVO_LEN, OneServo, Op, ServoOp, servo_ids_of
 from schemas.robot import LEGS, SERVO_IDS
-from tests.support.transfers import on_wire
 
 RECORDS: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}
 OPERATIONS: Final = frozenset({1, 2, 3})
@@ -121,11 +119,3 @@ def neighbours(avoid_cdeg: Avoid) -> Iterator[frozenset[tuple[int, int]]]:
         for first, second in pairwise(announced(servos)):
             yield together(first, second, avoid_cdeg)
     yield frozenset(product((0,), FOLLOWERS))
-
-
-def lost_and_doubled(frame: OneLeg | OneServo) -> Iterator[tuple[str, bytes]]:
-    """The same faults in the bytes of one frame."""
-    data = b"".join(on_wire(Framing.LENGTH_PREFIXED, frame))
-    for at in range(len(data)):
-        yield f"byte {at} lost", data[:at] + data[at + 1 :]
-        yield f"byte {at} doubled", data[: at + 1] + data[at:]

@@ -1,1 +1,1 @@
-"""What a stop does to a robot that stands or walks: `make falls`."""
+"""What a stop does to a robot that stands or walks."""

@@ -1,21 +1,22 @@
-"""One fall: what becomes of a robot that is stopped, in figures."""
+"""One fall: what becomes of a robot that is stopped, in figures; and what a landing sends it."""
 
-from collections.abc import Iterable
-from copy import deepcopy
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from gateway.geometry import Geometry
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.world import World
+from gateway.robot.core.landing import landing
 from gateway.robot.settings import Settings
-from tests.falls.stride import GEOMETRY, Moment
-from tests.falls.ways import Way
+from schemas.robot import SERVO_IDS
 from tests.walking.physics import Sent, drive
 
 AFTER_S: Final = 1.5
 """After the last thing that is sent: then it lies."""
+SLACK: Final[Mapping[int, float | None]] = dict.fromkeys(SERVO_IDS)
 _LOOK: Final = 5
 """Steps."""
+_NS: Final = 1_000_000_000
 
 
 class Fall(NamedTuple):
@@ -25,30 +26,16 @@ class Fall(NamedTuple):
     speed_m_s: float
     """The fastest that its body went down."""
     tilt_deg: float
-    fell_over: bool
-    energy_j: float
-    """Of its mass at that speed."""
 
     def worse(self, other: "Fall") -> "Fall":
         """The worse of each figure."""
-        return Fall(
-            max(self.drop_m, other.drop_m),
-            max(self.speed_m_s, other.speed_m_s),
-            max(self.tilt_deg, other.tilt_deg),
-            self.fell_over or other.fell_over,
-            max(self.energy_j, other.energy_j),
-        )
+        return Fall(*map(max, self, other))
 
 
-def fall(moment: Moment, way: Way, settings: Settings) -> Fall:
-    """Stop it so, and look until it lies."""
-    return looked_at(deepcopy(moment.world), way.sent(moment, settings))
-
-
-def looked_at(world: World, sent: Iterable[Sent], geometry: Geometry = GEOMETRY) -> Fall:
-    """Send the servos there, in seconds from now."""
+def looked_at(world: World, sent: Iterable[Sent], geometry: Geometry) -> Fall:
+    """Send the servos there, in seconds from now, and look until it lies."""
     begun_s, begin = world.time_s, world.body()
-    lowest_m, speed_m_s, tilt_deg, upright = begin.position_m[2], 0.0, 0.0, True
+    lowest_m, speed_m_s, tilt_deg = begin.position_m[2], 0.0, 0.0
     waiting = list(sent)
     last_s = waiting[-1][0]
     steps = 0
@@ -61,6 +48,23 @@ def looked_at(world: World, sent: Iterable[Sent], geometry: Geometry = GEOMETRY)
         if steps % _LOOK == 0:
             body = world.body()
             lowest_m, tilt_deg = min(lowest_m, body.position_m[2]), max(tilt_deg, body.tilt_deg)
-            upright = upright and body.upright
-    mass_kg = float(sum(world.model.body_mass))
-    return Fall(begin.position_m[2] - lowest_m, speed_m_s, tilt_deg, not upright, mass_kg * speed_m_s**2 / 2)
+    return Fall(begin.position_m[2] - lowest_m, speed_m_s, tilt_deg)
+
+
+def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[Sent]:
+    """A landing from these angles by the core's own function, at the legs' rate. Seconds from the latest command."""
+    began_ns = round(settings.watchdog.timeout_ms * 1e6)
+    length_ns = round(settings.watchdog.landing_ms * 1e6)
+    period_ns = round(_NS / settings.limits.leg_rate_hz)
+    ends = {int(name): angle_deg for name, angle_deg in settings.watchdog.landing.items()}
+    ways_cdeg = {
+        servo_id: (round(100 * angle_deg), round(100 * ends.get(servo_id, angle_deg)))
+        for servo_id, angle_deg in begin.items()
+    }
+    way = landing(began_ns, began_ns + length_ns, length_ns, period_ns, ways_cdeg)
+    now_ns, part_ns = began_ns, 0
+    while now_ns < way.ends_ns and part_ns < way.length_ns:
+        part_ns = way.next_part_ns(part_ns, now_ns)
+        yield now_ns / _NS, {servo_id: way.angle_cdeg(servo_id, part_ns) / 100 for servo_id in ways_cdeg}
+        now_ns += period_ns
+    yield way.ends_ns / _NS, SLACK

@@ -1,4 +1,4 @@
-"""What stops do to a robot: the short form of `make falls`, and that a real gateway writes what is computed for it."""
+"""What stops do to a robot, and that a real gateway writes what is computed for it (docs/stops.md)."""
 
 import os
 from copy import deepcopy
@@ -17,10 +17,8 @@ from gateway.people.walking import GAITS
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, FrameRecord
-from tests.falls.__main__ import LANDING, MOST_SPEED_M_S, MOST_TILT_DEG, USUAL, WORLDS, most_speed_m_s
-from tests.falls.fall import AFTER_S, Fall, fall, looked_at
-from tests.falls.stride import ELKAPOD, SETTINGS, STANCES, STAND, Angles, Moment, moments
-from tests.falls.ways import SLACK, WAYS, landed
+from tests.falls.fall import AFTER_S, SLACK, Fall, landed, looked_at
+from tests.falls.stride import ELKAPOD, GEOMETRY, SETTINGS, STANCES, STAND, Moment, moments
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import frames
@@ -30,26 +28,40 @@ from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, drive, run, sent_
 @cache
 def six_moments(stance: str, assumed: Assumed) -> list[Moment]:
     """Whoever goes on with one takes a copy."""
-    return moments(stance, assumed, phases=6)
-
-
-def worst(stance: str, name: str, assumed: Assumed, settings: Settings = SETTINGS) -> Fall:
-    way = next(way for way in WAYS if way.name == name)
-    return reduce(Fall.worse, (fall(moment, way, settings) for moment in six_moments(stance, assumed)))
+    return moments(stance, assumed)
 
 
 WEAK: Final = "servos of 1.4 N·m"
+WORLDS: Final = {
+    "as assumed": Assumed(),
+    WEAK: Assumed(torque_nm=1.4),
+    "3.5 kg": Assumed(mass_kg=3.5),
+    "5.0 kg, servos of 3.5 N·m": Assumed(mass_kg=5.0, torque_nm=3.5),
+    "friction 0.5": Assumed(friction=0.5),
+}
+"""The last but one is what the Elkapod's own description adds up to, with servos that carry it."""
 HARDEST: Final = (STAND, "tripod")
-"""The fewest feet carry a tripod; the gaits with more of them in all worlds are for `make falls`."""
+"""The fewest feet carry a tripod; the gaits with more of them go in two worlds only."""
+MOST_SPEED_M_S: Final = 0.2
+MOST_TILT_DEG: Final = 10.0
+"""What a landing may do."""
+STUCK_M_S: Final = 0.8
+STUCK: Final = {(WEAK, "tripod"), ("3.5 kg", "tripod")}
+"""Servos too weak for their robot to push a loaded foot outward over rubber: from some phases of a tripod walk two feet
+hold it up like a trestle, and let go at once (docs/stops.md)."""
 
 
 @pytest.mark.parametrize(
     ("world", "stance"),
-    [pair for pair in product(WORLDS, STANCES) if pair[1] in HARDEST or pair[0] in (USUAL, WEAK)],
+    [pair for pair in product(WORLDS, STANCES) if pair[1] in HARDEST or pair[0] in ("as assumed", WEAK)],
 )
 def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
-    found = worst(stance, LANDING, WORLDS[world])
-    assert found.speed_m_s < most_speed_m_s(world, stance)
+    each = (
+        looked_at(deepcopy(moment.world), landed(moment.angles, SETTINGS), GEOMETRY)
+        for moment in six_moments(stance, WORLDS[world])
+    )
+    found = reduce(Fall.worse, each)
+    assert found.speed_m_s < (STUCK_M_S if (world, stance) in STUCK else MOST_SPEED_M_S)
     assert found.tilt_deg < MOST_TILT_DEG
     assert found.drop_m > 0.08, "it stood"
 
@@ -59,7 +71,7 @@ def test_a_stop_in_any_phase_of_a_stride_lets_it_sink_and_never_topple(gait: str
     """All servos slack, as after an emergency stop, at six times within a stride: faster down than by a landing."""
     for moment in six_moments(gait, Assumed()):
         world = deepcopy(moment.world)
-        fallen = looked_at(world, [(0.0, SLACK)])
+        fallen = looked_at(world, [(0.0, SLACK)], GEOMETRY)
         assert fallen.speed_m_s > MOST_SPEED_M_S
         assert fallen.tilt_deg < FALLEN_DEG
         run(world, SINKS_S - AFTER_S)
@@ -105,7 +117,7 @@ def test_a_real_gateways_frames_let_it_walk_and_land_as_computed(tmp_path: Path)
     commands = [record for record in written if record.cause == Cause.COMMAND]
     begun_ns, silent_ns = commands[0].monotonic_ns, commands[-1].monotonic_ns
     geometry, world = load(), World(load())
-    commanded: Angles = {}
+    commanded: dict[int, float] = {}
     for at_s, angles in sent_by(commands, begun_ns):
         while world.time_s < at_s:
             world.step()
@@ -115,7 +127,7 @@ def test_a_real_gateways_frames_let_it_walk_and_land_as_computed(tmp_path: Path)
     there = deepcopy(world)
     after = [record for record in written if record.monotonic_ns > silent_ns]
     real = looked_at(world, sent_by(after, silent_ns), geometry)
-    rules = Settings.model_validate(nested(settings))
+    rules = Settings.of(nested(settings))
     computed = looked_at(there, landed(commanded, rules), geometry)
     assert real.drop_m == pytest.approx(computed.drop_m, abs=0.005)
     assert real.speed_m_s == pytest.approx(computed.speed_m_s, abs=0.05)

@@ -27,7 +27,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from tests.support.child import Child, without_file_privileges
+from tests.support.child import Child
 from tests.support.closing import Closing
 
 DEVICE = "/dev/spidev0.0"
@@ -184,20 +184,9 @@ class SpiTestbed(Closing):
         for task in Path(f"/proc/{self._emulation.pid}/task").iterdir():
             os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(50))
 
-    def spawn(
-        self,
-        command: Sequence[str],
-        *,
-        env: Mapping[str, str] | None = None,
-        cwd: Path | None = None,
-        privileged: bool = True,
-    ) -> Child:
-        """Start a program on the device; several may run at once or in a row. `env` adds to this process's variables.
-
-        `privileged=False`: file permissions bind it even if the test runs as root (for `fail_open(EACCES)`).
-        """
-        command = command if privileged else without_file_privileges(command)
-        child = Child(command, {**os.environ, **(env or {}), **self.environment}, cwd)
+    def spawn(self, command: Sequence[str], *, env: Mapping[str, str] | None = None) -> Child:
+        """Start a program on the device; several may run at once. `env` adds to this process's variables."""
+        child = Child(command, {**os.environ, **(env or {}), **self.environment})
         self._children.append(child)
         return child
 
@@ -277,14 +266,6 @@ class SpiTestbed(Closing):
         """Each transfer fails with this probability, until `heal`."""
         self._command("fail_by_chance", share=share, seed=seed)
 
-    def fail_data(self, data: bytes) -> None:
-        """Each transfer of just these bytes fails, until `heal`."""
-        self._command("fail_data", data=data.hex())
-
-    def fail_slowly(self, after_ms: float = 200) -> None:
-        """Until `heal`, a call that fails takes so long: Linux gives up a lost transfer after 200 ms and more."""
-        self._command("fail_slowly", after_ms=after_ms)
-
     def reject_lists(self, errno: int = errors.EINVAL) -> None:
         """A kernel that takes no lists of transfers: calls of more than one answer `errno`."""
         self._command("reject_lists", code=errno)
@@ -293,21 +274,9 @@ class SpiTestbed(Closing):
         """A driver that does not release chip select within a call: a list of transfers is one cycle."""
         self._command("ignore_cs_change")
 
-    def add_chip_select_high(self) -> None:
-        """Chip select is a GPIO: as older kernels do, this one adds SPI_CS_HIGH to the mode, and shows it."""
-        self._command("add_chip_select_high")
-
-    def shorten(self, count: int | None = None) -> None:
-        """The next `count` transfers are short: half of the bytes reach the wire, and spidev is told so."""
-        self._command("fail", code=-1, count=count)
-
     def heal(self) -> None:
-        """No more errors and delays."""
+        """No more errors."""
         self._command("heal")
-
-    def delay_ms(self, delay_ms: float) -> None:
-        """Each transfer from now on takes this long; 0 ends it."""
-        self._command("delay", delay_ms=delay_ms)
 
     def block(self) -> None:
         """Transfers from now on are answered only by `release`; each is recorded as it arrives."""
@@ -321,24 +290,13 @@ class SpiTestbed(Closing):
         """The device goes: opening answers ENOENT, descriptors open now answer ESHUTDOWN for ever."""
         self._command("remove_node")
 
-    def fail_open(self, errno: int = errors.EACCES) -> None:
-        """Opening answers `errno`, EACCES (see `spawn`) or ENXIO; descriptors already open go on.
-
-        umockdev aborts a program whose openings failed this way 50 times; `remove_node` has no such limit.
-        """
-        self._command("fail_open", code=errno)
-
     def restore_node(self) -> None:
-        """The device is back, as a new node; ends `remove_node` and `fail_open`."""
+        """The device is back, as a new node; ends `remove_node`."""
         self._command("restore_node")
 
     def attach_uart(self, path: Path) -> None:
         """From now on there is a UART at this path."""
         self._command("attach_uart", path=str(path))
-
-    def detach_uart(self) -> None:
-        """The UART goes, from below the programs that hold it, too."""
-        self._command("detach_uart")
 
     def tell(self, name: str, data: bytes) -> None:
         """`answer` or `send_uart`, without waiting until it holds."""

@@ -28,7 +28,6 @@ import random
 import shutil
 import signal
 import socket
-import stat
 import struct
 import subprocess
 import sys
@@ -51,10 +50,9 @@ BUFSIZ = 4096  # spidev's module parameter, its default
 ALIGNED = 128  # ARCH_DMA_MINALIGN: what a transfer takes of that is a multiple of it
 CS_CHANGE_NS = 10_000  # for how long Linux releases chip select between two transfers, after their pause
 SPIN_NS = 150_000  # a sleep may end later than asked by as much
-SHORT = -1  # in place of an errno: half of the bytes are taken, and the caller is told so
 # From linux/spi/spi.h: CPHA, CPOL, CS_HIGH, 3WIRE, NO_CS: all that spi-bcm2835 supports.
 SUPPORTED_MODE_BITS = 0x01 | 0x02 | 0x04 | 0x10 | 0x40
-CS_HIGH, LSB_FIRST = 0x04, 0x08
+LSB_FIRST = 0x08
 # From linux/spi/spidev.h: `_IOC(direction, 'k', number, size)`.
 IOC_MAGIC, IOC_READ = ord("k"), 2
 NR_MESSAGE, NR_MODE, NR_LSB_FIRST, NR_BITS, NR_SPEED, NR_MODE32 = 0, 1, 2, 3, 4, 5
@@ -94,25 +92,21 @@ class SpiController:
         self._openings: dict[Any, int] = {}
         self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
-        self._shown_mode = 0
         self._fail_errno = 0
         self._fail_left: int | None = 0
         self._fail_after = 0
         self._share = 0.0  # of transfers that fail by chance
-        self._failing_data: bytes | None = None  # transfers of these bytes fail
-        self._failure_s = 0.0  # what a failing call takes
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
         self._list_errno = 0
         self._ignores_cs_change = False
         self._calls = 0
-        self._delay_s = 0.0
         self._blocking = False
         self._answer = b""
         self.uart = PseudoUart(lambda now_ns, data: emit({"t": now_ns, "kind": "uart", "data": data.hex()}))
         self._held: list[Callable[[], None]] = []
 
     def fail(self, code: int, count: int | None, after: int = 0) -> None:
-        """`after` so many, the next `count` transfers answer `code`, an errno or SHORT; with None, all until `heal`.
+        """`after` so many, the next `count` transfers answer `code`, an errno; with None, all until `heal`.
 
         A transfer that fails ends its message: what comes before it is on the wire, and what follows is not.
         """
@@ -124,22 +118,10 @@ class SpiController:
         with self._lock:
             self._share, self._chance = share, random.Random(seed)  # noqa: S311  (faults, no secrets)
 
-    def fail_data(self, data: str) -> None:
-        """Each transfer of these bytes (hex) fails, until `heal`."""
-        with self._lock:
-            self._failing_data = bytes.fromhex(data)
-
-    def fail_slowly(self, after_ms: float) -> None:
-        """A call that fails takes so long from now on, and is answered ETIMEDOUT, until `heal`: Linux waits for a
-        transfer that its driver has lost for 200 ms and more."""
-        with self._lock:
-            self._failure_s = after_ms / 1000
-
     def heal(self) -> None:
-        """No more errors and delays."""
+        """No more errors."""
         with self._lock:
-            self._fail_left, self._delay_s, self._share = 0, 0.0, 0.0
-            self._failing_data, self._failure_s = None, 0.0
+            self._fail_left, self._share = 0, 0.0
 
     def reject_lists(self, code: int) -> None:
         """Messages of more than one transfer answer `code` from now on; 0: they are taken."""
@@ -150,15 +132,6 @@ class SpiController:
         """A driver that leaves chip select alone within a message: its transfers are one cycle."""
         with self._lock:
             self._ignores_cs_change = True
-
-    def add_chip_select_high(self) -> None:
-        """Chip select is a GPIO: as older kernels do, this one adds SPI_CS_HIGH to the mode, and shows it."""
-        self._shown_mode = CS_HIGH
-
-    def delay(self, delay_ms: float) -> None:
-        """Each transfer from now on takes this long."""
-        with self._lock:
-            self._delay_s = delay_ms / 1000
 
     def block(self) -> None:
         """Transfers from now on are answered only by `release`."""
@@ -240,15 +213,15 @@ class SpiController:
             code = self._rejection(client, [segment[0] for segment in segments])
             rejected = bool(code)
             for cycle in [segments] if rejected else self._cycles(segments):
-                code = code or self._verdict(b"".join(segment[0] for segment in cycle))
-                taken = [self._described(segment, half=code == SHORT) for segment in cycle]
+                code = code or self._verdict()
+                taken = [self._described(segment) for segment in cycle]
                 data = bytes.fromhex("".join(segment["data"] for segment in taken))
                 self._emit(
                     {
                         "t": at_ns,
                         "kind": kind,
                         "data": data.hex(),
-                        "errno": max(code, 0),
+                        "errno": code,
                         "opening": opening,
                         "mode": self._mode,
                         "call": self._calls,
@@ -265,16 +238,12 @@ class SpiController:
             if rejected:
                 at_ns = now_ns
             if self._blocking:
-                self._held.append(lambda: _answer(client, length, max(code, 0)))
+                self._held.append(lambda: _answer(client, length, code))
                 return
-            delay_s = self._delay_s or (self._failure_s if code and not rejected else 0.0)
-        if delay_s:
-            threading.Timer(delay_s, _answer, (client, length, max(code, 0))).start()
-            return
         while (left_ns := at_ns - CS_CHANGE_NS - time.monotonic_ns()) > 0:
             if left_ns > SPIN_NS:
                 time.sleep((left_ns - SPIN_NS) / 1e9)
-        _answer(client, length, max(code, 0))
+        _answer(client, length, code)
 
     def _cycles(self, segments: list[tuple[bytes, int, int, int, int]]) -> list[list[tuple[bytes, int, int, int, int]]]:
         """The same in chip-select cycles."""
@@ -285,10 +254,10 @@ class SpiController:
                 cycles.append([])
         return cycles
 
-    def _described(self, segment: tuple[bytes, int, int, int, int], *, half: bool) -> dict[str, Any]:
+    def _described(self, segment: tuple[bytes, int, int, int, int]) -> dict[str, Any]:
         data, speed_hz, bits, delay_us, cs_change = segment
         return {
-            "data": data[: len(data) // 2 if half else None].hex(),
+            "data": data.hex(),
             "speed_hz": speed_hz or self._speed_hz,
             "bits_per_word": bits or self._bits,
             "delay_us": delay_us,
@@ -304,7 +273,7 @@ class SpiController:
         held = sum(-(-len(each) // ALIGNED) * ALIGNED for each in data)
         return errno.EMSGSIZE if held > BUFSIZ else 0
 
-    def _verdict(self, data: bytes) -> int:
+    def _verdict(self) -> int:
         """What becomes of the next transfer."""
         if self._fail_left != 0:
             if self._fail_after:
@@ -313,17 +282,14 @@ class SpiController:
                 if self._fail_left is not None:
                     self._fail_left -= 1
                 return self._fail_errno
-        if data != self._failing_data and not (self._share and self._chance.random() < self._share):
-            return 0
-        return errno.ETIMEDOUT if self._failure_s else errno.EIO
+        return errno.EIO if self._share and self._chance.random() < self._share else 0
 
     def _read_setting(self, now_ns: int, client: Any, argument: Any, number: int, size: int) -> None:
         with self._lock:
             self._opening(now_ns, client)
             gone = self._clients[client] <= self._gone_before
             lsb_first = int(bool(self._mode & LSB_FIRST))
-            mode = self._mode | self._shown_mode
-            values = {"mode": mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
+            values = {"mode": self._mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
         if not gone:
             argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
         _answer(client, 0, errno.ESHUTDOWN if gone else 0)
@@ -377,21 +343,15 @@ class Testbed:
             "sync": lambda: None,
             "fail": self._controller.fail,
             "fail_by_chance": self._controller.fail_by_chance,
-            "fail_data": self._controller.fail_data,
-            "fail_slowly": self._controller.fail_slowly,
             "heal": self._controller.heal,
             "reject_lists": self._controller.reject_lists,
             "ignore_cs_change": self._controller.ignore_cs_change,
-            "add_chip_select_high": self._controller.add_chip_select_high,
-            "delay": self._controller.delay,
             "block": self._controller.block,
             "release": self._controller.release,
             "answer": self._controller.answer,
             "attach_uart": self._controller.uart.attach,
-            "detach_uart": self._controller.uart.detach,
             "send_uart": self._controller.uart.send,
             "remove_node": self.remove_node,
-            "fail_open": self.fail_open,
             "restore_node": self.restore_node,
         }
 
@@ -413,23 +373,11 @@ class Testbed:
             self._sockets.rename(self._hidden)
         self._controller.shut_down()
 
-    def fail_open(self, code: int) -> None:
-        """Opening answers `code`, EACCES or ENXIO; descriptors already open go on. At most 50 times a child."""
-        if code not in (errno.EACCES, errno.ENXIO):
-            raise ValueError("opening can fail with EACCES or ENXIO only")
-        self.restore_node()
-        if code == errno.EACCES:
-            self._node.chmod(0)
-        else:  # what Linux answers when a path that names a socket is opened
-            self._node.unlink()
-            with socket.socket(socket.AF_UNIX) as placeholder:
-                placeholder.bind(str(self._node))
-
     def restore_node(self) -> None:
         """The device is there again, as a new node (locks on the old one do not hold it)."""
         if self._hidden.exists():
             self._hidden.rename(self._sockets)
-        if not (self._node.exists() and stat.S_ISREG(self._node.stat().st_mode)):
+        if not self._node.exists():
             fresh = self._node.with_name(f".{NODE}")
             fresh.touch()
             fresh.rename(self._node)

@@ -7,7 +7,6 @@ as the published firmware does, at the times at which it came.
 import os
 import random
 import signal
-import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -24,13 +23,12 @@ from gateway.model.black_box.header import RING_FILE
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
 from gateway.people.recorder import ring_reader
-from gateway.robot.host.systemd import HANGS_AFTER
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Replay, Wire, opening_of, settings_for
+from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, opening_of, settings_for
 from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway, dialling, free_port, write_settings
+from tests.support.gateway_process import COMMAND, dialling, free_port, write_settings
 from tests.support.transfers import on_wire
 
 pytestmark = [pytest.mark.hil, pytest.mark.alone]
@@ -63,100 +61,6 @@ def check_stops(framing: Framing, replay: Replay, stops: list[Transfer]) -> None
     replay.play(stops[len(one_round) :])
     assert replay.energised_for_good() == frozenset()
     assert not replay.controller.corruptions
-
-
-# ---- a transfer that never returns
-
-
-class ManagerSocket:
-    """A service manager's notification socket."""
-
-    def __init__(self, path: Path) -> None:
-        self.environment = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "1000000"}
-        self.timeout_s = 1.0
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(path))
-
-    def hear(self, timeout_s: float) -> bytes | None:
-        """The next notification; None when none comes in time."""
-        self._socket.settimeout(timeout_s)
-        try:
-            return self._socket.recv(1000)
-        except TimeoutError:
-            return None
-
-    def hear_until(self, said: bytes) -> None:
-        while (heard := self.hear(LATE_S)) is not None and said not in heard:
-            pass
-        assert heard is not None
-
-    def drain(self) -> int:
-        """Read what has been said up to now; how much it was."""
-        count = 0
-        while self.hear(0.0001) is not None:
-            count += 1
-        return count
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-@pytest.fixture
-def manager(tmp_path: Path) -> Iterator[ManagerSocket]:
-    manager = ManagerSocket(tmp_path / "notify")
-    yield manager
-    manager.close()
-
-
-def test_the_kernel_ends_a_service_that_hangs_while_its_manager_does_not_look(
-    tmp_path: Path, wire: Wire, manager: ManagerSocket
-) -> None:
-    """systemd does not, once it has asked the service to end; it would wait for all of TimeoutStopSec=."""
-    with Gateway(tmp_path, settings_for(wire), bed=wire.bed, env=manager.environment) as gateway:
-        with gateway.client() as client, ThreadPoolExecutor(1) as pool:
-            for _ in range(4):
-                wire.expect_opening(*STOPS)
-            manager.hear_until(b"WATCHDOG=1")
-            count = len(wire.bed.transfers)
-            wire.bed.block()  # the start hangs, or a further run of Stops
-            pool.submit(client.start_leg, 3, 90, 45, 120)
-            wire.bed.wait_for_count(count + 1, LATE_S)
-            gateway.child.terminate()
-            assert gateway.child.wait(HANGS_AFTER * manager.timeout_s + LATE_S) == -signal.SIGALRM
-        wire.bed.release()
-
-
-@EACH_FRAMING
-def test_a_transfer_that_never_returns_is_the_service_managers_case(
-    tmp_path: Path, wire: Wire, manager: ManagerSocket
-) -> None:
-    settings = settings_for(wire, watchdog={"timeout_ms": 10_000})
-    with Gateway(tmp_path, settings, bed=wire.bed, env=manager.environment) as gateway, gateway.client() as client:
-        wire.expect_opening(*STOPS)
-        for _ in range(3):
-            wire.expect_opening(*STOPS)  # the preamble goes before repeated Stops, too
-        manager.hear_until(b"READY=1")
-        for _ in range(3):
-            manager.hear_until(b"WATCHDOG=1")
-        assert client.start_leg(3, 90, 45, 120).accepted
-        before = wire.expect(START_3)
-
-        wire.bed.block()
-        with ThreadPoolExecutor(1) as pool:
-            count = len(wire.bed.transfers)
-            pool.submit(client.set_leg, 3, 91, 45, 120)
-            wire.bed.wait_for_count(count + 1, LATE_S)
-            manager.drain()
-            assert manager.hear(manager.timeout_s) is None, "the manager's watchdog runs out"
-            gateway.child.kill()
-        wire.bed.release()
-        transfers = wire.bed.transfers
-        assert transfers[-1].opening == before[0].opening
-
-        replay = Replay(wire.framing)
-        replay.play(transfers)
-        assert replay.controller.energised
-        check_stops(wire.framing, replay, stop_servos(wire.bed, gateway.config))
 
 
 # ---- killed under load

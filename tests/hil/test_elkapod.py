@@ -4,7 +4,6 @@ What is said over SPI and over the UART is one stream in order. Only a start tha
 Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
-import errno
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +15,7 @@ from gateway.client import Client, leg_payload
 from gateway.model.elkapod import SHUTDOWN, START
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Kind
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
 from tests.support.gateway_process import COMMAND, Gateway
@@ -229,61 +228,3 @@ def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client)
     assert robot.controller.energised == frozenset()
     robot.release()
     expect_shut_down(robot, since)
-
-
-def fault_of(robot: ElkapodBed, name: str) -> None:
-    """Let the controller, or the wires to it, have this fault."""
-    if name == "garbage":
-        robot.controller.garbage = bytes(range(80))
-    elif name == "no heartbeats":
-        robot.controller.silent = True
-    elif name == "frozen":
-        robot.controller.frozen = True
-    elif name == "fails":
-        robot.fail(errno.ETIMEDOUT, count=1)
-    elif name == "takes longer":
-        robot.delay_ms(1500)
-    elif name == "lost":
-        robot.remove_node()
-    else:
-        robot.detach_uart()
-
-
-def mend(robot: ElkapodBed, name: str) -> None:
-    robot.controller.garbage, robot.controller.silent, robot.controller.frozen = None, False, False
-    robot.heal()
-    if name == "lost":
-        robot.restore_node()
-    elif name == "unplugged":
-        robot.attach_uart(robot.uart)
-
-
-FAULTS = {
-    "garbage": "7e to 0f",
-    "frozen": "not changed for 500 ms",
-    "no heartbeats": "no heartbeat",
-    "fails": "Connection timed out",
-    "takes longer": "of the controller for 1000 ms",
-    "lost": "Cannot send after transport endpoint shutdown",
-    "unplugged": "ttyAMA1",
-}
-"""What is wrong, and words of the event that reports it."""
-
-
-@pytest.mark.nightly
-def test_each_fault_shuts_down_is_reported_and_leaves_a_robot_at_rest(robot: ElkapodBed, tmp_path: Path) -> None:
-    with run(robot, tmp_path, controller={"silent_ms": 1000}) as gateway, gateway.client() as client:
-        for name, words in FAULTS.items():
-            heard = events(client)
-            start_all(robot, client)
-            since = len(robot.events)
-            fault_of(robot, name)
-            said = heard.wait(lambda event: event.kind in (Kind.BUS_FAULT, Kind.CONTROLLER_SILENT)).detail
-            assert words in said, name
-            if name != "unplugged":  # over which it would be said
-                robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
-            mend(robot, name)
-            heard.wait(lambda event: event.kind in (Kind.BUS_RECOVERED, Kind.CONTROLLER_RETURNED))
-            assert client.state().mode is Mode.IDLE, name
-            expect_shut_down(robot, since)
-    assert not robot.controller.corruptions

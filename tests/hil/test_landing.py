@@ -5,29 +5,29 @@ The framing is the published firmware's, and a simulated controller, which reads
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gateway.client import Client
-from gateway.model.frames import Op
+from gateway.model.frames import Frame, Op, ServoOp, decode
 from gateway.model.framing import Framing
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.hil.bed import SpiTestbed
+from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, Replay
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
-from tests.support.way_down import Seen, Way, transferred
 
 pytestmark = [pytest.mark.hil, pytest.mark.alone]
 
 TIMEOUT_MS, LANDING_MS, HZ = 400.0, 500.0, 50.0
 """On a busy machine three starts, each answered before the next, take longer than half of this timeout."""
 POSE = {31: 30.0, 32: 60.0, 33: 150.0, 41: 20.0, 42: 100.0, 51: 45.0}
-"""Servo 43 holds its angle, and 51 does not run."""
+STANDS = {31: 90.0, 32: 45.0, 33: 120.0, 41: 100.0, 43: 100.0}
+"""What runs: servo 43 holds its angle, and 51 does not run."""
 MIDWAY = 20
 """Frames: of two legs, so about 200 ms."""
 
@@ -44,20 +44,11 @@ class Scene:
             "watchdog.landing": {str(servo_id): angle for servo_id, angle in POSE.items()},
         }
         self.gateway = Gateway(folder, settings, bed=bed)
-        self.way: Way
         self._since = 0
 
-    def seen(self) -> list[Seen]:
-        """All frames since the servos were started, but for Stops on the way to what does not run (Behaviour 4)."""
-        frames, on = transferred(self.bed.transfers[self._since :]), set[int]()
-        last = max((place for place, each in enumerate(frames) if not each.frame.is_stop), default=0)
-        found = []
-        for place, each in enumerate(frames):
-            servo_ids = {servo_id for servo_id, _ in each.frame.servos}
-            on |= set() if each.frame.is_stop else servo_ids
-            if place > last or not on.isdisjoint(servo_ids):
-                found.append(each)
-        return found
+    def written(self, transfers: Sequence[Transfer]) -> list[Frame]:
+        """All frames since the servos were started."""
+        return [decode(each.data) for each in transfers[self._since :] if each.delivered and len(each.data) > 1]
 
     def falls_silent(self, client: Client) -> None:
         """Start them, and wait for the first frame that nobody commanded."""
@@ -65,41 +56,33 @@ class Scene:
         assert client.start_leg(3, 90, 45, 120).accepted
         assert client.servo(41, "start", 100).accepted
         assert client.servo(43, "start", 100).accepted  # so soon that it waits for its rate slot
-        started = [each for each in self.seen() if not each.frame.is_stop]
-        assert len(started) == 3
-        self.way = Way.after(started, 3, POSE, timeout_ms=TIMEOUT_MS, landing_ms=LANDING_MS, hz=HZ)
         self.wait_for_frames(1)
 
     def wait_for_frames(self, count: int) -> None:
-        """Wait for so many of the landing."""
-        self.bed.wait_for(
-            lambda found: sum(not each.frame.is_stop for each in transferred(found[self._since :])) >= 3 + count, LATE_S
-        )
+        """Wait for so many of the landing, behind the three starts."""
+        self.bed.wait_for(lambda found: sum(not frame.is_stop for frame in self.written(found)) >= 3 + count, LATE_S)
 
     def wait_for_arrival(self) -> None:
         """Wait until servo 31 is at its angle of the pose."""
-        there = round(100 * POSE[31])
-        self.bed.wait_for(
-            lambda found: any(
-                (31, there) == (servo_id, op.angle_cdeg)
-                for each in transferred(found[self._since :])
-                for servo_id, op in each.frame.servos
-            ),
-            LATE_S,
-        )
+        there = (31, ServoOp(Op.SET, round(100 * POSE[31])))
+        self.bed.wait_for(lambda found: any(there in frame.servos for frame in self.written(found)), LATE_S)
 
-    def check(self, *, whole: bool = False) -> list[Seen]:
-        """Nothing on the wire but the commands, a straight way down, and Stops after it; these."""
-        _, _, _, *after = self.seen()
-        first = next((place for place, each in enumerate(after) if each.frame.is_stop), len(after))
-        self.way.check(after[:first], whole=whole)
-        stops = after[first:]
-        assert {op.op for _, frame in stops for _, op in frame.servos} <= {Op.STOP}
-        return stops
+    def check_stopped(self, *, landed: bool = False) -> None:
+        """Each servo that runs went towards its pose, never back, and none else moved; six Stops and their repeats
+        ended it, and a controller that has read all of it energises nothing.
 
-    def check_stopped(self) -> None:
-        """Six Stops end it, and their repeats; a controller that has read all of it energises nothing."""
-        legs = [each.leg for each in self.check()]
+        `landed`: the pose was reached. That the way is straight: tests/unit/robot/test_supervisor_landing.py.
+        """
+        frames, angles = self.written(self.bed.transfers), dict(STANDS)
+        last = max(place for place, frame in enumerate(frames) if not frame.is_stop)
+        for servo_id, op in (each for frame in frames[: last + 1] for each in frame.servos if each[1].op is Op.SET):
+            ends = POSE.get(servo_id, STANDS[servo_id])
+            assert min(angles[servo_id], ends) <= op.angle_cdeg / 100 <= max(angles[servo_id], ends), servo_id
+            angles[servo_id] = op.angle_cdeg / 100
+        if landed:
+            assert angles == {servo_id: POSE.get(servo_id, angle) for servo_id, angle in STANDS.items()}
+        assert sum(op.op is Op.START for frame in frames for _, op in frame.servos) == len(STANDS)
+        legs = [frame.servos[0][0] // 10 for frame in frames[last + 1 :]]
         assert legs[: len(LEGS)] == [*LEGS]
         assert legs == ([*LEGS] * len(legs))[: len(legs)]
         replay = Replay(Framing.LENGTH_PREFIXED)
@@ -126,8 +109,7 @@ def test_only_what_runs_lands_and_it_gets_six_stops(scene: Scene) -> None:
         heard = events(client)
         scene.falls_silent(client)
         heard.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED, timeout_s=LATE_S)
-        scene.check_stopped()
-        scene.check(whole=True)
+        scene.check_stopped(landed=True)
         assert client.state().mode is Mode.IDLE
         scene.check_next_command_must_be_a_start(client)
 

@@ -2,17 +2,15 @@
 
 import json
 import os
-import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
-from gateway import certs
 from gateway.client import Client
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord
@@ -37,47 +35,26 @@ class RobotHost(Closing):
     A leg may be commanded far more often than the laptops do it, so that no command waits, and a frame is on the wire
     as soon as its command is accepted. Stops are not repeated: each is one frame. The state comes so often that a
     laptop that no longer reads is soon full. The lease is shorter than Zenoh's own 10 s, so that a laptop gives up
-    sooner. Unless a test wants it, commands have no age limit: what is rejected then shows the other rules.
+    sooner. Commands have no age limit: what is rejected then shows the other rules.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        folder: Path,
-        *,
-        limits: Mapping[str, float] | None = None,
-        lease_ms: int = LEASE_MS,
-        port: int = PORT,
-        certificates: Path | None = None,
-        settings: Mapping[str, Mapping[str, Any]] | None = None,
-    ) -> None:
-        """With `certificates`, a folder as `certs init` makes it, laptops need one; the observer does not."""
-        observer = f"unixsock-stream/{folder / f'{port}.sock'}"
-        link = "tcp" if certificates is None else "tls"
-        listen = [f"{link}/{network.robot_address(number)}:{port}" for number in network.laptops]
-        config = folder / str(port)
-        config.mkdir()
-        file = config / "zenoh.json5"
-        if certificates is None:
-            file.write_text(f"{{transport: {{link: {{tx: {{lease: {lease_ms}}}}}}}}}")
-        else:
-            file = with_observer(certificates, lease_ms)
-        zenoh = {"listen": [*listen, observer], "allow_insecure": certificates is None, "config": str(file)}
-        sections: dict[str, dict[str, Any]] = {
-            "zenoh": zenoh,
+    def __init__(self, network: Network, folder: Path) -> None:
+        observer = f"unixsock-stream/{folder / 'observer.sock'}"
+        listen = [f"tcp/{network.robot_address(number)}:{PORT}" for number in network.laptops]
+        file = folder / "zenoh.json5"
+        file.write_text(f"{{transport: {{link: {{tx: {{lease: {LEASE_MS}}}}}}}}}")
+        settings: dict[str, dict[str, Any]] = {
+            "zenoh": {"listen": [*listen, observer], "allow_insecure": True, "config": str(file)},
             "telemetry": {"frames": True},
-            "limits": {"leg_rate_hz": 1000, "max_age_ms": 0, **(limits or {})},
+            "limits": {"leg_rate_hz": 1000, "max_age_ms": 0},
             "watchdog": {"timeout_ms": TIMEOUT_MS},
         }
-        for section, values in (settings or {}).items():
-            sections[section] = {**sections.get(section, {}), **values}
         with ExitStack() as opened:
-            self.gateway = opened.enter_context(Gateway(config, sections, prefix=network.robot))
+            opened.enter_context(Gateway(folder, settings, prefix=network.robot))
             self.client = opened.enter_context(Client(observer, source="observer", timeout_s=5))
             self.frames = frames(self.client)
             self.events = events(self.client)
             self._states = states(self.client, kept=1)
-            self.port = port
             self._close = opened.pop_all()
         self.forget()
 
@@ -123,10 +100,6 @@ class RobotHost(Closing):
         for leg in legs:
             self._wait(is_command(leg), count)
 
-    def wait_for_frames(self, condition: Callable[[FrameRecord], bool], count: int) -> None:
-        """Wait for so many such frames."""
-        self._wait(condition, count)
-
     def wait_for_stops(self, *legs: int) -> list[float]:
         """Wait until the watchdog has stopped each of these legs; how much later than it should have, in ms."""
         for leg in legs:
@@ -150,47 +123,6 @@ class RobotHost(Closing):
         return (frames[stop].monotonic_ns - last) / 1e6 - TIMEOUT_MS
 
 
-@contextmanager
-def with_certificates(
-    network: Network, folder: Path, *names: str, port: int, **more: Any
-) -> Iterator[tuple[RobotHost, list["LaptopHost"]]]:
-    """A robot, and for each of these operators a laptop with a certificate; `more` is RobotHost's. Started once."""
-    certificates = folder / "D"
-    certs.folder.init(certificates, [network.robot_address(number) for number in network.laptops], port=port)
-    with ExitStack() as opened:
-        laptops = []
-        for number, name in enumerate(names):
-            certs.folder.issue(certificates, name, "operator")
-            file = certificates / f"{name}.json5"
-            file.write_text(re.sub(r"lease: \d+", f"lease: {LEASE_MS}", file.read_text()))
-            laptops.append(opened.enter_context(LaptopHost(network, number, zenoh_config=file)))
-        robot = opened.enter_context(RobotHost(network, folder, port=port, certificates=certificates, **more))
-        yield robot, [laptop.ready() for laptop in laptops]
-
-
-def with_observer(certificates: Path, lease_ms: int) -> Path:
-    """A copy of `certs init`'s gateway.json5 in which the robot's own Unix socket needs no certificate."""
-    text = (certificates / "gateway.json5").read_text()
-    for ours, theirs in (
-        ('protocols: ["tls"]', 'protocols: ["tls", "unixsock-stream"]'),
-        ("lease: 1000", f"lease: {lease_ms}"),
-        ("    subjects: [\n", "    subjects: [\n" + _ON_THE_ROBOT),
-        ('subjects: ["operator"]', 'subjects: ["operator", "on the robot"]'),
-        (
-            'subjects: ["operator", "observer", "button"]',
-            'subjects: ["operator", "observer", "button", "on the robot"]',
-        ),
-    ):
-        assert text.count(ours) == 1, ours
-        text = text.replace(ours, theirs)
-    made = certificates / "with_observer.json5"
-    made.write_text(text)
-    return made
-
-
-_ON_THE_ROBOT = '      { id: "on the robot", link_protocols: ["unixsock-stream"] },\n'
-
-
 def is_command(*legs: int) -> Callable[[FrameRecord], bool]:
     """Whether a frame comes from a command for one of these legs."""
     return lambda frame: frame.cause is Cause.COMMAND and _leg(frame) in legs
@@ -201,11 +133,6 @@ def is_stop(*legs: int) -> Callable[[FrameRecord], bool]:
     return lambda frame: frame.cause is Cause.WATCHDOG and _leg(frame) in legs
 
 
-def is_from(laptop: "LaptopHost") -> Callable[[FrameRecord], bool]:
-    """Whether a ONE LEG frame carries that laptop's mark: the whole degrees of joint 2."""
-    return lambda frame: frame.cause is Cause.COMMAND and bytes.fromhex(frame.bytes)[8] == laptop.mark_deg
-
-
 def _leg(frame: FrameRecord) -> int:
     """A frame's third byte is the servo's id, or that of the leg's first servo."""
     return bytes.fromhex(frame.bytes)[2] // 10
@@ -214,16 +141,11 @@ def _leg(frame: FrameRecord) -> int:
 class LaptopHost(Closing):
     """A publisher in its namespace; see `tests.net.publisher` for what can be asked of it."""
 
-    def __init__(self, network: Network, number: int, *, port: int = PORT, zenoh_config: Path | None = None) -> None:
-        """Start it; it is connected when it is first used, or after `ready`. `zenoh_config` names other endpoints."""
+    def __init__(self, network: Network, number: int) -> None:
+        """Start it; it is connected when it is first used, or after `ready`."""
         self.source = f"laptop {number}"
-        self.mark_deg = 60 + number
-        endpoint = f"tcp/{network.robot_address(number)}:{port}"
-        options = ["--source", self.source, "--mark", str(self.mark_deg)]
-        if zenoh_config is not None:
-            endpoint = ""
-            options += ["--zenoh-config", str(zenoh_config)]
-        command = [*network.laptop(number), sys.executable, "-m", "tests.net.publisher", endpoint, *options]
+        endpoint = f"tcp/{network.robot_address(number)}:{PORT}"
+        command = [*network.laptop(number), sys.executable, "-m", "tests.net.publisher", endpoint, self.source]
         self.child = Child(command, os.environ)
 
     def close(self) -> None:
@@ -254,9 +176,9 @@ class LaptopHost(Closing):
         """Energise these legs."""
         assert self.ask(f"start {_list(legs)}") == {"accepted": [True] * len(legs)}
 
-    def stream(self, *legs: int, op: str = "set") -> None:
-        """From now on 50 setpoints a second for each of these legs, or starts."""
-        self.ask(f"stream {op} {_list(legs)}")
+    def stream(self, *legs: int) -> None:
+        """From now on 50 setpoints a second for each of these legs."""
+        self.ask(f"stream {_list(legs)}")
 
     def stream_acknowledged(self, *legs: int) -> None:
         """From now on 50 acknowledged setpoints a second, for these legs in turn."""

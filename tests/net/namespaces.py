@@ -24,7 +24,6 @@ from tests.support.closing import Closing
 
 MARK = "hexapod-net"
 BUFFER_BYTES = 16_384
-NO_CARD = ("lladdr", "02:00:00:00:00:09", "nud", "permanent")
 _numbers = itertools.count()
 
 
@@ -78,20 +77,6 @@ class Network(Closing):
         address = f"10.77.{laptop}.3"
         _ip("-n", self._robot, "address", "replace", f"{address}/24", "dev", _link(laptop))
         return address
-
-    def nowhere(self, laptop: int) -> str:
-        """An address that loses what that laptop sends to it."""
-        address = f"10.77.{laptop}.9"
-        self.lose(laptop, address)
-        return address
-
-    def lose(self, laptop: int, address: str) -> None:
-        """What that laptop sends to this address goes to a network card that nobody has, without a word."""
-        _ip("-n", self._laptops[laptop], "neighbour", "replace", address, *NO_CARD, "dev", "robot")
-
-    def find(self, laptop: int, address: str) -> None:
-        """And now it arrives again."""
-        _ip("-n", self._laptops[laptop], "neighbour", "delete", address, "dev", "robot")
 
     def _laptop_address(self, laptop: int) -> str:
         return f"10.77.{laptop}.2"

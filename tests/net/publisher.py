@@ -1,16 +1,13 @@
 """A laptop: streams setpoints to a gateway, and does what lines on its standard input say.
 
-    python -m tests.net.publisher ENDPOINT --source NAME --mark DEGREES [--zenoh-config FILE]
+    python -m tests.net.publisher ENDPOINT NAME
 
-With "" for ENDPOINT it is the file's.
-
-All its setpoints have that mark as the angle of joint 2, so that a frame shows whose it is. It also subscribes to all
-that the gateway reports. Its first line is {"zid": …}, when it is connected. A laptop would have processors of its own,
-so where it may, it comes before the rest of this machine; but not when it floods. Each line is answered by one line of
-JSON:
+It also subscribes to all that the gateway reports. Its first line is {"zid": …}, when it is connected. A laptop would
+have processors of its own, so where it may, it comes before the rest of this machine; but not when it floods. Each
+line is answered by one line of JSON:
 
     start LEGS…         energise these legs, acknowledged: {"accepted": [bool, …]}
-    stream OP LEGS…     from now on, 50 times a second, fire and forget: `set` or `start` for each of these legs
+    stream LEGS…        from now on, 50 times a second, fire and forget: `set` for each of these legs
     ask LEGS…           from now on, 50 times a second, an acknowledged set for one of these legs after the other
     flood LEGS…         from now on, sets for these legs as fast as it can
     sent [COUNT]        once that many of the stream have been sent: see `Sent`
@@ -19,18 +16,12 @@ JSON:
     pause [COUNT]       the same, and no more of the stream
     out-of-reach        {} once Zenoh has given the gateway up
     in-reach            {} once it has found the gateway again
-    try LEG             energise this leg, acknowledged: the answer
-    lease HOW           hold the lease: `acquire` it, or `take` it: the holder, whether verified, and the token, which
-                        only this test may see; or {"rejected": reason, "detail": …, "holder": …}
-    release             {} once the lease is released
-    lost                how the lease was lost, once it is
     stop                stop all six legs, acknowledged
     estop               engage the emergency stop, acknowledged
     reset               leave it, acknowledged
     state               the gateway's state; of these four also `answered_ms`: how long the answer took
 """
 
-import argparse
 import json
 import os
 import sys
@@ -40,13 +31,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import zenoh
 from zenoh.handlers import FifoChannel, RingChannel
 
-from gateway.client import Client, Lease, LeaseError, leg_payload
+from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
 
@@ -76,10 +66,9 @@ class Sent:
 class Streamer:
     """A client of a gateway, with at most one stream."""
 
-    def __init__(self, client: Client, source: str, mark_deg: float) -> None:
+    def __init__(self, client: Client, source: str) -> None:
         self._client = client
         self._source = source
-        self._mark_deg = mark_deg
         self._thread = threading.Thread()
         self._paused = threading.Event()
         self._progress = threading.Condition()
@@ -87,8 +76,6 @@ class Streamer:
         self._step = 0
         self._reach = threading.Condition()
         self._in_reach = False
-        self._lease: Lease | None = None
-        self._lost = threading.Event()
         session = client.session
         self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
         self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
@@ -99,8 +86,6 @@ class Streamer:
         match word:
             case "start":
                 return {"accepted": [self._client.start_leg(int(leg), *self._angles()).accepted for leg in rest]}
-            case "try" | "lease" | "release" | "lost":
-                return self._drive(word, *rest)
             case "stream" | "ask" | "flood" | "deaf":
                 return self._begin(word, rest)
             case "sent" | "pause":
@@ -123,7 +108,7 @@ class Streamer:
         self.end()
         legs = cycle(rest)
         sends: dict[str, Callable[[], None]] = {
-            "stream": lambda: self._publish(rest[0], rest[1:]),
+            "stream": lambda: self._publish(rest),
             "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
             "deaf": lambda: self._ask_unheard(rest),
             "ask": lambda: self._ask(next(legs)),
@@ -135,23 +120,6 @@ class Streamer:
         self._paused.clear()
         self._thread = threading.Thread(target=self._run, args=(sends[word], 0.0 if word == "flood" else PERIOD_S))
         self._thread.start()
-        return {}
-
-    def _drive(self, word: str, *rest: str) -> Any:
-        match word:
-            case "try":
-                return self._client.start_leg(int(rest[0]), *self._angles()).model_dump(mode="json")
-            case "lease":
-                self._lost.clear()
-                lease = self._client.lease(take=rest[0] == "take", on_lost=lambda _: self._lost.set())
-                lease.acquire()
-                self._lease = lease
-                return {"holder": lease.holder, "verified": lease.verified, "token": lease.token}
-            case "release" if self._lease is not None:
-                self._lease.release()
-            case "lost" if self._lease is not None:
-                assert self._lost.wait(BOUND_S), "the lease is not lost"
-                raise self._lease.lost or AssertionError
         return {}
 
     def _report(self, count: int, *, end: bool) -> Any:
@@ -188,9 +156,9 @@ class Streamer:
             self._sent.longest_gap_ms = max(self._sent.longest_gap_ms, (now_ns - self._sent.last_ns) / 1e6)
         self._sent.last_ns = now_ns
 
-    def _publish(self, op: str, legs: Sequence[str]) -> None:
+    def _publish(self, legs: Sequence[str]) -> None:
         for leg in legs:
-            self._client.publish(leg_command(int(leg)), leg_payload(op, self._angles()))
+            self._client.publish(leg_command(int(leg)), leg_payload("set", self._angles()))
             self._sent.sent += 1
 
     def _flood(self, keys: Sequence[str]) -> None:
@@ -222,7 +190,7 @@ class Streamer:
     def _angles(self) -> tuple[float, float, float]:
         """Never the same twice in a row."""
         self._step = (self._step + 1) % 9000
-        return (45 + self._step / 100, self._mark_deg, 90)
+        return (45 + self._step / 100, 60, 90)
 
 
 def set_nice(nice: int) -> None:
@@ -233,23 +201,14 @@ def set_nice(nice: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("endpoint")
-    parser.add_argument("--source", required=True)
-    parser.add_argument("--mark", type=float, required=True)
-    parser.add_argument("--zenoh-config", type=Path)
-    arguments = parser.parse_args()
+    endpoint, source = sys.argv[1:]
     set_nice(NICE)
-    with Client(
-        arguments.endpoint or None, zenoh_config=arguments.zenoh_config, source=arguments.source, timeout_s=ANSWER_S
-    ) as client:
-        laptop = Streamer(client, arguments.source, arguments.mark)
+    with Client(endpoint, source=source, timeout_s=ANSWER_S) as client:
+        laptop = Streamer(client, source)
         print(json.dumps({"zid": str(client.session.zid())}), flush=True)
         for line in sys.stdin:
             try:
                 answer = laptop.do(line)
-            except LeaseError as error:
-                answer = {"rejected": error.reason, "detail": error.detail, "holder": error.holder}
             except ZenohError as error:
                 answer = {"error": str(error)}
             print(json.dumps(answer), flush=True)

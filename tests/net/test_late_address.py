@@ -1,7 +1,6 @@
 """An address that comes late, or an address family that the kernel lacks: the gateway listens on what is there."""
 
 import os
-import socket
 import sys
 from pathlib import Path
 from typing import Any
@@ -50,13 +49,3 @@ def test_without_ipv6_it_listens_by_ipv4(tmp_path: Path, listen: str, missing: b
             status.wait_for_output(f"Does not listen on {given} yet" if missing else "Nobody drives.")
             assert ("Does not listen" in status.stdout) is missing
         assert (f"does not listen on {given} yet" in gateway.child.stderr) is missing
-
-
-def test_a_port_that_is_taken_is_no_late_address(tmp_path: Path) -> None:
-    """The start ends, and names it, whatever else is late."""
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        here = f"tcp/127.0.0.1:{other.getsockname()[1]}"
-        settings = {"zenoh": {"listen": ["tcp/192.0.2.9:7447", here], "allow_insecure": True}}
-        with Gateway(tmp_path, settings, wait=False) as gateway:
-            assert gateway.child.wait() == 4
-            assert f"{here} is taken by another program" in gateway.child.stderr

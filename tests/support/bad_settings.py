@@ -27,7 +27,7 @@ FILE_FAULTS = [
     ('[spi]\nspeed_hz = "1"', f'spi.speed_hz: "1" {INTEGER}'),
     ("[spi]\nspeed_hz = 1.0", f"spi.speed_hz: 1.0 {INTEGER}"),
     ("[spi]\ndevice = 0", f"spi.device: 0 {STRING}"),
-    ("[spi]\ndevice = 1979-05-27", "spi.device: write the path of a device, such as /dev/spidev0.0"),
+    ("[spi]\ndevice = 1979-05-27", f'spi.device: "1979-05-27" {STRING}'),
     ('[spi]\ndevice = "/dev/\\u0000"', "spi.device: write the path of a device, such as /dev/spidev0.0"),
     ("[zenoh]\nconfig = 1979-05-27", f'zenoh.config: "1979-05-27" {STRING}'),
     ("[watchdog]\ntimeout_ms = true", f"watchdog.timeout_ms: true {NUMBER}"),
@@ -90,6 +90,6 @@ ENVIRONMENT_FAULTS = [
     ("HEXAPOD_ZENOH__LISTEN", "[", f""""[" {LIST}"""),
     ("HEXAPOD_ZENOH__LISTEN", "[" * 5000, f""""{"[" * 79}… {LIST}"""),
     ("HEXAPOD_ZENOH__LISTEN", "[1]", f"1 {STRING}"),
-    ("HEXAPOD_ZENOH__LISTEN", '"a"', '"a" will not do: input should be a valid tuple'),
+    ("HEXAPOD_ZENOH__LISTEN", '"a"', '"a" will not do: input should be a valid array'),
     ("HEXAPOD_TELEMETRY__METRICS", "x", 'write a host and a port, such as "127.0.0.1:9464", or "" for none'),
 ]  # fmt: skip

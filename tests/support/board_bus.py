@@ -7,8 +7,8 @@ from collections import deque
 import can
 
 from gateway.errors import GatewayError
+from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import ALL, CanFrame, set_supply
-from gateway.robot.power.interface import Interface
 from gateway.robot.power.simulated_board import SimulatedBoard
 
 _PASS_NS = 100_000
@@ -34,7 +34,7 @@ class BoardBus(can.BusABC):
         self.hangs.set()
         self._frames: deque[CanFrame] = deque()
 
-    def opened(self, _settings: Interface) -> "BoardBus":
+    def opened(self, _settings: PowerSettings) -> "BoardBus":
         """As `open_bus`."""
         if self.failures:
             raise self.failures.pop(0)

@@ -163,10 +163,3 @@ def frozen(*processes: int) -> Iterator[None]:
     finally:
         for process in processes:
             os.kill(process, signal.SIGCONT)
-
-
-def without_file_privileges(command: Sequence[str]) -> list[str]:
-    """The command such that file permissions bind it: as root, without the right to override them."""
-    if os.geteuid() != 0:
-        return list(command)
-    return ["setpriv", "--bounding-set=-dac_override,-dac_read_search", "--", *command]

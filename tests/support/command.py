@@ -5,12 +5,16 @@ What signals, terminals or the end of a process have a part in is run by `Child`
 
 import contextlib
 import io
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from unittest.mock import patch
+
+import typer
 
 from gateway import cli
 
@@ -56,3 +60,13 @@ def _at_most(timeout_s: float) -> Iterator[None]:
 
 def _end(code: int) -> NoReturn:
     raise SystemExit(code)
+
+
+def parse(command: str, program: str = "hexapod-gateway") -> dict[str, Any]:
+    """What a command that was printed means: its arguments, as the program reads them. Raises click's UsageError."""
+    name, found, *arguments = shlex.split(command.removeprefix("sudo "))
+    assert Path(name).absolute() == Path(program).absolute(), command
+    group: Any = typer.main.get_command(cli.app)
+    while hasattr(group.commands[found], "commands"):
+        group, (found, *arguments) = group.commands[found], arguments
+    return dict(group.commands[found].make_context(found, arguments).params)

@@ -57,7 +57,7 @@ class Robot:
         spi = sections.get("spi", {})
         shortest = {"frame_gap_us": Framing(spi.get("framing", Framing.PLAIN)).least_gap_us}  # see _pause
         merged = {**sections, "spi": {**shortest, **spi}}
-        self.settings = Settings.model_validate(merged)
+        self.settings = Settings.of(merged)
         self.each_takes_ns = 0
         """How long it takes to deal with one message."""
         self.loop = asyncio.get_running_loop()

@@ -25,7 +25,7 @@ def _clean_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in list(os.environ):
         if name.upper().startswith("HEXAPOD"):
             monkeypatch.delenv(name)
-    monkeypatch.setattr(settings, "DEFAULT_PATH", tmp_path / "default.toml")
+    monkeypatch.setattr(settings, "CONFIGURATION", tmp_path / "default.toml")
 
 
 @pytest.fixture

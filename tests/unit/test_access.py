@@ -1,6 +1,6 @@
 """Who may say what, read from the file that `certs init` writes: the whole table, and nothing beside it.
 
-What Zenoh makes of it is tests/zenoh/test_certs_zenoh.py's; here every message, direction, key and role is tried.
+What Zenoh makes of it is tests/zenoh/test_security.py's; here every message, direction, key and role is tried.
 """
 
 import json

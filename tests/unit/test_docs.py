@@ -33,7 +33,6 @@ MADE_ELSEWHERE = frozenset(
         "ros2.json5",
         "NAME.json5",
         "NAME.robot-2.json5",
-        "build/falls.md",
         "estop.json",
     }
 )

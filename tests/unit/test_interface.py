@@ -1,23 +1,17 @@
 """docs/interface.md is true and complete: each of its tables is compared with the code."""
 
-import json
 import re
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
-import annotated_types
 import pytest
 import typer
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from gateway import errors
 from gateway.cli import app
-from gateway.errors import ConfigError
-from gateway.model.protocols import SpiProtocol
-from gateway.robot.sections import ServoLimits, SpiSettings
-from gateway.robot.settings import Settings, load
+from release import settings_page
 from schemas import keys
 from schemas.button import Alive, ButtonAck, Leave, Register
 from schemas.calibration import Calibration, CalibrationCommand
@@ -113,54 +107,9 @@ def test_these_are_all_keys() -> None:
     assert {key for key, direction in found.items() if direction == "out"} == out
 
 
-def settings() -> dict[str, FieldInfo]:
-    """Every setting by its dotted name."""
-    found: dict[str, FieldInfo] = {}
-    for section, table in Settings.model_fields.items():
-        assert isinstance(table.annotation, type)
-        for name, field in table.annotation.model_fields.items():
-            if (section, name) == ("limits", "servos"):
-                found |= {f"limits.servos.N.{inner}": each for inner, each in ServoLimits.model_fields.items()}
-            elif (section, name) == ("watchdog", "landing"):
-                found["watchdog.landing.N"] = FieldInfo.from_annotation(get_args(field.annotation)[1])
-            else:
-                found[f"{section}.{name}"] = field
-    return found
-
-
-def ends(field: FieldInfo) -> str:
-    """A setting's range as the table writes it: `0 to 1000`, or its words."""
-    constraints = [each for part in field.metadata for each in getattr(part, "metadata", [part])]
-    low = [each.ge for each in constraints if isinstance(each, annotated_types.Ge)]
-    high = [each.le for each in constraints if isinstance(each, annotated_types.Le)]
-    if low or high:
-        return f"{low[0]} to {high[0]}"
-    words: list[str] = []
-    for part in parts(field.annotation):
-        words += [str(word) for word in (get_args(part) or getattr(part, "__members__", {}).values())]
-    return ", ".join(f"`{word}`" for word in words)
-
-
-def test_these_are_all_settings_with_their_defaults_and_ranges(tmp_path: Path) -> None:
-    (tmp_path / "empty.toml").touch()
-    written = {row[0].strip("`"): row for row in rows("## Settings")}
-    found = settings()
-    assert sorted(written) == sorted(found)
-    for name, (_, default, limits, *_rest) in written.items():
-        field = found[name]
-        if name == "watchdog.landing.N":
-            assert default == "none"
-        elif name == "spi.framing":  # the one that has to be said for a real device
-            with pytest.raises(ConfigError, match=r"spi\.framing"):
-                load(tmp_path / "empty.toml")
-            assert default == f'none; `"{load(tmp_path / "empty.toml", simulated=True).spi.framing}"` with `--sim`'
-        elif name == "spi.speed_hz":
-            assert default == "; ".join(
-                f"`{SpiSettings(protocol=each).speed_hz}` with `{each}`" for each in SpiProtocol
-            )
-        else:
-            assert json.loads(default.strip("`")) == json.loads(json.dumps(field.default)), name
-        assert limits == ends(field), name
+def test_settings_come_from_their_table(capsys: pytest.CaptureFixture[str]) -> None:
+    """Also the JSON Schema of gateway.toml."""
+    assert settings_page.main(["--check"]) == 0, capsys.readouterr().err
 
 
 def commands() -> list[str]:

@@ -13,7 +13,7 @@ ROOMS: Final = (
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),
-    ("robot.core", "robot.sections", "people.walking"),
+    ("robot.core", "people.walking"),
     ("robot.settings", "robot.protocol", "people.physics"),
     ("robot.host", "people.client"),
     ("robot.spi", "client", "people.terminal"),
@@ -131,9 +131,9 @@ def test_the_middle_is_pure() -> None:
 
 
 def test_only_the_robots_wing_and_its_commands_know_the_settings() -> None:
-    settings = {"gateway.robot.settings", "gateway.robot.sections"}
+    settings = {"gateway.robot.settings", "gateway.host.settings_table"}
     knowing = {room_of_file(path) for path in FILES if settings & imported(path)}
-    assert {room for room in knowing if not room.startswith("robot.")} == {"onboard"}
+    assert {room for room in knowing if not room.startswith("robot.")} == {"host", "onboard"}
 
 
 def test_the_conductor_knows_no_zenoh() -> None:

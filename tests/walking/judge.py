@@ -1,12 +1,15 @@
-"""Whether a simulated robot went where it was sent, from what a walker sends: figures, and their limits."""
+"""Whether a simulated robot goes where the gait engine walks it: figures of each part of a course, and their limits."""
 
 import math
-from collections.abc import Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from gateway.geometry import load
+from gateway.people.physics.assumed import Assumed
+from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity
 from gateway.people.walking.motion import travelled
-from tests.walking.physics import Assumed, Track, World, went
-from tests.walking.recorded import Recording, Walked
+from tests.walking.physics import TICK_S, heading_rad, presses_n, stood_up, walk
 
 OFF: Final = 0.10
 """Of the distance that was commanded."""
@@ -17,96 +20,90 @@ TILT_DEG: Final = 5.0
 SCRAPED_M: Final = 0.010
 SHORT_M: Final = 0.006
 """A way of a few centimetres says little of what a robot drifts on a long one: standing up shifts it by as much."""
+SETTLES_S: Final = 0.2
+"""Behind a part of a course: the servos have followed by then."""
 _ARM_M: Final = 0.3
 """A turn on the spot carries the feet along a circle of about this radius: its way, for what it drifts."""
+_CARRIES: Final = 0.15
+"""Of the robot's weight: a foot that carries less is being put down or lifted, and is not in its stance."""
+_GEOMETRY: Final = load()
 
 
-class Result(NamedTuple):
-    """One part of a course in one simulated world."""
+class Part(NamedTuple):
+    """A part of a course: a velocity, for so long."""
 
-    gait: str
-    part: str
-    assumed: Assumed
-    wanted_m: float
-    went_m: float
-    """Along the line from the beginning to the end that was commanded."""
-    aside_m: float
-    """From that line; of a turn on the spot, from the spot."""
-    way_m: float
-    turned_wrong_deg: float
-    tilt_deg: float
-    scraped_m: float
+    name: str
+    velocity: Velocity
+    seconds: float
+
+
+class Walker:
+    """A simulated robot of these assumptions that has stood up, and what becomes of it."""
+
+    def __init__(self, gait: str, assumed: Assumed) -> None:
+        self.engine = Engine(Robot(_GEOMETRY), gait)
+        self.world = stood_up(_GEOMETRY, self.engine, assumed)
+        self._carries_n = _CARRIES * 9.81 * float(sum(self.world.model.body_mass))
+        self._stood: dict[int, Any] = {}
+        self._heading_rad = self._tilt_deg = self._scraped_m = 0.0
 
     @property
-    def faults(self) -> list[str]:
-        """What is not within the limits, in words."""
-        found = []
-        if abs(self.went_m - self.wanted_m) > max(OFF * self.wanted_m, SHORT_M):
-            found.append(f"went {self.went_m:.3f} m of {self.wanted_m:.3f}")
-        if self.aside_m > max(ASIDE * self.way_m, SHORT_M):
-            found.append(f"{1000 * self.aside_m:.0f} mm aside on a way of {self.way_m:.2f} m")
-        if abs(self.turned_wrong_deg) > TURNED_DEG:
-            found.append(f"heading off by {self.turned_wrong_deg:+.1f} degrees")
-        if self.tilt_deg > TILT_DEG:
-            found.append(f"leaned by {self.tilt_deg:.1f} degrees")
-        if self.scraped_m > SCRAPED_M:
-            found.append(f"a foot scraped by {1000 * self.scraped_m:.1f} mm")
-        return [f"{self.gait}, {self.part}, {self.assumed}: {fault}" for fault in found]
+    def height_m(self) -> float:
+        return self.world.body().position_m[2]
 
+    def walk(self, part: Part) -> list[str]:
+        """Walk a part and stand; what is not within the limits, in words."""
+        (begin_x_m, begin_y_m, _), begin_rad = self.world.body().position_m, self._heading_rad
+        self._tilt_deg = self._scraped_m = 0.0
+        for _ in range(round(part.seconds / TICK_S)):
+            self._tick(part.velocity)
+        self.engine.stand()
+        self._until(Posture.STANDING)
+        x_m, y_m, _ = self.world.body().position_m
+        east_m, north_m = x_m - begin_x_m, y_m - begin_y_m
+        cosine, sine = math.cos(begin_rad), math.sin(begin_rad)
+        ahead_m, left_m = cosine * east_m + sine * north_m, cosine * north_m - sine * east_m
+        turned_deg = math.degrees(self._heading_rad - begin_rad)
+        return [f"{part.name}: {fault}" for fault in self._faults(part, ahead_m, left_m, turned_deg)]
 
-class Verdict(NamedTuple):
-    """A whole course in one world."""
+    def sit(self) -> None:
+        """Sit down, and let all servos go slack."""
+        self.engine.sit()
+        self._until(Posture.SITTING)
 
-    results: list[Result]
-    track: Track
-    faults: list[str]
-
-
-def judge(recording: Recording, assumed: Assumed) -> Verdict:
-    """Stand up, the parts, sit down."""
-    track = World(assumed).run(recording.sent)
-    results = [_result(recording.gait, walked, track, assumed) for walked in recording.parts]
-    faults = [fault for result in results for fault in result.faults]
-    if track.fell:
-        faults.append(f"{recording.gait}, {assumed}: it fell")
-    return Verdict(results, track, faults)
-
-
-def _result(gait: str, walked: Walked, track: Track, assumed: Assumed) -> Result:
-    ahead_m, left_m, turned_deg = went(track.at(walked.begin_s), track.at(walked.end_s))
-    velocity = walked.part.velocity
-    x_m, y_m, turned_rad = travelled(velocity, walked.held_s)
-    wanted_m = math.hypot(x_m, y_m)
-    way_m = walked.held_s * max(math.hypot(velocity.forward_m_s, velocity.left_m_s), abs(velocity.turn_rad_s) * _ARM_M)
-    if wanted_m:
-        went_m = (ahead_m * x_m + left_m * y_m) / wanted_m
-        aside_m = abs(ahead_m * y_m - left_m * x_m) / wanted_m
-    else:
+    def _faults(self, part: Part, ahead_m: float, left_m: float, turned_deg: float) -> list[str]:
+        velocity = part.velocity
+        x_m, y_m, turned_rad = travelled(velocity, part.seconds)
+        wanted_m = math.hypot(x_m, y_m)
+        speed_m_s = max(math.hypot(velocity.forward_m_s, velocity.left_m_s), abs(velocity.turn_rad_s) * _ARM_M)
         went_m, aside_m = 0.0, math.hypot(ahead_m, left_m)
-    return Result(
-        gait=gait,
-        part=walked.part.name,
-        assumed=assumed,
-        wanted_m=wanted_m,
-        went_m=went_m,
-        aside_m=aside_m,
-        way_m=way_m,
-        turned_wrong_deg=turned_deg - math.degrees(turned_rad),
-        tilt_deg=track.tilt_deg(walked.begin_s, walked.end_s),
-        scraped_m=track.scraped_m(walked.begin_s, walked.end_s),
-    )
+        if wanted_m:
+            went_m = (ahead_m * x_m + left_m * y_m) / wanted_m
+            aside_m = abs(ahead_m * y_m - left_m * x_m) / wanted_m
+        wrong_deg = turned_deg - math.degrees(turned_rad)
+        found = {
+            f"went {went_m:.3f} m of {wanted_m:.3f}": abs(went_m - wanted_m) > max(OFF * wanted_m, SHORT_M),
+            f"{1000 * aside_m:.0f} mm aside": aside_m > max(ASIDE * part.seconds * speed_m_s, SHORT_M),
+            f"heading off by {wrong_deg:+.1f} degrees": abs(wrong_deg) > TURNED_DEG,
+            f"leaned by {self._tilt_deg:.1f} degrees": self._tilt_deg > TILT_DEG,
+            f"a foot scraped by {1000 * self._scraped_m:.1f} mm": self._scraped_m > SCRAPED_M,
+        }
+        return [what for what, is_off in found.items() if is_off]
 
+    def _until(self, posture: Posture) -> None:
+        while self.engine.posture is not posture:
+            self._tick(STILL)
+        for _ in range(round(SETTLES_S / TICK_S)):
+            self._tick(STILL)
 
-def table(results: Sequence[Result]) -> str:
-    """Lines of a table: of each gait and part, what was wanted and the range over all worlds."""
-    lines = [f"{'gait':7} {'part':15} {'wanted':>7} {'went':>13} {'aside':>8} {'heading':>13} {'tilt':>6} {'slip':>6}"]
-    for gait, part in dict.fromkeys((result.gait, result.part) for result in results):
-        same = [result for result in results if (result.gait, result.part) == (gait, part)]
-        ways = [result.went_m for result in same]
-        turns = [result.turned_wrong_deg for result in same]
-        lines.append(
-            f"{gait:7} {part:15} {same[0].wanted_m:6.2f}m {min(ways):5.2f} … {max(ways):4.2f}m "
-            f"{1000 * max(result.aside_m for result in same):6.0f}mm {min(turns):+5.1f} … {max(turns):+4.1f}° "
-            f"{max(result.tilt_deg for result in same):5.1f}° {1000 * max(result.scraped_m for result in same):4.1f}mm"
-        )
-    return "\n".join(lines)
+    def _tick(self, wanted: Velocity) -> None:
+        walk(self.world, self.engine, _GEOMETRY, wanted)
+        self._heading_rad += math.remainder(heading_rad(self.world) - self._heading_rad, math.tau)
+        self._tilt_deg = max(self._tilt_deg, self.world.body().tilt_deg)
+        for foot, newtons in presses_n(self.world).items():
+            at = self.world.data.geom_xpos[foot][:2]
+            if newtons > self._carries_n:
+                begun = self._stood.setdefault(foot, at.copy())
+                self._scraped_m = max(self._scraped_m, float(np.linalg.norm(at - begun)))
+            else:
+                self._stood.pop(foot, None)

@@ -6,7 +6,7 @@ from contextlib import closing
 import pytest
 import zenoh
 
-from gateway.robot.sections import ZenohSettings
+from gateway.host.settings_table import ZenohSettings
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import open_session
 from tests.support.gateway_process import free_port

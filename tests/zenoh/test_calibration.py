@@ -78,16 +78,6 @@ def test_the_wire_has_the_servos_angles_the_state_the_users_and_the_disk_the_cal
     assert client.calibrate({41: ServoChange(trim_deg=1)}).accepted, "leg 4 stands still"
 
 
-def test_a_restart_finds_it(tmp_path: Path) -> None:
-    settings = {"state": {"path": str(tmp_path / "state")}}
-    with Gateway(tmp_path, settings) as first, first.client() as client:
-        assert client.calibrate({11: ServoChange(trim_deg=13)}).accepted
-        first.child.kill()
-    with Gateway(tmp_path, settings) as again, again.client() as client:
-        assert client.calibration().servos["11"].trim_deg == 13
-        assert client.state().calibration.revision == 1
-
-
 def test_on_a_file_system_that_a_boot_empties_it_does_not_count_as_kept(tmp_path: Path) -> None:
     """As with Raspberry Pi OS's overlay: a restart of the gateway finds it, a boot does not."""
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:

@@ -1,10 +1,8 @@
-"""What may go wrong with a calibration's file: a full, read-only or stuck disk, a broken file, and SIGKILL."""
+"""What may go wrong with a calibration's file: a disk that hangs, and a broken file."""
 
 import os
 import threading
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,16 +12,11 @@ from gateway.people.commands.calibration import NotKeptYetError, once_kept
 from gateway.robot.host import calibration_file
 from schemas.calibration import ServoChange
 from schemas.telemetry import Ack, Mode, Reason
-from tests.support.child import without_file_privileges
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
 TRIM = {31: ServoChange(trim_deg=7.5)}
 OWN = RobotCalibration(4, {32: ServoMapping(7_50, inverted=True)})
-
-
-def settings(path: Path, **more: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    return {"state": {"path": str(path.parent)}, **more}
 
 
 def staged(path: Path) -> Path:
@@ -32,46 +25,10 @@ def staged(path: Path) -> Path:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Iterator[Path]:
+def path(tmp_path: Path) -> Path:
     folder = tmp_path / "state"
     folder.mkdir()
-    yield folder / "calibration.toml"
-    folder.chmod(0o755)
-
-
-def unchanged_while_leg_1_drives(client: Client, path: Path, reason: str) -> None:
-    """A change is rejected with a sentence, the old calibration stays, and a leg that runs goes on."""
-    before = path.read_bytes()
-    assert client.start_leg(1, 90, 90, 90).accepted
-    ack = client.calibrate(TRIM)
-    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
-    assert reason in str(ack.detail)
-    assert "the old calibration stays" in str(ack.detail)
-    assert client.set_leg(1, 91, 90, 90).accepted
-    state = client.state()
-    assert (state.mode, state.calibration.revision, state.calibration.fault) == (Mode.ACTIVE, 4, None)
-    assert client.calibration().servos["31"].trim_deg == 0
-    assert path.read_bytes() == before
-
-
-def test_a_full_disk_and_a_read_only_folder_leave_the_old_one_and_the_robot_drives_on(
-    tmp_path: Path, path: Path
-) -> None:
-    calibration_file.write(path, OWN)
-    prefix = without_file_privileges([])  # root may write anywhere
-    with (
-        Gateway(tmp_path, settings(path, watchdog={"timeout_ms": 5000}), prefix=prefix) as gateway,
-        gateway.client() as client,
-    ):
-        staged(path).symlink_to("/dev/full")  # the kernel's disk without any space
-        unchanged_while_leg_1_drives(client, path, "No space left on device")
-        path.parent.chmod(0o555)
-        unchanged_while_leg_1_drives(client, path, "Permission denied")
-        path.parent.chmod(0o755)
-        assert client.calibrate(TRIM).accepted
-        kept = calibration_file.read(path)
-        assert kept is not None
-        assert kept.revision == 5
+    return folder / "calibration.toml"
 
 
 def until_it_is_being_kept(client: Client) -> Ack:
@@ -86,7 +43,7 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None
     os.mkfifo(staged(path))
     answers: list[Ack] = []
     with (
-        Gateway(tmp_path, settings(path)) as gateway,
+        Gateway(tmp_path, {"state": {"path": str(path.parent)}}) as gateway,
         gateway.client() as client,
         Client(gateway.endpoint, timeout_s=60) as patient,
     ):
@@ -125,7 +82,7 @@ def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path:
     calibration_file.write(path, RobotCalibration(3))
     calibration_file.write(path, OWN)
     path.write_text(text)
-    with Gateway(tmp_path, settings(path)) as gateway, gateway.client() as client:
+    with Gateway(tmp_path, {"state": {"path": str(path.parent)}}) as gateway, gateway.client() as client:
         logged = gateway.child.wait_for_output("nothing is started until")
         assert "hexapod-gateway calibrate accept-default" in logged
         state = client.state()

@@ -17,13 +17,12 @@ from gateway.onboard.check import move as module
 from gateway.people.walking.robot import Robot
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Cause, ControllerReport, FrameRecord, GatewayState, Mode, Reason
+from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames
-from tests.support.recorded_board import answers_steadily
 
 # Patient, for a busy machine: no servo is stopped but by command.
 gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}})
@@ -110,15 +109,6 @@ def test_a_no_leads_through_the_causes(move: Callable[..., Ended], client: Clien
     assert "the gateway speaks plain" in end.stdout
 
 
-def test_with_yes_it_moves_stops_and_asks_nothing(move: Callable[..., Ended], client: Client) -> None:
-    heard = frames(client)
-    end = move(options=("--yes",))  # nobody is there to answer
-    assert end.returncode == 0, str(end)
-    assert until_stopped(heard, 61) == start_set_stop(61, 90, 95)
-    assert "?" not in end.stdout
-    assert "look whether it moved" in end.stdout
-
-
 @pytest.mark.parametrize(
     ("answers", "code"), [(("", "", "y"), 1), (("11", "90", "no"), 1), (("10",), 2), (("", "nan"), 2)]
 )
@@ -149,18 +139,6 @@ def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gatewa
         assert child.wait() == 1, str(child)
     assert "a set was rejected: servo_stopped: " in child.stdout
     assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
-
-
-def test_a_laptop_that_is_late_is_informed_that_it_is_late(tmp_path: Path) -> None:
-    settings: dict[str, dict[str, object]] = {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 300}}
-    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
-        heard = frames(client)
-        with moving(gateway, heard) as child:
-            child.send_signal(signal.SIGSTOP)
-            heard.wait(lambda record: record.cause == Cause.WATCHDOG)
-            child.send_signal(signal.SIGCONT)
-            assert child.wait() == 1, str(child)
-    assert "If the watchdog stopped it, the way to the robot is slow" in child.stdout
 
 
 def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], client: Client) -> None:
@@ -245,31 +223,4 @@ def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
     assert client.state().mode is Mode.IDLE
 
 
-def test_a_controller_that_does_not_answer_is_not_moved(
-    whole: tuple[Gateway, Client, Heard[FrameRecord]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gateway, client, heard = whole
-    silent = client.state().model_copy(update={"controller": ControllerReport(protocol="elkapod-2025", alive=False)})
-    monkeypatch.setattr(module, "ready", lambda _: silent)
-    end = gateway.run("check", "--move", "--yes")
-    assert end.returncode == 1
-    assert "A controller of HexapodProtocol v1.0.0 answers nothing" in end.stdout
-    assert legs_written(heard) == []
-
-
 # ---- a power board
-
-
-TRIES = 3
-
-
-def test_by_its_current_it_shows_which_output_feeds_the_servo(tmp_path: Path) -> None:
-    settings: dict[str, dict[str, object]] = {"watchdog": {"timeout_ms": 9000}, "power": {"interface": "sim"}}
-    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
-        for _ in range(TRIES):
-            Heard(client, keys.STATE, GatewayState).wait(answers_steadily())
-            end = gateway.run("check", "--move", "--yes")
-            if "does not answer" not in end.stdout and "does not run" not in end.stdout:
-                break  # else the board, a process without priority, or this one had no processor just then
-    assert end.returncode == 0, str(end)
-    assert "output for servo 61 feeds it" in end.stdout

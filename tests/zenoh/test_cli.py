@@ -3,7 +3,6 @@
 import os
 import re
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -166,14 +165,6 @@ def test_help_teaches_every_option_and_the_exit_codes_once() -> None:
         assert all(each.help for each in parameters), name
     assert "Exit codes: 0 done" in run_here("--help").stdout
     assert "<operator|observer|button|" in run_here("certs", "issue", "--help").stdout
-
-
-def test_python_m_is_the_same_program() -> None:
-    assert sys.executable in COMMAND
-    end = subprocess.run([*COMMAND, "decode", "zz"], capture_output=True, text=True, check=False, timeout=60)
-    assert (end.returncode, end.stdout, end.stderr) == (1, "'zz' is not hexadecimal\n", "")
-    end = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, check=True, timeout=60)
-    assert "Usage: hexapod-gateway " in end.stdout
 
 
 def test_ctrl_c_while_it_loads_is_no_traceback(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """The client that laptops use: its examples run, its errors are sentences, it finds its gateway and lets go of it."""
 
 import doctest
-import json
 import os
 import sys
 from pathlib import Path
@@ -10,14 +9,13 @@ from types import FrameType, ModuleType
 from typing import Any
 
 import pytest
-import zenoh
 
 from gateway import client as client_module
 from gateway.client import Client, leg_payload
 from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from schemas import keys
-from schemas.telemetry import Ack, Telemetry
+from schemas.telemetry import Telemetry
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
@@ -63,16 +61,6 @@ def test_what_the_robot_measures_is_asked_for_and_called_back() -> None:
         client.telemetry()
 
 
-def test_a_connection_that_fails_names_the_step() -> None:
-    """For a program as for a command."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    with pytest.raises(ZenohError, match=f"no gateway answers on {endpoint}: TCP: 127.0.0.1 rejects port .* → "):
-        Client(endpoint, timeout_s=0.2)
-    with pytest.raises(ZenohError) as bare:
-        Client(endpoint, timeout_s=0.2, explain=False)
-    assert not [word for word in ("TCP:", "\n", "orchestrator.rs") if word in str(bare.value)]
-
-
 def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) -> None:
     looks = 0
 
@@ -99,26 +87,6 @@ def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) ->
             finally:
                 sys.setprofile(None)
             assert 0 < looks < MOST_LOOKS
-
-
-@pytest.mark.parametrize("answered", [0, 1])
-def test_a_stop_that_stays_unanswered_is_asked_again_and_either_answer_counts(answered: int) -> None:
-    """A gateway on a slow bus answers the first attempt late; one whose link died without a word only the second."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    asked: list[zenoh.Query] = []
-
-    def on_query(query: zenoh.Query) -> None:
-        asked.append(query)
-        if len(asked) == 2:
-            asked[answered].reply(keys.ESTOP, Ack(accepted=True, stop_frames=6, latency_us=900).model_dump_json())
-
-    config = zenoh.Config()
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(config) as session, Client(endpoint, timeout_s=20) as client:
-        session.declare_queryable(keys.ESTOP, on_query)
-        assert client.estop().stop_frames == 6
-    assert len(asked) == 2
 
 
 # ---- how it finds its gateway, and lets go of it

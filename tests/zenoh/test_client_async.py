@@ -7,7 +7,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import AsyncIterator, Callable
-from pathlib import Path
 from typing import Any, Final
 
 import pytest
@@ -20,18 +19,16 @@ from gateway.client import (
     AsyncWalk,
     Button,
     Client,
-    DisconnectedError,
     Lease,
     StoppedError,
     Stream,
     Walk,
 )
-from gateway.errors import ZenohError
 from schemas import keys
 from schemas.calibration import ServoChange
 from schemas.telemetry import Event, Kind, Mode, Reason
 from tests.support.fixtures import gateway_fixture, patient
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway
 
 POSE = (90, 45, 120)
 HZ = 50
@@ -192,23 +189,14 @@ async def test_a_stop_does_not_wait_behind_questions_and_closing_waits_for_it(ga
     assert order == ["stopped", "closed"]
 
 
-async def test_errors_are_the_same(tmp_path: Path) -> None:
-    with pytest.raises(ZenohError, match="no gateway answers"):
-        async with AsyncClient(f"tcp/127.0.0.1:{free_port()}", timeout_s=0.3):
-            pass
-    with Gateway(tmp_path) as gateway:
-        client = AsyncClient(gateway.endpoint, timeout_s=1)
-        with pytest.raises(ZenohError, match="this client is not open"):
-            await client.state()
-        async with client:
-            gateway.child.kill()
-            with pytest.raises(DisconnectedError):
-                await client.start_leg(3, *POSE)
-    assert not client.connected
-
-
-def test_the_commands_load_neither_asyncio_nor_what_only_a_lease_needs() -> None:
-    """A `hexapod-gateway estop` has better use for the time."""
-    late = "{'asyncio', 'cryptography', 'schemas.lease'}"
-    code = f"import sys, gateway.people.commands.send; assert not {late} & set(sys.modules), sys.modules"
+@pytest.mark.parametrize(
+    ("module", "late"),
+    [
+        ("gateway.people.commands.send", {"asyncio", "cryptography", "schemas.lease"}),
+        ("gateway.onboard.stop", {"asyncio", "pydantic", "typer", "zenoh"}),
+    ],
+)
+def test_what_stops_a_robot_loads_nothing_slow(module: str, late: set[str]) -> None:
+    """A `hexapod-gateway estop` has better use for the time, and pydantic takes longer than all Stops."""
+    code = f"import sys, {module}; assert not {late} & set(sys.modules), sys.modules"
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0

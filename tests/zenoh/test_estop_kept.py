@@ -113,19 +113,6 @@ def test_a_reset_ends_it_for_good_and_numbers_go_on(gateway: Gateways) -> None:
         assert client.ask(keys.RESET, {"estop": 1}).reason is Reason.ESTOPPED, "it was sent to the first run"
 
 
-def test_engaged_left_and_engaged_at_once_is_engaged(gateway: Gateways) -> None:
-    """Nothing older is written behind something newer."""
-    first = gateway.start()
-    with first.client() as client:
-        for number in range(1, 21):
-            assert press(client) == number
-            if number < 20:
-                assert client.ask(keys.RESET, {"estop": number}).accepted
-        until(lambda: is_kept(gateway.state, 20))
-    os.kill(first.child.pid, signal.SIGKILL)
-    engaged_still(gateway.start(), 20)
-
-
 # ---- the disk
 
 
@@ -169,22 +156,6 @@ def test_a_disk_that_goes_is_reported_and_an_emergency_stop_is_not_forgotten(gat
         assert not gateway.state.exists(), "nobody makes it anew"
         away.rename(gateway.state)
         until((gateway.state / ESTOP_FILE).exists)  # tried again within a second
-
-
-def test_an_end_that_is_not_kept_is_reported_and_engaged_again(gateway: Gateways) -> None:
-    first = gateway.start()
-    with first.client() as client:
-        heard = events(client)
-        press(client)
-        until(lambda: is_kept(gateway.state, 1))
-        durable.staged_for(gateway.state / LAST_FILE).symlink_to("/dev/full")
-        assert client.ask(keys.RESET, {"estop": 1}).accepted
-        event = heard.wait(lambda each: each.kind == Kind.ESTOP_NOT_KEPT, timeout_s=LATE_S)
-        assert "the end of the emergency stop is not kept, so a restart engages it again" in event.detail
-        assert "No space left on device" in event.detail
-        assert client.start_leg(3, 90, 90, 90).accepted
-    os.kill(first.child.pid, signal.SIGKILL)
-    engaged_still(gateway.start(), 1)
 
 
 def test_no_stop_waits_for_a_disk_that_hangs_while_it_runs(gateway: Gateways) -> None:

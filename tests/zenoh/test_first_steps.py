@@ -14,6 +14,7 @@ import pytest
 
 from gateway.client import Client
 from tests.support.child import Child
+from tests.support.command import parse
 from tests.support.console_process import LINK
 from tests.support.descendants import MARK, Run
 from tests.support.gateway_process import COMMAND, READY, free_port
@@ -44,6 +45,11 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
             assert child.stdout.splitlines()[-1].startswith(LINK)
             walk = child.wait_for_output("or, from the keyboard: ")
             assert walk.rstrip().endswith(f"bin/hexapod-gateway walk --connect {endpoint}")
+            begins = [READY, "Try, in a second terminal: ", "or, from the keyboard: ", "For a browser: ", LINK]
+            lines = child.stdout.splitlines()
+            assert [next(begin for begin in begins if line.startswith(begin)) for line in lines] == begins
+            for line in lines[1:4]:
+                parse(line.partition(": ")[2], program=f"{sys.prefix}/bin/hexapod-gateway")
             with Client(endpoint, timeout_s=5) as client:
                 seen = frames(client)
                 assert client.start_leg(3, 90, 45, 120).accepted

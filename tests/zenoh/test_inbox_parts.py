@@ -22,8 +22,7 @@ from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
 from gateway.robot.zenoh_io.receiver import Deal, Reader
 from gateway.robot.zenoh_io.rings import RING_DEPTH
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import BUTTON, COMMAND_KEYS, ESTOP, LEASE, LEGS_COMMAND, RESET, STATE, leg_command, servo_command
-from schemas.telemetry import Ack, Reason
+from schemas.keys import BUTTON, ESTOP, LEASE, STATE, leg_command, servo_command
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
 PATIENCE_S = 5.0
@@ -155,24 +154,6 @@ async def test_an_emergency_stops_threads_are_as_urgent_as_the_loop(held: Held) 
     assert urgent == {"estop-put", "estop-get"}
 
 
-async def test_an_emergency_stop_waits_for_no_wakeup(session: zenoh.Session, held: Held) -> None:
-    session.put(ESTOP, b"")
-    await held.until(lambda: bool(held.estops))
-    assert [each.key for each in held.estops] == [ESTOP]
-
-
-async def test_a_put_by_wildcard_is_an_emergency_stop_and_a_get_is_none(session: zenoh.Session, held: Held) -> None:
-    session.put("hexapod/estop/*", b"")
-    await held.until(lambda: len(held.estops) == 1)
-    (answer,) = await asyncio.to_thread(list, session.get("hexapod/estop/*", timeout=PATIENCE_S))
-    assert answer.ok is not None
-    ack = Ack.model_validate_json(answer.ok.payload.to_bytes())
-    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
-    assert ack.detail is not None
-    assert ack.detail.endswith(f"get or put on {ESTOP}"), "what to do instead"
-    assert len(held.estops) == 1
-
-
 async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_they_are_read(
     session: zenoh.Session,
 ) -> None:
@@ -299,25 +280,3 @@ async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) ->
     answers: Any = None
     messages = [_received(answers, LEG_1, sample) for sample in samples]
     assert [words_of_stop(message) is not None for message in messages] == [True, True, False, True, True]
-
-
-async def test_a_wildcard_is_taken_from_each_ring_that_it_names(session: zenoh.Session, held: Held) -> None:
-    session.put("hexapod/leg/*/cmd", b"{}")
-    taken: list[str] = []
-    while len(taken) < 6:
-        await held.woken()
-        taken += [each.key for each in held.inbox.take()]
-    assert taken == [leg_command(number) for number in range(1, 7)]
-
-
-async def test_several_keys_of_one_instant_are_in_the_contracts_order(session: zenoh.Session, held: Held) -> None:
-    keys = [RESET, servo_command(63), SERVO_11, leg_command(6), LEG_1, LEGS_COMMAND]
-    for key in keys:
-        session.put(key, b"{}")
-    await held.until(lambda: True)
-    taken: list[str] = []
-    while len(taken) < len(keys):
-        await held.woken()
-        taken += [each.key for each in held.inbox.take()]
-    places = list(COMMAND_KEYS)
-    assert taken == sorted(keys, key=places.index)

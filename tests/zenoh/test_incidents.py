@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from schemas import keys
-from tests.support.child import Child
 from tests.support.command import run_here
-from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 from tests.support.mcap_file import read
 
@@ -64,15 +63,3 @@ def test_a_stop_is_reported_at_once_and_a_killed_gateways_story_is_still_there(
     assert incidents(gateway, "export", "last", str(file))[0] == 2, "it exists"
     assert incidents(gateway, "show", "yesterday")[0] == 1
     assert incidents(gateway, "show", "20200101-000000-000-estop")[0] == 1
-
-
-def test_a_laptop_without_a_black_box_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    (tmp_path / "gateway.toml").write_text("[lease]\nrequired = false\n")
-    child = Child([*COMMAND, "incidents", "--config", str(tmp_path / "gateway.toml")], os.environ)
-    if not Path("/var/lib/hexapod-gateway").is_dir():
-        assert child.wait(30) == 2
-        assert "the black box is off: " in child.stderr
-        assert "`make run` and the installed service keep one" in child.stderr
-    child.close()

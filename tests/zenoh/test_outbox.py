@@ -8,7 +8,7 @@ from typing import Any
 import zenoh
 from zenoh.handlers import RingChannel
 
-from gateway.robot.sections import ZenohSettings
+from gateway.host.settings_table import ZenohSettings
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys

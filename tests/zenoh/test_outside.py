@@ -44,30 +44,12 @@ def test_a_gateway_sees_it_at_work_and_it_stays_until_the_gateway_knows_of_its_e
     assert not gateway.look()
 
 
-def test_a_gateway_that_never_looks_is_not_waited_for_long(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outside, "PATIENCE_S", 0.01)
-    Listener(opened(device))
-    notice = Notice(str(device))
-    notice.give()
-    assert not notice.end()
-
-
 def test_without_a_gateway_nothing_is_waited_for(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outside, "PATIENCE_S", 3600)
     notice = Notice(str(device))
     notice.give()
     assert not notice.gateway_runs
     assert notice.end()
-
-
-def test_without_a_device_it_is_tried_again_and_raises_nothing(tmp_path: Path) -> None:
-    notice = Notice(str(tmp_path / "device"))
-    notice.give()
-    assert notice.end()
-    (tmp_path / "device").touch()
-    gateway = Listener(opened(tmp_path / "device"))
-    notice.give()
-    assert gateway.look()
 
 
 def test_two_of_them_are_seen_until_the_second_has_ended(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,15 +63,6 @@ def test_two_of_them_are_seen_until_the_second_has_ended(device: Path, monkeypat
     assert gateway.look()
     assert second.end()
     assert not gateway.look()
-
-
-def test_opening_and_closing_the_device_for_each_round_does_not_end_it(device: Path) -> None:
-    """Record locks of a process end when it closes the file anywhere; these are the open file's."""
-    gateway = Listener(opened(device))
-    notice = Notice(str(device))
-    notice.give()
-    os.close(opened(device))
-    assert gateway.look()
 
 
 def test_its_death_is_its_end(device: Path) -> None:

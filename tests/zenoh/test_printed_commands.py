@@ -6,7 +6,7 @@ import shlex
 import pytest
 
 from gateway.own_command import CONNECT_VARIABLE
-from tests.support.command import run_here
+from tests.support.command import parse, run_here
 from tests.support.console_process import Console
 from tests.support.fixtures import console_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
@@ -44,6 +44,7 @@ def test_a_printed_command_reaches_the_same_gateway(
     command = f"hexapod-gateway {printed} --connect {gateway.endpoint}"
     assert command in end.stdout + end.stderr
     assert run_here(*shlex.split(command)[1:]).returncode == 0
+    assert parse(command)["connect"] == gateway.endpoint
 
 
 def test_what_the_service_prints_reaches_it(gateway: Gateway) -> None:
@@ -56,7 +57,8 @@ def test_the_page_that_lets_nobody_in_names_its_own_console(console: Console, mo
         monkeypatch.setenv(name, value)
     refused = console.get("/")
     assert refused.status_code == 403
-    (command,) = set(re.findall(r"hexapod-gateway (console --link[^<]*)", refused.text))
-    link = re.search(r"at (http://\S+)", run_here(*shlex.split(command)).stdout)
+    (command,) = set(re.findall(r"<pre>(.*)</pre>", refused.text))
+    assert parse(command)["listen"] == console.url.removeprefix("http://")
+    link = re.search(r"at (http://\S+)", run_here(*shlex.split(command)[1:]).stdout)
     assert link is not None
     assert link[1].startswith(console.url)

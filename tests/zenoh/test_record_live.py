@@ -103,14 +103,6 @@ def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> N
         assert child.wait() == 0, str(child)
 
 
-def test_without_its_extra_it_says_what_to_install(tmp_path: Path, gateway: Gateway) -> None:
-    (tmp_path / "foxglove.py").write_text("raise ImportError('not installed')\n")
-    command = [*COMMAND, "record", "--live", "--connect", gateway.endpoint]
-    with closing(Child(command, {**os.environ, "PYTHONPATH": str(tmp_path)})) as child:
-        assert child.wait() == 2, str(child)
-        assert "pip install 'hexapod-gateway[record]'" in child.stderr
-
-
 @pytest.mark.full
 def test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log(tmp_path: Path) -> None:
     """Without a word, the robot in the viewer would just stand still."""

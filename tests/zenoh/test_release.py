@@ -1,4 +1,4 @@
-"""What is released: built twice, equal to the byte; its wheel in an empty environment is what a laptop gets."""
+"""What is released: built twice, equal to the byte."""
 
 import io
 import json
@@ -15,8 +15,6 @@ import pytest
 
 from release.build import ROOT, UV
 from release.documents import EXTRAS
-from tests.support.child import Child
-from tests.support.gateway_process import READY, free_port
 
 pytestmark = pytest.mark.nightly
 
@@ -95,52 +93,3 @@ def wheel(twice: tuple[dict[str, bytes], dict[str, bytes]], tmp_path_factory: py
     path = tmp_path_factory.mktemp("wheel") / name
     path.write_bytes(twice[0][name])
     return path
-
-
-@pytest.fixture(scope="module")
-def python(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An environment with nothing but the wheel and what it depends on; no SPI, no compiler."""
-    folder = tmp_path_factory.mktemp("empty")
-    subprocess.run([UV, "venv", "--quiet", "--seed", "--python", sys.executable, folder / "venv"], check=True)
-    python = folder / "venv" / "bin" / "python"
-    install = [UV, "pip", "install", "--quiet", "--only-binary=:all:", "--python", str(python), str(wheel)]
-    subprocess.run(install, check=True, env={**os.environ, "CC": "/bin/false"})
-    return python
-
-
-def test_it_runs_where_nothing_else_is_installed(python: Path, tmp_path: Path) -> None:
-    program = python.with_name("hexapod-gateway")
-    said = subprocess.run([program, "--help"], check=True, capture_output=True, text=True, cwd=tmp_path).stdout
-    assert "Usage: hexapod-gateway" in said
-    decoded = subprocess.run([program, "decode", "060220020000"], capture_output=True, text=True, check=True)
-    assert "servo 32 stop" in decoded.stdout
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    environment = {**os.environ, "HEXAPOD_ZENOH__LISTEN": json.dumps([endpoint])}
-    gateway = Child([str(program), "run", "--sim"], environment, tmp_path)
-    try:
-        gateway.wait_for_output(READY, timeout_s=30)
-        sent = subprocess.run(
-            [program, "send", "leg", "3", "start", "1", "2", "3", "--connect", endpoint, "--timeout", "10"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert (sent.returncode, sent.stdout) == (0, "accepted\n"), sent.stderr
-        gateway.terminate()
-        assert gateway.wait() == 0
-    finally:
-        gateway.close()
-
-
-def test_schemas_needs_neither_zenoh_nor_spidev(python: Path, tmp_path: Path) -> None:
-    code = (
-        "import sys\n"
-        "before = set(sys.modules)\n"
-        "import schemas.keys, schemas.command, schemas.telemetry\n"
-        "allowed = {'schemas', 'pydantic', 'pydantic_core', 'annotated_types', 'typing_extensions'}\n"
-        "allowed |= {'typing_inspection'}\n"
-        "roots = {name.partition('.')[0] for name in sys.modules.keys() - before if not name.startswith('_')}\n"
-        "print(sorted(roots - allowed - set(sys.stdlib_module_names)))\n"
-    )
-    said = subprocess.run([python, "-I", "-c", code], check=True, capture_output=True, text=True, cwd=tmp_path)
-    assert said.stdout == "[]\n"

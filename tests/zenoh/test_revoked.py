@@ -6,7 +6,10 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,14 +18,16 @@ import zenoh
 
 from gateway import certs
 from gateway.client import Client
-from gateway.errors import ZenohError
+from gateway.errors import GatewayError, ZenohError
 from gateway.people.client.requests import Identity
 from schemas.keys import LEASE
 from schemas.lease import LeaseAck
-from schemas.telemetry import GatewayState, Reason
+from schemas.robot import LEGS
+from schemas.telemetry import GatewayState, Mode, Reason
+from tests.support.child import Child
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import states
+from tests.support.heard import running, states
 
 HOST = "127.0.0.1"
 CLOCK = """
@@ -48,6 +53,26 @@ time_t time(time_t *to) {
 }
 """
 """A program that has this loaded began 100 s after the beginning of 1970, as on a board without a battery."""
+BACK_S: Final = 3.0
+"""Within which everybody else is back, as it was promised."""
+POSE: Final = (90, 45, 120)
+KNOCKING: Final = """
+import sys, time
+from contextlib import suppress
+from pathlib import Path
+import zenoh
+from gateway.zenoh_config import load_config
+while True:
+    config = load_config(Path(sys.argv[1]))
+    config.insert_json5("connect/timeout_ms", "500")
+    with suppress(zenoh.ZError):
+        session = zenoh.open(config)
+        session.put("hexapod/estop/cmd", b"")
+        session.close()
+    print("tried", flush=True)
+    time.sleep(0.05)
+"""
+"""Opens a session again and again, and presses the emergency stop in each."""
 
 
 class Robot:
@@ -200,6 +225,52 @@ def test_an_observer_may_not_bring_a_list_and_an_operator_may_not_bring_a_false_
                 assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
             assert bert.state().uptime_s > 0
             assert not (robot.state / "revoked.crl").exists()
+
+
+@contextmanager
+def walking(client: Client) -> Iterator[None]:
+    """All six legs at 50 Hz meanwhile, with the lease, until it is shut out."""
+    ended, begun = threading.Event(), threading.Event()
+
+    def walk() -> None:
+        with suppress(GatewayError), client.lease(), client.stream(50) as stream:
+            while not ended.is_set():
+                stream.set(dict.fromkeys(LEGS, POSE))
+                begun.set()
+
+    thread = threading.Thread(target=walk)
+    thread.start()
+    try:
+        assert begun.wait(20)
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.mark.alone
+def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(robot: Robot) -> None:
+    """Nor does she cost anybody a Stop afterwards, when her laptop presses the emergency stop every 50 ms."""
+    stolen = lost(robot)
+    with robot.start(HEXAPOD_WATCHDOG__TIMEOUT_MS="1000") as gateway, robot.laptop("bert") as bert:
+        seen, begun = states(bert), since(bert.state())
+        with robot.laptop("anna") as anna, walking(anna):
+            answer = bert.revocation(certs.folder.revoke(robot.folder, "anna").pem.decode())
+            assert answer.accepted
+            revoked_s = time.monotonic()
+            back = seen.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20)
+            assert time.monotonic() - revoked_s < BACK_S
+            assert (back.mode, back.lease.holder) == (Mode.IDLE, None)
+        logged = gateway.child.stderr
+        assert 0 < logged.index('"kind": "revoked"') < logged.index('"kind": "stopping"')
+        knocking = Child([sys.executable, "-c", KNOCKING, str(stolen)], os.environ)
+        with knocking, walking(bert):
+            knocking.wait_for_line(40, 20)
+            state = bert.state()
+            assert state.estop == 0, "none of her emergency stops arrived"
+            assert state.watchdog.expirations == 0, "bert's stream was never silent"
+            assert running(bert) == [*LEGS]
+        gateway.child.wait_for_output("rejected connections with revoked certificates: operator-00")
 
 
 def ask(session: zenoh.Session, request: Mapping[str, Any]) -> LeaseAck:

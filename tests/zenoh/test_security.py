@@ -3,8 +3,11 @@
 Every way in which TLS turns somebody away is in test_diagnosis.py, as a person reads of it.
 """
 
+import datetime as dt
 import json
+import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,8 @@ import pytest
 import zenoh
 
 from gateway import certs
+from gateway.certs import authority
+from gateway.certs.files import read_certificate, read_key
 from gateway.client import leg_payload
 from gateway.errors import ZenohError
 from schemas import keys
@@ -31,7 +36,10 @@ def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
 
 
 def test_an_observer_watches_and_commands_nothing(secured: Secured) -> None:
-    with secured.client("anna") as anna, secured.client("otto") as otto:
+    """And takes no wildcard, below which it could declare 20 000 keys, each to be compared with all others."""
+    wild: list[zenoh.Sample] = []
+    with secured.client("anna") as anna, secured.client("otto") as otto, closing(secured.session("otto")) as session:
+        declared = [session.declare_subscriber(key, wild.append) for key in ("hexapod/*", "hexapod/**", keys.RESET)]
         heard = events(otto)
         before = otto.state().commands
         with pytest.raises(ZenohError, match="may you command it"):
@@ -45,6 +53,79 @@ def test_an_observer_watches_and_commands_nothing(secured: Secured) -> None:
         assert (state.commands.accepted, state.commands.rejected) == (before.accepted, before.rejected)
         anna.set_leg(3, 1, 2, 3)
         assert heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED).source == "anna"
+        assert anna.reset().accepted
+        assert list(session.get(keys.STATE)), "what came for it before has come"
+        assert not wild
+        del declared
+
+
+def test_an_operator_cannot_pose_as_the_robot(secured: Secured) -> None:
+    """Neither reports nor answers to others' commands pass; and it does not overhear them."""
+    certs.folder.issue(secured.folder, "bert", "operator")
+    overheard: list[zenoh.Sample | zenoh.Query] = []
+    received: list[str] = []
+    with secured.client("anna") as anna, secured.client("otto") as otto, closing(secured.session("bert")) as bert:
+        heard = events(otto)
+        declared = [
+            *(bert.declare_subscriber(key, overheard.append) for key in (keys.leg_command(3), "hexapod/**/cmd")),
+            *(bert.declare_queryable(key, overheard.append) for key in (keys.leg_command(3), keys.STATE)),
+            *(otto.session.declare_subscriber(key, lambda each: received.append(each.payload.to_string()))
+              for key in (keys.STATE, keys.EVENT, keys.FRAME)),
+        ]  # fmt: skip
+        otto.state()
+        for key in (keys.STATE, keys.EVENT, keys.FRAME):
+            bert.put(key, "forged")
+        assert list(bert.liveliness().get(keys.ALIVE)), "on the same link, behind all that"
+        for _ in range(3):
+            assert anna.start_leg(3, 1, 2, 3).accepted
+            assert not anna.set_leg(4, 1, 2, 3).accepted
+            assert anna.state().mode == Mode.ACTIVE
+        heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED, count=3)
+        assert received
+        assert "forged" not in received
+        assert not overheard
+        assert anna.stop().accepted
+        del declared
+
+
+def forged(secured: Secured, common_name: str, made: dt.datetime) -> zenoh.Config:
+    """With a certificate of the folder's CA that `issue` would not make: any name, good for a day from `made`."""
+    folder = secured.folder
+    ca = authority.KeyPair(read_certificate(folder / "ca.pem"), read_key(folder / "ca.key"))
+    pair = authority.make_leaf(ca, common_name, "someone", (), 1, made)
+    (folder / "someone.pem").write_bytes(pair.certificate_pem())
+    (folder / "someone.key").write_bytes(pair.key_pem())
+    shown = {"certificate": str(folder / "someone.pem"), "private_key": str(folder / "someone.key")}
+    return secured.raw("anna", **{f"{TLS}/connect_{name}": path for name, path in shown.items()})
+
+
+@pytest.mark.parametrize("role", ["stranger", "gateway", "operator", "Operator-40", "operator-*", "operator-40"])
+def test_a_certificate_without_a_role_commands_nothing(secured: Secured, role: str) -> None:
+    """It takes one of our own CA: the session opens, and that is all. An operator's messages arrive."""
+    may = role == "operator-40"
+    with (
+        secured.client("anna") as anna,
+        closing(zenoh.open(forged(secured, role, dt.datetime.now(dt.UTC)))) as session,
+    ):
+        before = anna.state().estop
+        assert len(list(session.get(keys.STATE, timeout=2))) == may
+        assert len(list(session.get(keys.ESTOP, timeout=2))) == may
+        assert len(list(session.liveliness().get(keys.ALIVE, timeout=2))) == may
+        session.put(keys.ESTOP, b"")
+        session.close()  # all that it sent has been read by then
+        assert (anna.state().estop > before) is may
+        assert anna.reset().accepted
+
+
+def test_a_link_ends_when_its_certificate_expires(secured: Secured) -> None:
+    made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-3)
+    with closing(zenoh.open(forged(secured, "operator-41", made))) as session:
+        assert list(session.get(keys.STATE))
+        give_up_s = time.monotonic() + 20
+        while session.info.links():
+            assert time.monotonic() < give_up_s
+            time.sleep(0.01)
+        assert not list(session.get(keys.STATE, timeout=1))
 
 
 def turned_away(config: zenoh.Config) -> None:

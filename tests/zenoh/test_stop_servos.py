@@ -11,7 +11,6 @@ SLOW = (
     "zenoh",
     "logging",
     "asyncio",
-    "gateway.robot.settings",
     "gateway.cli",
 )
 

@@ -1,7 +1,6 @@
 """`hexapod-gateway walk`: without a person, and in a real terminal."""
 
 import signal
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,21 +10,17 @@ from gateway.geometry import load
 from gateway.model.frames import Op, decode
 from gateway.people.walking import STILL, Engine, Robot
 from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode
+from schemas.telemetry import Cause, FrameRecord, Mode
 from tests.support.child import Child
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
-from tests.support.heard import frames, states
+from tests.support.heard import frames
 from tests.support.tmux import at_terminal
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
 gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 watcher = client_fixture("watcher")
-
-
-def once(watcher: Client, holds: Callable[[GatewayState], bool]) -> None:
-    states(watcher).wait(holds, timeout_s=60)
 
 
 def stopped_at(records: list[FrameRecord]) -> dict[int, float]:
@@ -96,29 +91,3 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
         assert terminal.wait_for_end(60) == 0
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
-
-
-def test_a_stop_that_nobody_answers_is_requested_until_it_is_confirmed_and_at_the_end_called_unconfirmed(
-    tmp_path: Path, gateway: Gateway, watcher: Client
-) -> None:
-    """Also in a small terminal."""
-    with at_terminal(tmp_path, "walk", gateway.endpoint, columns=40, rows=12) as terminal:
-        terminal.wait("Nothing moves before you press a key.", "SPACE or e: EMERGENCY STOP")
-        gateway.child.send_signal(signal.SIGSTOP)
-        terminal.press("Space")
-        terminal.wait("NOT STOPPED", "trying again")
-        gateway.child.send_signal(signal.SIGCONT)
-        terminal.wait("STOPPED: 6 Stop frames written within")
-        assert watcher.state().mode == Mode.ESTOPPED
-        terminal.press("g")
-        terminal.wait("It goes on with the next key.")
-        terminal.press("t")
-        once(watcher, lambda state: state.mode == Mode.ACTIVE)
-        gateway.child.send_signal(signal.SIGSTOP)
-        terminal.resize(80, 24)  # what `stty` says at the end needs that
-        terminal.press("C-c")
-        assert terminal.wait_for_end(60) == 1
-        terminal.wait("Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off.")
-        gateway.child.send_signal(signal.SIGCONT)
-    assert watcher.stop().accepted
-    once(watcher, lambda state: state.lease.holder is None)

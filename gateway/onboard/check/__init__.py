@@ -12,6 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -22,13 +23,13 @@ from pydantic import ValidationError
 from gateway import own_command
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective
+from gateway.host.directories import CONFIGURATION
 from gateway.onboard import stop
 from gateway.onboard.check import installation, laptop, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import clear_line, say, show_line
 from gateway.robot import settings as settings_file
-from gateway.robot.sections import SpiSettings
 from gateway.robot.settings import FramingNotSetError
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
@@ -112,7 +113,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
 
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
     """
-    path = config or settings_file.DEFAULT_PATH
+    path = config or CONFIGURATION
     if os.geteuid() not in (0, robot.service and robot.service[0]) and _denied(path):
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
@@ -138,11 +139,10 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
         if used is not None:  # the wire is looked at with the service's settings
-            uart = settings.controller.model_copy(update={"uart": used.controller.uart})
-            spi = SpiSettings.model_validate(used.tables["spi"])
-            if settings.spi.device != spi.device:
+            uart = replace(settings.controller, uart=used.controller.uart)
+            if settings.spi.device != used.spi.device:
                 yield from results([wire.DEVICE], robot)
-            robot.settings = settings.model_copy(update={"spi": spi, "controller": uart})
+            robot.settings = replace(settings, spi=used.spi, controller=uart)
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(CONFIGURED, robot)

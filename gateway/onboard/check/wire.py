@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.allowance import NS_PER_MS
 from gateway.durable import staged_for
 from gateway.errors import GatewayError, SpiError
+from gateway.host.settings_table import PowerSettings
 from gateway.model import power_board
 from gateway.model.elkapod import FRAME_BYTES, Heartbeats
 from gateway.model.frames import ONE_LEG_LEN
@@ -29,7 +30,6 @@ from gateway.onboard.check.table import RESTART, CheckedRobot, Fault, Probe, See
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
 from gateway.robot.power.interface import BITRATE, open_bus, received, send
-from gateway.robot.sections import PowerSettings
 from gateway.robot.spi import ioctls, machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, LeaseError, UnansweredError, ZenohError
-from gateway.host import effective, plain_settings
+from gateway.host import effective
+from gateway.host.directories import CONFIGURATION
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say
@@ -74,7 +75,7 @@ def check_at_rest(state: GatewayState) -> None:
 
 def show_differences(config: Path | None = None) -> None:
     """Print where the file does not state what the service of this machine uses; nothing where none runs."""
-    for each in effective.differs_here(config or plain_settings.DEFAULT_PATH):
+    for each in effective.differs_here(config or CONFIGURATION):
         hint(each)
 
 

@@ -15,7 +15,7 @@ from gateway.people.console.server.site import CONSOLE_PORT, DEFAULT_ADDRESS, ad
 from gateway.people.console.server.sockets import address_in, inherited
 from gateway.people.terminal import hint, say
 
-NEEDS: Final = ("websockets", "segno")
+NEEDS: Final = ("aiohttp", "segno")
 ANSWERS_S: Final = 1.0
 """How long a console that runs may take to accept a connection."""
 CALIBRATION_CARD: Final = "cal"

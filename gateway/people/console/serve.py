@@ -5,6 +5,7 @@ import getpass
 import os
 import signal
 import socket
+import sys
 import threading
 import webbrowser
 from collections.abc import Iterator, Sequence
@@ -27,11 +28,10 @@ from gateway.people.console.pages.page_stops import Stops, send_stopping
 from gateway.people.console.pages.pages import Pages, Shared
 from gateway.people.console.server import sessions
 from gateway.people.console.server.auth import Auth
-from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report
+from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report, server_context
 from gateway.people.console.server.sessions import LINK_S, Sessions
 from gateway.people.console.server.site import Site
 from gateway.people.console.server.sockets import listening
-from gateway.people.console.server.tls import server_context
 from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config, get
 
@@ -98,9 +98,11 @@ async def _run(
     )
     auth = Auth(site, found, owner.role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
-    HttpListener(sockets, context, auth, console.admit).start()
+    sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter
+    serving = asyncio.create_task(HttpListener(sockets, context, auth, console.serve).serve())
     watching = asyncio.create_task(gateway.run())
-    watching.add_done_callback(lambda _: ended.set())
+    for each in (serving, watching):
+        each.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
     _say_where(site, found, options.card)
     with _opened(site, found, options.card) if options.open_browser else nullcontext():

@@ -114,7 +114,7 @@ MOST_RAD: Final = 4 * math.pi
 """Two turns. More is probably degrees."""
 _M_S: Final = 0.08
 _RAD_S: Final = 0.25
-"""The speeds that `make walk` judges for a tripod gait; the engine scales them down for shorter strides."""
+"""The speeds that tests/walking judges for a tripod gait; the engine scales them down for shorter strides."""
 _GENTLY: Final = 0.5
 """Of the engine's own deceleration: a velocity has an effect a tick or two after it was computed."""
 _NEAR: Final = 0.0005

@@ -12,7 +12,7 @@ Called by the owner of the state, like the supervisor.
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -334,9 +334,9 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
         "version": __version__,
         "protocol": settings.spi.protocol.version(settings.spi.framing),
         "simulated": facts.get("simulated"),
-        "spi": settings.spi.model_dump(mode="json"),
-        "watchdog": settings.watchdog.model_dump(mode="json"),
-        "limits": settings.limits.model_dump(mode="json"),
+        "spi": asdict(settings.spi),
+        "watchdog": asdict(settings.watchdog),
+        "limits": asdict(settings.limits),
     }
 
 

@@ -14,13 +14,16 @@ from pathlib import Path
 from typing import Annotated, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
+from gateway.host.settings_reader import NO_SETTING, dotted
 from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping, report_of
 from gateway.model.frames import centidegrees
-from gateway.robot.settings import MISSING, Settings, dotted, faults_of
+from gateway.robot.settings import Settings
+from gateway.text import echo
 from schemas import calibration as wire
 from schemas.robot import SERVO_IDS
 
@@ -182,8 +185,7 @@ def from_toml(data: bytes) -> RobotCalibration:
     try:
         found = _File.model_validate(values)
     except ValidationError as error:
-        place, sentence = faults_of(error)[0]
-        raise ValueError(f"{dotted(place)}: {sentence}{f'; {_WHOLE}' if sentence == MISSING else ''}") from None
+        raise ValueError(_fault(error.errors(include_url=False)[0])) from None
     if found.end != {"of_revision": found.revision}:
         raise ValueError(
             f"the last line is not of_revision = {found.revision}; the file was cut off, or half of it changed"
@@ -196,6 +198,15 @@ def from_toml(data: bytes) -> RobotCalibration:
         {_servo_id(name): ServoMapping.of_report(servo) for name, servo in found.servos.items()},
         {_servo_id(name): centidegrees(angle_deg) for name, angle_deg in found.landing.items()},
     )
+
+
+def _fault(fault: ErrorDetails) -> str:
+    place = dotted(fault["loc"])
+    if fault["type"] == "missing":
+        return f"{place}: is missing; {_WHOLE}"
+    if fault["type"] == "extra_forbidden":
+        return f"{place}: {NO_SETTING}"
+    return f"{place}: {echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
 def _servo_id(name: str) -> int:

@@ -1,9 +1,10 @@
 """The power board's interface, opened by python-can. Loads no more than that: `stop-servos` waits for it."""
 
 import errno
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from gateway.errors import ConfigError, GatewayError
+from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame
 
 if TYPE_CHECKING:
@@ -27,16 +28,7 @@ class BusyError(GatewayError):
     """The transmit queue is full: the frame was not sent, and may be sent later."""
 
 
-class Interface(Protocol):
-    """Of the table [power]: as `PlainPower`, or as the service has it."""
-
-    @property
-    def interface(self) -> str: ...
-    @property
-    def channel(self) -> str: ...
-
-
-def open_bus(settings: Interface) -> "can.BusABC":
+def open_bus(settings: PowerSettings) -> "can.BusABC":
     """Open the interface. Raises LineError, with what is missing; ConfigError where it never can be opened."""
     import logging  # noqa: PLC0415  (no Stop waits for it)
 
@@ -77,7 +69,7 @@ def send(bus: "can.BusABC", frame: CanFrame, timeout_s: float) -> None:
         raise
 
 
-def received(message: "can.Message", settings: Interface) -> CanFrame | None:
+def received(message: "can.Message", settings: PowerSettings) -> CanFrame | None:
     """The frame that another node has sent; None: an error, a remote request, or the echo of one of ours.
 
     Adapters such as gs_usb give echoes. socketcan gives none: there, `is_rx` is false of what other programs on this

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
+from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
-from gateway.robot.power.interface import BusyError, Interface, LineError, open_bus, received, send
+from gateway.robot.power.interface import BusyError, LineError, open_bus, received, send
 from gateway.robot.power.questions import BoardQuestions
 
 if TYPE_CHECKING:
@@ -79,9 +80,9 @@ class SupplyCut:
 
     def __init__(
         self,
-        settings: Interface,
+        settings: PowerSettings,
         say: Callable[[str, bool], None],
-        opener: "Callable[[Interface], can.BusABC]" = open_bus,
+        opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
     ) -> None:
         """`say`, called on that thread, gets a sentence, and whether the board has confirmed it."""
         self._settings = settings
@@ -138,7 +139,7 @@ def not_confirmed(why: str) -> str:
     return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
 
 
-def _cut(bus: "can.BusABC", settings: Interface, end_ns: int) -> bool:
+def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:
     """Until it is confirmed, or the time is over."""
     bus._is_shutdown = True  # this process ends: python-can would close the adapter's channel, and a gateway may use it
     cut = LastCut()

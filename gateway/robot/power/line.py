@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_S
 from gateway.host import realtime
+from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import News, PowerBoard, Status
 from gateway.robot.power.interface import BusyError, LineError, open_bus, received, send
 from gateway.robot.power.offs import Confirmed
-from gateway.robot.sections import PowerSettings
 
 if TYPE_CHECKING:
     import can

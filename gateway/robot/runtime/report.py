@@ -1,5 +1,6 @@
 """Makes the payload of `hexapod/state`."""
 
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Final
 
@@ -170,7 +171,7 @@ class StateReports:
 
 def limits_of(settings: Settings) -> LimitsReport:
     """The settings' limits, as in the state."""
-    servos = {name: ServoLimitsReport(**each.model_dump()) for name, each in settings.limits.servos.items()}
+    servos = {name: ServoLimitsReport(**asdict(each)) for name, each in settings.limits.servos.items()}
     limits = settings.limits
     return LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
 

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import zenoh
 from pydantic import BaseModel, ValidationError
 
+from gateway.host.settings_table import ButtonSettings
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
 from gateway.robot.core.intake import Rejection, is_json, too_large
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
-from gateway.robot.sections import ButtonSettings
 from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
 from gateway.robot.zenoh_io.receiver import Deal
 from schemas import keys

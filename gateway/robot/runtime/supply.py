@@ -15,6 +15,7 @@ import asyncio
 import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Final, Protocol
 
 from gateway.allowance import NS_PER_MS
@@ -253,7 +254,7 @@ def supply_of(
     if not power.interface:
         return None
     if channel is not None:
-        power = power.model_copy(update={"interface": "slcan", "channel": channel})
+        power = replace(power, interface="slcan", channel=channel)
     board = PowerBoard(power.outputs, confirm_ns=round(power.confirm_ms * NS_PER_MS))
 
     def changed() -> None:

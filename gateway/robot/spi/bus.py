@@ -25,7 +25,7 @@ from math import ceil
 from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
-from gateway.host.plain_settings import SpiValues
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import ONE_LEG_LEN, Frame
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.core.latency import Latency
@@ -84,7 +84,7 @@ class Bus(Wire):
 
     def __init__(
         self,
-        settings: SpiValues,
+        settings: SpiSettings,
         open_device: Callable[[], SpiDevice],
         *,
         clock: Callable[[], int] = time.monotonic_ns,

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.host.plain_settings import ControllerValues, SpiValues
+from gateway.host.settings_table import ControllerSettings, SpiSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import runtime_files
@@ -25,8 +25,8 @@ milliseconds, such as a device that comes back, and systemd still does not wait 
 
 
 def stop_servos(
-    spi: SpiValues,
-    controller: ControllerValues,
+    spi: SpiSettings,
+    controller: ControllerSettings,
     written: Callable[[], None] = lambda: None,
 ) -> bool | None:
     """Stop all six legs straight over the wire, repeated as the watchdog's Stops are. Raises SpiError.

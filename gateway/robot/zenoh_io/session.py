@@ -6,8 +6,8 @@ from typing import Final
 
 import zenoh
 
+from gateway.host.settings_table import DEFAULT_LISTEN, ZenohSettings
 from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
-from gateway.robot.sections import ZenohSettings
 from gateway.robot.zenoh_io import exposure
 from gateway.zenoh_config import get, insert, load_config, scouting_off
 
@@ -47,7 +47,7 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     config = load_config(Path(settings.config)) if settings.config else zenoh.Config()
     if get(config, "mode") is None:
         config.insert_json5("mode", '"peer"')
-    listen_given = "listen" in settings.model_fields_set
+    listen_given = settings.listen is not DEFAULT_LISTEN
     if listen_given or not settings.config or not _file_sets(settings.config, "listen"):
         insert(config, "listen/endpoints", list(settings.listen), "zenoh.listen")
     scouting_off(config)

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gateway.host.plain_settings import PlainSpi
+from gateway.host.settings_table import SpiSettings
 from gateway.model.framing import Framing
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
@@ -20,7 +20,7 @@ GAP_US = 50
 @contextmanager
 def bus(framing: Framing) -> Iterator[Bus]:
     """The gateway's bus on the device, opened."""
-    found = Bus(PlainSpi(framing), lambda: KernelDevice(wire.DEVICE, SPEED_HZ))
+    found = Bus(SpiSettings(framing=framing), lambda: KernelDevice(wire.DEVICE, SPEED_HZ))
     found.open()
     try:
         yield found

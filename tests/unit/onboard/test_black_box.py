@@ -22,7 +22,7 @@ NAME = "20260921-141320-123-watchdog"
 
 
 def settings(folder: Path) -> Settings:
-    return Settings.model_validate({"state": {"path": str(folder)}})
+    return Settings.of({"state": {"path": str(folder)}})
 
 
 @contextmanager

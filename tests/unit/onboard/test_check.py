@@ -63,7 +63,7 @@ def compare(lines: list[Result], expected: tuple[str, ...]) -> None:
 
 
 def robot(root: Path, *, gateway_runs: bool = False, **sections: Any) -> CheckedRobot:
-    return CheckedRobot(Settings.model_validate(sections), root, lambda *_: {}, gateway_runs)
+    return CheckedRobot(Settings.of(sections), root, lambda *_: {}, gateway_runs)
 
 
 # ---- judged: facts in place of a reading

@@ -162,7 +162,7 @@ def test_a_state_directory_in_memory_is_known() -> None:
 
 def of(folder: Path, state: Path | None = None) -> CheckedRobot:
     sections = {"zenoh": {"config": str(folder / "gateway.json5")}, "state": {"path": str(state) if state else ""}}
-    return CheckedRobot(Settings.model_validate(sections))
+    return CheckedRobot(Settings.of(sections))
 
 
 class Folders:

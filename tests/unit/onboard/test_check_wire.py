@@ -31,7 +31,7 @@ class Terminal:
         self.ours, self._theirs = os.openpty()
         os.write(self.ours, BYTES)
         self.path = os.ttyname(self._theirs)
-        settings = Settings.model_validate({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": self.path}})
+        settings = Settings.of({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": self.path}})
         self.units: dict[str, dict[str, str]] = {}
         self.robot = CheckedRobot(settings, root, lambda unit: self.units.get(unit, {}))
         MachineTree(root)
@@ -130,7 +130,7 @@ def adapter(tmp_path: Path) -> Iterator[Adapter]:
 
 
 def board(tmp_path: Path, *, gateway_runs: bool = False) -> Result:
-    settings = Settings.model_validate({"power": {"interface": "slcan", "channel": str(tmp_path / "adapter")}})
+    settings = Settings.of({"power": {"interface": "slcan", "channel": str(tmp_path / "adapter")}})
     (found,) = results([wire.POWER], CheckedRobot(settings, gateway_runs=gateway_runs))
     return found
 

@@ -7,13 +7,8 @@ import pytest
 
 from gateway.errors import ConfigError, SpiError
 from gateway.host import effective, realtime
-from gateway.host.plain_settings import (
-    ControllerValues,
-    PlainController,
-    PlainPower,
-    PowerValues,
-    SpiValues,
-)
+from gateway.host.settings_reader import ForStops
+from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings
 from gateway.model.framing import Framing
 from gateway.onboard import stop
 from gateway.robot import settings as settings_file
@@ -32,21 +27,21 @@ class Robot:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.file = folder / "gateway.toml"
-        self.used: list[SpiValues] = []
+        self.used: list[SpiSettings] = []
         self.spi_fails = False
-        self.power = PlainPower()
+        self.power = PowerSettings()
         self.unit: tuple[int, dict[str, str]] = (0, {})
         self._folder = folder
         self._patch = monkeypatch
         monkeypatch.setenv("RUNTIME_DIRECTORY", str(folder))
         monkeypatch.setenv("HEXAPOD_SPI__FRAMING", "")  # and so as before after the test
         monkeypatch.delenv("HEXAPOD_SPI__FRAMING")
-        monkeypatch.setattr(stop, "DEFAULT_PATH", self.file)
-        monkeypatch.setattr(settings_file, "DEFAULT_PATH", self.file)
+        monkeypatch.setattr(stop, "CONFIGURATION", self.file)
+        monkeypatch.setattr(settings_file, "CONFIGURATION", self.file)
         monkeypatch.setattr(stop, "unit", lambda: self.unit)
         monkeypatch.setattr(stop, "stop", self._stop)
 
-    def _stop(self, spi: SpiValues, _controller: ControllerValues, written: Callable[[], None]) -> None:
+    def _stop(self, spi: SpiSettings, _controller: ControllerSettings, written: Callable[[], None]) -> None:
         self.used.append(spi)
         if self.spi_fails:
             raise SpiError("no such device")
@@ -57,7 +52,7 @@ class Robot:
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write({"framing": "length-prefixed"}, PlainController(), self.power)
+        effective.write(ForStops(SpiSettings(framing=PREFIXED), ControllerSettings(), self.power))
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:
@@ -135,10 +130,10 @@ class Board:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.bus = BoardBus()
-        self.asked: list[PowerValues] = []
+        self.asked: list[PowerSettings] = []
         monkeypatch.setattr(last_cut, "SupplyCut", self._cut)
 
-    def _cut(self, settings: PowerValues, say: Callable[[str, bool], None]) -> SupplyCut:
+    def _cut(self, settings: PowerSettings, say: Callable[[str, bool], None]) -> SupplyCut:
         self.asked.append(settings)
         return SupplyCut(settings, say, self.bus.opened)
 

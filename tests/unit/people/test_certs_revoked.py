@@ -15,8 +15,8 @@ from gateway.certs import access, authority, revocation
 from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
+from gateway.host.settings_table import ZenohSettings
 from gateway.robot.runtime.revocations import Revocations
-from gateway.robot.sections import ZenohSettings
 from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import get, load_config

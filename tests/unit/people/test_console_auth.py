@@ -6,10 +6,10 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
-from websockets.datastructures import Headers
-from websockets.http11 import Request
+from aiohttp import web
+from multidict import CIMultiDict
 
-from gateway.people.console.server.auth import MAX_NONCES, NONCE_S, Auth, HttpAnswer, SignedIn, proof
+from gateway.people.console.server.auth import MAX_NONCES, NONCE_S, Auth, SignedIn, proof
 from gateway.people.console.server.sessions import Sessions, SignIn
 from gateway.people.console.server.site import site
 
@@ -35,21 +35,22 @@ class Visitor:
     def follow_link(self, card: str) -> str:
         """Where a browser goes that opens a link to this card."""
         link = self._sessions.new_link().removeprefix(URL)
-        answer = self._auth.answer(Request(f"{link}&card={card}", Headers({"Host": "127.0.0.1:8080"})))
-        assert isinstance(answer, HttpAnswer)
-        return answer.response.headers["Location"]
+        answer = self._auth.answer("GET", f"{link}&card={card}", CIMultiDict({"Host": "127.0.0.1:8080"}))
+        assert isinstance(answer, web.Response)
+        return answer.headers["Location"]
 
-    def get(self, path: str, session: SignIn, **headers: str) -> HttpAnswer | SignedIn:
+    def get(self, path: str, session: SignIn, **headers: str) -> web.Response | SignedIn:
         cookie = f"{self._site.cookie}={session.cookie}"
         names = {name.replace("_", "-"): value for name, value in headers.items()}
-        return self._auth.answer(Request(path, Headers({"Host": "127.0.0.1:8080", "Cookie": cookie, **names})))
+        return self._auth.answer("GET", path, CIMultiDict({"Host": "127.0.0.1:8080", "Cookie": cookie, **names}))
 
     def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
         """The console's, and its proof."""
         answer = self.get(f"/session?nonce={mine}", session)
-        assert isinstance(answer, HttpAnswer)
-        found = json.loads(answer.response.body)
-        assert session.key not in answer.response.body.decode()
+        assert isinstance(answer, web.Response)
+        assert answer.text is not None
+        found = json.loads(answer.text)
+        assert session.key not in answer.text
         return found["nonce"], found["proof"]
 
     def comes_in(self, session: SignIn, offered: str) -> bool:

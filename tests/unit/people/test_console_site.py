@@ -6,7 +6,8 @@ import pytest
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.people.console.server.site import Site, site
+from gateway.people.console.server.site import STATE_DIRECTORY, Site, address_of, site
+from tests.support.command import parse
 
 HERE = Site("127.0.0.1", 8080, ("127.0.0.1", "localhost"))
 TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), Path("c.pem"), Path("c.key"))  # noqa: S104
@@ -96,3 +97,20 @@ def test_names_come_from_the_certificate(tmp_path: Path) -> None:
     certs.folder.issue(tmp_path, "anna", "operator")
     with pytest.raises(ConfigError, match="names no host"):
         site("0.0.0.0:8443", tmp_path / "anna.pem", tmp_path / "anna.key")
+
+
+@pytest.mark.parametrize(
+    ("where", "by", "command"),
+    [
+        (HERE, "", "hexapod-gateway console --link --listen 127.0.0.1:8080"),
+        (HERE, str(STATE_DIRECTORY), "sudo hexapod-gateway console --link --listen 127.0.0.1:8080"),
+        (Site("::1", 8081, ("::1",)), "", "hexapod-gateway console --link --listen '[::1]:8081'"),
+    ],
+    ids=["a user's", "the service's", "IPv6"],
+)
+def test_the_command_for_a_link_reaches_this_console(
+    where: Site, by: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", by)
+    assert where.link_command == command
+    assert address_of(parse(command)["listen"]) == (where.address, where.port)

@@ -228,7 +228,7 @@ async def test_a_full_disk_is_met_at_the_start(
 
 @pytest.mark.parametrize(("rate", "records"), [(50, 78_000), (10, 20_400), (1000, 500_000)])
 def test_the_size_follows_from_the_rate(rate: float, records: int) -> None:
-    settings = Settings.model_validate({"limits": {"leg_rate_hz": rate}})
+    settings = Settings.of({"limits": {"leg_rate_hz": rate}})
     assert paths.slots_for(settings) == records
 
 

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 import pytest
 
 from gateway.errors import SpiError
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, RESYNC_NS, Bus
 from gateway.robot.spi.simulator import SimulatedController

@@ -7,9 +7,9 @@ from math import ceil
 import pytest
 
 from gateway.errors import BatchRejectedError, SpiError
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
-from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, LONGEST_NS, PAUSE_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError

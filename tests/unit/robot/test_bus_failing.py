@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterable
 import pytest
 
 from gateway.errors import SpiError
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.protocol import BatchReport
-from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.bus import Bus
 from schemas.robot import LEGS

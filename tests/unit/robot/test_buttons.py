@@ -178,6 +178,15 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
     assert robot.button(4, "register", "hall", holder="the hall's") == REGISTERED
 
 
+def test_two_names_of_one_certificate_are_not_the_two_that_are_required() -> None:
+    robot = Steps(rules(required=2))
+    for name, holder in (("rogue/0", "the rogue's"), ("rogue/1", "the rogue's"), ("anna", "anna's")):
+        assert robot.command(1, START)[-1].endswith("no_button")
+        assert robot.button(2, "register", name, holder=holder) == REGISTERED
+        assert robot.button(2, "alive", name, 1, holder=holder) == ALIVE
+    assert robot.command(3, START)[0] == "command 1 start 90"
+
+
 def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     robot = watched()
     robot.button(1, "register", "stranger", counts=False)
@@ -288,3 +297,21 @@ def offset_of(rise_ms: list[tuple[float, float]]) -> float:
 def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> None:
     assert offset_of([(0, 0), (10, -100), (2010, 300)]) == 150
     assert offset_of([(0, 0), (10, 50), (2010, 400)]) == 150
+
+
+@pytest.mark.parametrize("hours", [1, 10])
+def test_check_ins_that_are_held_back_ever_longer_are_old(hours: int) -> None:
+    """0.19 ms more each second is less than a slow clock may lose, and was 6.8 s after ten hours."""
+    buttons = Buttons(Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS))
+    token = "0" * 32
+    buttons.grant(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", sent_ms=0, fresh_token=token), 0)
+    counts_ms = 0.0
+    for second in range(1, hours * 3600):
+        sent_ms, held_back_ms = second * 1000, 0.19 * second
+        came_ns = round((sent_ms + held_back_ms) * NS_PER_MS)
+        buttons.expire(came_ns)
+        check_in = ButtonRequest(ButtonDo.ALIVE, came_ns, token=token, count=second, sent_ms=sent_ms)
+        buttons.grant(check_in, came_ns)
+        if buttons.due_ns is not None:
+            counts_ms = max(counts_ms, buttons.due_ns / NS_PER_MS - sent_ms)
+    assert counts_ms <= 1.25 * TIMEOUT_MS + 1

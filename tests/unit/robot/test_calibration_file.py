@@ -111,7 +111,7 @@ def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_th
 
 
 def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    named = Settings.model_validate({"state": {"path": "/mnt/own"}})
+    named = Settings.of({"state": {"path": "/mnt/own"}})
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     assert path_of(Settings()) is None
     assert path_of(named) == Path("/mnt/own/calibration.toml")

@@ -9,7 +9,7 @@ import zenoh
 
 from gateway.endpoints import is_local
 from gateway.errors import ConfigError
-from gateway.robot.sections import ZenohSettings
+from gateway.host.settings_table import ZenohSettings
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints

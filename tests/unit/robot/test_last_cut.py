@@ -14,16 +14,16 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
-from gateway.host.plain_settings import PlainPower
+from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from gateway.robot.power import last_cut
-from gateway.robot.power.interface import Interface, LineError
+from gateway.robot.power.interface import LineError
 from gateway.robot.power.last_cut import LastCut, SupplyCut
 from gateway.robot.power.simulated_board import SimulatedBoard
 from tests.support.board_bus import BoardBus
 from tests.support.slcan_adapter import Adapter
 
-SETTINGS = PlainPower("socketcan")
+SETTINGS = PowerSettings("socketcan")
 OFF = CanFrame(SUPPLIED, bytes(3))
 REACHED = CanFrame(ASK_RAILS[0].id + 1, bytes(6))
 STEP_NS = NS_PER_MS
@@ -176,7 +176,7 @@ def test_on_a_computer_that_loads_python_can_for_long_the_mask_is_sent_all_the_s
     """The emulated machine of `make kernel` takes 4 s for it, and an SD card that was not read yet may."""
     bus, loaded = BoardBus(), 0
 
-    def slow(settings: Interface) -> BoardBus:
+    def slow(settings: PowerSettings) -> BoardBus:
         nonlocal loaded
         loaded = 10 * last_cut.TRY_NS
         return bus.opened(settings)
@@ -211,7 +211,7 @@ def test_on_an_adapter_that_a_gateway_goes_on_using(tmp_path: Path) -> None:
     adapter = Adapter(str(tmp_path / "can"))
     adapter.board.take(set_supply(ALL), time.monotonic_ns())
     said: list[str] = []
-    cut = SupplyCut(PlainPower("slcan", str(tmp_path / "can")), lambda sentence, _: said.append(sentence))
+    cut = SupplyCut(PowerSettings("slcan", str(tmp_path / "can")), lambda sentence, _: said.append(sentence))
     confirmed = cut.end()
     gc.collect()
     adapter.unplug()

@@ -73,7 +73,7 @@ class Gateway:
         self.loop = SteppedLoop(self.stage)
         self.rings = Rings(self.stage)
         self.controller = SteppedController(self.stage, self.now_ns)
-        self.settings = Settings.model_validate({"spi": {"frame_gap_us": 0}})
+        self.settings = Settings.of({"spi": {"frame_gap_us": 0}})
         self.answers: list[bytes] = []
         self.noted: list[int] = []
         """How many frames had been written when an emergency stop's own thread received it."""

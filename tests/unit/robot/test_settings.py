@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +12,17 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from gateway.errors import ConfigError
-from gateway.model.framing import Framing
-from gateway.robot import settings
-from gateway.robot.sections import (
+from gateway.host.settings_table import (
     LimitSettings,
-    PowerSettings,
     ServoLimits,
     WatchdogSettings,
 )
+from gateway.model.framing import Framing
+from gateway.robot import settings
 from gateway.robot.settings import FramingNotSetError, Settings
+from release import settings_page
 from tests.support.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
 from tests.support.settings_file import faults, load
-from tests.unit import test_interface
 
 pytestmark = pytest.mark.usefixtures("_clean_environment")
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("_clean_environment")
 
 def in_toml(made: Settings) -> str:
     """A file that has each setting, as it is."""
-    sections = made.model_dump(mode="json", exclude_none=True)
+    sections = json.loads(json.dumps(asdict(made)))
     return "".join(
         f"{section}.{name} = {_toml(value)}\n" for section in sections for name, value in sections[section].items()
     )
@@ -48,12 +48,10 @@ def test_the_defaults_may_be_written_down(file: Path, monkeypatch: pytest.Monkey
 
 
 RANGES: dict[str, tuple[float, float]] = {
-    name.replace(".N.", ".32."): (json.loads(low), json.loads(high))
-    for name, field in test_interface.settings().items()
-    for low, separator, high in (test_interface.ends(field).partition(" to "),)
-    if separator and name != "watchdog.landing.N"
+    name.replace(".N.", ".32."): setting.allowed.limits
+    for name, setting in settings_page.settings().items()
+    if setting.allowed.limits is not None and name != "watchdog.landing.N"
 }
-"""What docs/interface.md states, as that test compares it."""
 
 
 @pytest.mark.parametrize("place", RANGES)
@@ -79,11 +77,11 @@ def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch,
 def test_every_number_has_a_range_that_is_tested() -> None:
     numbers = {
         f"{section}.{name}"
-        for section in Settings.model_fields
-        for name, value in getattr(Settings(), section)
+        for section, table in asdict(Settings()).items()
+        for name, value in table.items()
         if isinstance(value, int | float) and not isinstance(value, bool)
     }
-    assert numbers | {f"limits.servos.32.{name}" for name in ServoLimits.model_fields} == RANGES.keys()
+    assert numbers | {f"limits.servos.32.{name}" for name in asdict(ServoLimits())} == RANGES.keys()
 
 
 toml_values = st.recursive(
@@ -91,7 +89,7 @@ toml_values = st.recursive(
     lambda inner: st.lists(inner, max_size=3),
     max_leaves=4,
 )
-PLACES = [f"{section}.{name}" for section in Settings.model_fields for name, _ in getattr(Settings(), section)]
+PLACES = [f"{section}.{name}" for section, table in asdict(Settings()).items() for name in table]
 
 
 @given(st.dictionaries(st.sampled_from([*PLACES, "limits.servos.11.min_deg", "spi.x", "x"]), toml_values, max_size=4))
@@ -124,12 +122,10 @@ def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
     limits = LimitSettings(servos={"11": servo})
     watchdog = WatchdogSettings(landing={"11": 90})
     expected = Settings(limits=limits, watchdog=watchdog)
-    assert settings.load(uncommented).model_dump() == expected.model_dump()
+    assert settings.load(uncommented) == expected
     shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
-    sections = [*(getattr(Settings(), name) for name in Settings.model_fields if name != "power"), servo]
-    tables = {"servos", "landing"}
-    named = {name for section in sections for name in type(section).model_fields} - tables
-    assert shown - {"11"} == named | set(PowerSettings.model_fields)
+    named = {name for table in (*asdict(Settings()).values(), asdict(servo)) for name in table}
+    assert shown - {"11"} == named - {"landing"}
 
 
 # ---- faults of the file
@@ -165,7 +161,7 @@ def test_a_fault_of_the_environment(monkeypatch: pytest.MonkeyPatch, variable: s
 def test_a_pose_in_the_file_that_limits_in_the_environment_forbid(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[watchdog.landing]\n11 = 110")
     monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MAX_DEG", "100")
-    assert faults(file) == ["watchdog.landing.11: 110 will not do: limits.servos.11 allows 0 to 100"]
+    assert faults(file) == ["file: watchdog.landing.11: 110 will not do: limits.servos.11 allows 0 to 100"]
     monkeypatch.setenv("HEXAPOD_WATCHDOG__LANDING__11", "101")
     assert faults(file) == ["HEXAPOD_WATCHDOG__LANDING__11: 101 will not do: limits.servos.11 allows 0 to 100"]
 
@@ -188,7 +184,7 @@ def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkey
         assert "reset" in unset
         assert wanted == [f'{file}: spi.framing: {framing.controller} needs "{framing}"' for framing in Framing]
         assert load(file).spi.framing is Framing.PLAIN, "a simulated controller needs nobody to say it"
-    with pytest.raises(FramingNotSetError, match=f"{settings.DEFAULT_PATH}: spi.framing: is not set"):
+    with pytest.raises(FramingNotSetError, match=r"default\.toml: spi.framing: is not set"):
         framing_of(None)
     for framing in Framing:
         file.write_text(f'[spi]\nframing = "{framing}"\n')

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable
 
 import pytest
 
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.sections import SpiSettings
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS

@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
-from gateway.host.plain_settings import PlainController, PlainSpi
+from gateway.host.settings_table import ControllerSettings, SpiSettings
 from gateway.model.elkapod import SHUTDOWN
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import runtime_files
-from gateway.robot.sections import SpiSettings
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_once, stop_servos
@@ -172,11 +171,11 @@ Stops = Callable[..., bool | None]
 def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
-    def run(rounds: Rounds, spi: PlainSpi = PlainSpi()) -> bool | None:  # noqa: B008
+    def run(rounds: Rounds, spi: SpiSettings = SpiSettings()) -> bool | None:  # noqa: B008
         replaced = {"KernelDevice": rounds.device, "SerialUart": rounds.uart, "Notice": rounds.notice, "time": rounds}
         for name, instead in replaced.items():
             monkeypatch.setattr(stop_all, name, instead)
-        return stop_servos(spi, PlainController(), rounds.written)
+        return stop_servos(spi, ControllerSettings(), rounds.written)
 
     return run
 
@@ -237,7 +236,7 @@ def test_the_supply_is_taken_also_where_each_stop_fails(stops: Stops) -> None:
 @pytest.mark.parametrize("failing_rounds", [0, 2])
 def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_rounds: int, stops: Stops) -> None:
     scene = Rounds(set(LEGS), failing_rounds)
-    assert stops(scene, PlainSpi(protocol=SpiProtocol.ELKAPOD_2025)) is None
+    assert stops(scene, SpiSettings(protocol=SpiProtocol.ELKAPOD_2025)) is None
     assert scene.log.count("stop") == 2 * (4 - failing_rounds), "opening it is one, too"
     assert scene.sleeps_ms == [20] * 3
     assert scene.log[-2:] == ["closed", "ended"]

@@ -20,7 +20,7 @@ async def test_without_an_interface_there_is_no_supply() -> None:
 async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_the_state(tmp_path: Path) -> None:
     channel = str(tmp_path / "can")
     adapter = Adapter(channel)
-    settings = Settings.model_validate({"power": {"interface": "sim", "confirm_ms": 2000}})
+    settings = Settings.of({"power": {"interface": "sim", "confirm_ms": 2000}})
     owner, heard = Ownership(), asyncio.Event()
     supply = supply_of(
         settings, wires.wire(settings, simulated=True), channel, asyncio.get_running_loop(), owner, failed

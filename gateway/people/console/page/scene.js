@@ -1,7 +1,7 @@
 // @ts-check
 /** The robot in three dimensions, drawn with three.js only when something has changed. */
 
-import * as three from "./vendor/three/three.module.js";
+import * as three from "./vendor/three/three.js";
 
 import { JOINTS, LEGS, jointRad, legPoints } from "./kinematics.js";
 import { heightAbove, slopeRad } from "./terrain.js";
@@ -211,7 +211,7 @@ export class Scene {
     return this.at(new three.Vector3(out(0), out(1), foot[2]).applyQuaternion(this.robot.quaternion));
   }
 
-  /** Where a point is seen, in pixels of the place. @param {import("./vendor/three/three.module.js").Vector3} point @returns {[number, number]} */
+  /** Where a point is seen, in pixels of the place. @param {import("./vendor/three/three.js").Vector3} point @returns {[number, number]} */
   at(point) {
     const { x, y } = point.clone().project(this.camera);
     return [((x + 1) / 2) * this.place.clientWidth, ((1 - y) / 2) * this.place.clientHeight];

@@ -9,23 +9,21 @@ sends a nonce to `/session`; the answer has the console's nonce, and an HMAC ove
 Only then the page opens its WebSocket, with an HMAC over the console's nonce.
 """
 
+import gzip
 import hashlib
 import hmac
-import json
 import mimetypes
 import secrets
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from email.utils import formatdate
 from html import escape
-from http import HTTPStatus
 from pathlib import Path
 from typing import Final
 from urllib.parse import parse_qs
 
-from websockets.datastructures import Headers, MultipleValuesError
-from websockets.http11 import Request, Response
+from aiohttp import web
+from multidict import MultiMapping
 
 from gateway.people.console.pages.page_messages import Role, least
 from gateway.people.console.server.sessions import Entry, Sessions
@@ -41,6 +39,7 @@ NONCE_S: Final = 10.0
 """How long a nonce may be used, once: a page opens its WebSocket as soon as it receives it."""
 COOKIE_S: Final = 30 * 24 * 3600
 """Of a browser's cookie, by the browser's wall clock, which may be set, too; the session itself ends earlier."""
+PACKED: Final = ".gz"
 MAX_NONCES: Final = 256
 """As many as the bound on connections allows in five seconds; beyond these the oldest are dropped."""
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
@@ -59,7 +58,10 @@ HEADERS: Final = {
     "cross-origin-resource-policy": "same-origin",
     "permissions-policy": "camera=(), microphone=(), geolocation=(), gamepad=(self)",
     "cache-control": "no-cache",  # revalidated each time, and answered with 304 if unchanged
+    "vary": "Accept-Encoding",
+    "server": "hexapod-gateway",
 }
+_PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
 
 
 @dataclass(frozen=True)
@@ -72,20 +74,11 @@ class SignedIn:
     """The browser's tab, by a name that it gave itself: the same after a reload. Empty: it told none."""
 
 
-_PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
-
-
-@dataclass(frozen=True)
-class HttpAnswer:
-    """`is_for_session`: the request had a valid session."""
-
-    response: Response
-    is_for_session: bool = False
-
-
 @dataclass(frozen=True)
 class _PageFile:
     content: bytes
+    packed: bytes
+    """By gzip."""
     kind: str
     tag: str
 
@@ -102,48 +95,50 @@ class Auth:
         self._nonces: dict[str, float] = {}
         """Issued and not used, and until when each is valid, monotonic."""
 
-    def answer(self, request: Request) -> HttpAnswer | SignedIn:
-        """The response, or the session whose WebSocket is admitted."""
-        found = self._answer(request)
-        if isinstance(found, HttpAnswer):
-            self._add_headers(request, found.response)
+    def answer(self, method: str, target: str, headers: MultiMapping[str]) -> web.Response | SignedIn:
+        """The response, or the session whose WebSocket is admitted.
+
+        A response to a request without a session closes its connection.
+        """
+        path, _, query = target.partition("?")
+        public = self._public(method, path, query, headers)
+        if public is not None:
+            public.force_close()
+        found = self._for_session(headers, path, query) if public is None else public
+        if isinstance(found, web.Response):
+            host = _one(headers, "Host") or ""
+            socket = f"{'wss' if self._site.certificate else 'ws'}://{host}" if self._site.knows_host(host) else ""
+            found.headers.update(HEADERS, **{"content-security-policy": CONTENT_POLICY.format(socket=socket)})
         return found
 
-    def _answer(self, request: Request) -> HttpAnswer | SignedIn:
-        path, _, query = request.path.partition("?")
-        if (why := self._why_not(request, path)) is not None:
-            return why
+    def _public(self, method: str, path: str, query: str, headers: MultiMapping[str]) -> web.Response | None:
+        """The answer to a request that no page of ours sends, and to one that needs no session."""
+        host, origin = _one(headers, "Host"), _one(headers, "Origin")
+        if method != "GET":
+            return _text(405, "only GET")
+        if not self._site.knows_host(host):
+            return _text(403, f"this console is at {self._site.url}, and not at the address that you gave")
+        if (path == WEBSOCKET or "Origin" in headers) and not self._site.knows_origin(origin, host):
+            return _text(403, "only the console's own page may come here")
         if path == "/" and (token := _given(query, "token")) is not None:
             return self._enter(token, _given(query, "card") or "")
-        if path in PUBLIC:
-            return self._file(path, request)
-        return self._for_session(request, path, query)
+        return self._file(path, headers) if path in PUBLIC else None
 
-    def _why_not(self, request: Request, path: str) -> HttpAnswer | None:
-        """The answer to a request that no page of ours sends."""
-        host, origin = _one(request, "Host"), _one(request, "Origin")
-        if request.method != "GET":
-            return _text(HTTPStatus.METHOD_NOT_ALLOWED, "only GET")
-        if not self._site.knows_host(host):
-            return _no(f"this console is at {self._site.url}, and not at the address that you gave")
-        if (path == WEBSOCKET or "Origin" in request.headers) and not self._site.knows_origin(origin, host):
-            return _no("only the console's own page may come here")
-        return None
-
-    def _for_session(self, request: Request, path: str, query: str) -> HttpAnswer | SignedIn:
-        entry = self._sessions.cookie(_cookie(request, self._site.cookie))
-        if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(request))):
-            if path in _PAGES:
-                return self._refused("You are not signed in.")
-            return _no(f"You are not signed in. {NEW_LINK} {self._site.link_command}")
-        role = least(entry.role, self._role)
+    def _for_session(self, headers: MultiMapping[str], path: str, query: str) -> web.Response | SignedIn:
+        entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
+        if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(headers))):
+            refused = _text(403, f"You are not signed in. {NEW_LINK} {self._site.link_command}")
+            found = self._refused("You are not signed in.") if path in _PAGES else refused
+            found.force_close()
+            return found
         if path == WEBSOCKET:
-            return SignedIn(entry, role, tab if (tab := _given(query, "tab") or "").isalnum() else "")
+            tab = _given(query, "tab") or ""
+            return SignedIn(entry, least(entry.role, self._role), tab if tab.isalnum() else "")
         if path == "/session":
             nonce = self._new_nonce()
-            answer = {"nonce": nonce, "proof": proof(entry.key_sha256, f"console {_given(query, 'nonce')} {nonce}")}
-            return HttpAnswer(_response(HTTPStatus.OK, json.dumps(answer).encode(), "json"))
-        return self._file(_PAGES.get(path, path), request)
+            made = proof(entry.key_sha256, f"console {_given(query, 'nonce')} {nonce}")
+            return web.json_response({"nonce": nonce, "proof": made})
+        return self._file(_PAGES.get(path, path), headers)
 
     def _new_nonce(self) -> str:
         now_s = time.monotonic()
@@ -158,80 +153,62 @@ class Auth:
         is_valid = time.monotonic() < self._nonces.pop(nonce, 0.0) and bool(entry.key_sha256)
         return is_valid and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
 
-    def _enter(self, token: str, card: str) -> HttpAnswer:
+    def _enter(self, token: str, card: str) -> web.Response:
         found = self._sessions.exchange(token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
         card = f"?{card}" if card.isascii() and card.isalpha() else ""
-        secure = "; Secure" if self._site.certificate is not None else ""
-        cookie = f"{self._site.cookie}={found.cookie}; HttpOnly; Max-Age={COOKIE_S}; Path=/; SameSite=strict{secure}"
-        response = _response(HTTPStatus.SEE_OTHER, b"", "plain")
-        response.headers["Location"] = f"{PUBLIC[0]}{card}#{found.key}"
-        response.headers["Set-Cookie"] = cookie
-        return HttpAnswer(response)
+        response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{found.key}"})
+        secure = self._site.certificate is not None
+        response.set_cookie(
+            self._site.cookie, found.cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure
+        )
+        return response
 
-    def _refused(self, why: str) -> HttpAnswer:
+    def _refused(self, why: str) -> web.Response:
         """A page that explains how to sign in, on a phone and at the console's machine."""
         page = self._files["/refused.html"].content.decode()
         page = page.replace("WHY", escape(why)).replace("COMMAND", escape(self._site.link_command))
-        return HttpAnswer(_response(HTTPStatus.FORBIDDEN, page.encode(), "html"))
+        return web.Response(status=403, text=page, content_type="text/html")
 
-    def _file(self, path: str, request: Request) -> HttpAnswer:
+    def _file(self, path: str, headers: MultiMapping[str]) -> web.Response:
         file = self._files.get(path)
-        for_session = path not in PUBLIC
         if file is None:
-            return _text(HTTPStatus.NOT_FOUND, "there is nothing here")
-        if _one(request, "If-None-Match") == file.tag:
-            response = _response(HTTPStatus.NOT_MODIFIED, b"", file.kind)
-        else:
-            response = _response(HTTPStatus.OK, file.content, file.kind)
-        response.headers["ETag"] = file.tag
-        return HttpAnswer(response, is_for_session=for_session)
-
-    def _add_headers(self, request: Request, response: Response) -> None:
-        host = _one(request, "Host") or ""
-        socket = f"{'wss' if self._site.certificate else 'ws'}://{host}" if self._site.knows_host(host) else ""
-        for name, value in HEADERS.items():
-            response.headers[name] = value
-        response.headers["content-security-policy"] = CONTENT_POLICY.format(socket=socket)
+            return _text(404, "there is nothing here")
+        if _one(headers, "If-None-Match") == file.tag:
+            return web.Response(status=304, headers={"ETag": file.tag})
+        response = web.Response(body=file.content, headers={"ETag": file.tag, "Content-Type": file.kind})
+        if "gzip" in (_one(headers, "Accept-Encoding") or "") and len(file.packed) < len(file.content):
+            response.body = file.packed
+            response.headers["Content-Encoding"] = "gzip"
+        return response
 
 
 def _files() -> Mapping[str, _PageFile]:
-    """The page's files, 2 MB in memory: no request waits for a disk or takes a descriptor."""
+    """The page's files, 1 MB in memory: no request waits for a disk or takes a descriptor.
+
+    A built package has them compressed; those of a repository are compressed here.
+    """
     found = {}
     for path in PAGE.rglob("*"):
-        if path.is_file():
-            content = path.read_bytes()
+        if path.is_file() and path.suffix != PACKED:
+            content, beside = path.read_bytes(), path.with_name(path.name + PACKED)
+            packed = beside.read_bytes() if beside.exists() else gzip.compress(content, mtime=0)
             kind = mimetypes.guess_type(path.name)[0] or "text/plain"
-            tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
-            found[f"/{path.relative_to(PAGE).as_posix()}"] = _PageFile(content, kind, tag)
+            kind += "; charset=utf-8" if kind.startswith("text/") else ""
+            tag = f'W/"{hashlib.sha256(content).hexdigest()[:32]}"'
+            found[f"/{path.relative_to(PAGE).as_posix()}"] = _PageFile(content, packed, kind, tag)
     return found
 
 
-def _no(why: str) -> HttpAnswer:
-    return _text(HTTPStatus.FORBIDDEN, why)
+def _text(status: int, text: str) -> web.Response:
+    return web.Response(status=status, text=f"{text}\n")
 
 
-def _text(status: HTTPStatus, text: str) -> HttpAnswer:
-    return HttpAnswer(_response(status, f"{text}\n".encode(), "plain"))
-
-
-def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
-    """Closes its connection: each serves one request, and what follows it is not read."""
-    kinds = {"html": "text/html; charset=utf-8", "plain": "text/plain; charset=utf-8", "json": "application/json"}
-    headers = Headers(Date=formatdate(usegmt=True), Connection="close")
-    if status is not HTTPStatus.NOT_MODIFIED:
-        headers["Content-Length"] = str(len(body))
-        headers["Content-Type"] = kinds.get(kind, kind)
-    return Response(status.value, status.phrase, headers, body)
-
-
-def _one(request: Request, name: str) -> str | None:
+def _one(headers: MultiMapping[str], name: str) -> str | None:
     """The header's value; None if it is missing or repeated."""
-    try:
-        return request.headers.get(name)
-    except MultipleValuesError:
-        return None
+    found = headers.getall(name, [])
+    return found[0] if len(found) == 1 else None
 
 
 def _given(query: str, name: str) -> str | None:
@@ -242,13 +219,9 @@ def _given(query: str, name: str) -> str | None:
         return None
 
 
-def _cookie(request: Request, name: str) -> str | None:
-    for header in request.headers.get_all("Cookie"):
-        for part in header.split(";"):
-            found, _, value = part.strip().partition("=")
-            if found == name:
-                return value
-    return None
+def _cookie(headers: MultiMapping[str], name: str) -> str | None:
+    given = (part.strip().partition("=") for header in headers.getall("Cookie", []) for part in header.split(";"))
+    return next((value for found, _, value in given if found == name), None)
 
 
 def proof(key_sha256: str, text: str) -> str:
@@ -256,11 +229,11 @@ def proof(key_sha256: str, text: str) -> str:
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
 
 
-def _offered_proof(request: Request) -> tuple[str, str]:
+def _offered_proof(headers: MultiMapping[str]) -> tuple[str, str]:
     """The console's nonce and the page's proof; empty if none is offered."""
-    for header in request.headers.get_all("Sec-WebSocket-Protocol"):
-        for offered in header.split(","):
-            if offered.strip().startswith(PROOF_PREFIX) and offered.isascii():
-                nonce, _, made = offered.strip().removeprefix(PROOF_PREFIX).partition(".")
+    for header in headers.getall("Sec-WebSocket-Protocol", []):
+        for offered in map(str.strip, header.split(",")):
+            if offered.startswith(PROOF_PREFIX) and offered.isascii():
+                nonce, _, made = offered.removeprefix(PROOF_PREFIX).partition(".")
                 return nonce, made
     return "", ""

@@ -1,250 +1,246 @@
-"""Takes connections, TLS and HTTP requests, and answers them, on a thread with a loop of its own.
+"""Takes connections, TLS and HTTP requests, and answers them: aiohttp, within bounds.
 
-The pages' loop never waits for it, and is given a connection only once it is the WebSocket of a page with a session.
-Until then the cost of a connection is bounded, and so is their number:
+It runs on the loop that serves the pages, so what somebody without a session costs is bounded:
 
 | per connection | so many reads and bytes, one deadline for everything, one request, no body |
 | at once        | so many places; a further connection ends the oldest of the address that has most of them |
 | a second       | so many connections; the kernel queues the others, or drops them |
-
-Both threads share the interpreter, so each time that the pages' loop returns from the kernel it may wait for this
-thread, for `SWITCH_INTERVAL_S`. A press of STOP ALL returns from the kernel some ten times.
 """
 
 import asyncio
 import logging
 import socket
 import ssl
-import sys
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, Final
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, cast
 
-from websockets.http11 import Request
-from websockets.server import ServerProtocol
-from websockets.typing import Subprotocol
+from aiohttp import web
 
 from gateway.allowance import NS_PER_S, Allowance
-from gateway.host.realtime import SWITCH_INTERVAL_S
-from gateway.people.console.pages.page_messages import MAX_MESSAGE_BYTES
-from gateway.people.console.server.auth import SUBPROTOCOL, Auth, SignedIn
-from gateway.people.console.server.tls import Layer, Tls
+from gateway.people.console.server.auth import Auth, SignedIn
 
 MAX_UNKNOWN: Final = 64
 """Connections without a session; each takes one descriptor, and some 100 kB with TLS."""
 MAX_SIGNED_IN: Final = 32
 """Connections with a session, which load the page's files: a browser opens six."""
 CONNECTIONS_A_SECOND: Final = 50
-"""With TLS each takes some 2 ms of this thread, so a flood takes a tenth of a processor."""
-CONNECTIONS_AT_ONCE: Final = 64
-"""Without a pause: a page loads 30 files."""
+"""With TLS each takes some 2 ms of the loop, so a flood takes a tenth of a processor."""
+CONNECTIONS_AT_ONCE: Final = 16
+"""Without a pause: two browsers that open a page."""
 READS: Final = 40
-"""Of one connection: a handshake and a request take five, on a bad network some more."""
-REQUEST_READ_BYTES: Final = 4096
+"""Of one connection without a session: a handshake and a request take five, on a bad network some more."""
 REQUEST_BYTES: Final = 32_768
-"""Of one connection: a request has 1 to 8 kB, since on loopback all consoles' cookies come with it."""
+"""Of one: a request has 1 to 8 kB, since on loopback all consoles' cookies come with it."""
+BYTES_A_SECOND: Final = 131_072
+"""Of one with a session; a page that drives each leg by a message of its own sends 40 000."""
+UNSENT_BYTES: Final = 4096
+"""That wait for one page, in this process and as much in the kernel: some five states."""
 UNKNOWN_S: Final = 5.0
 """For the handshake, the request and its answer."""
 SIGNED_IN_S: Final = 30.0
-"""For a file of 1.5 MB, with a session."""
-ANSWER_PART_BYTES: Final = 65_536
-"""Encrypted at a time, which is what waits in memory for one connection."""
+"""For a file of 150 kB, with a session."""
+CLOSING_S: Final = 1.0
+"""How long the other side has to confirm that a connection is closed."""
 ACCEPT_AGAIN_S: Final = 1.0
 """After a connection could not be accepted, for want of descriptors or memory: meanwhile Stops have them."""
 
 _log: Final = logging.getLogger(__name__)
+_silent: Final = logging.getLogger("gateway.people.console.aiohttp")
+"""aiohttp's log: a traceback for each malformed request."""
+_silent.setLevel(logging.CRITICAL + 1)
+_silent.propagate = False
 
 
-@dataclass(frozen=True)
-class Admitted:
-    """A page's WebSocket with a session: its request is answered in `protocol`, but the answer is not sent yet."""
+class Connection(web.RequestHandler):
+    """One connection: aiohttp's protocol with bounds on what it receives, and a deadline."""
 
-    connection: socket.socket
-    layer: Layer
-    protocol: ServerProtocol
-    session: SignedIn
+    def __init__(self, server: web.Server, accepted: socket.socket, address: str, ended: Callable[[Any], None]) -> None:
+        """`ended` is called with this connection, once, when it has ended."""
+        self._own_loop = asyncio.get_running_loop()
+        super().__init__(
+            server,
+            loop=self._own_loop,
+            logger=_silent,
+            access_log=None,  # type: ignore[arg-type]  # aiohttp's own way to have none
+            keepalive_timeout=SIGNED_IN_S,
+            tcp_keepalive=False,
+            lingering_time=0.0,
+            auto_decompress=False,  # nobody reads a body
+        )
+        self.address = address
+        self._accepted = accepted
+        self._ended = ended
+        self._has_ended = False
+        self._raw: asyncio.Transport | None = None
+        self._has_session = False
+        self._reads = self._received = 0
+        self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+        self._deadline = self._own_loop.call_later(UNKNOWN_S, self.abort)
+
+    async def open(self, context: ssl.SSLContext | None) -> None:
+        """Begin with TLS and HTTP."""
+        try:
+            self._raw, _ = await self._own_loop.connect_accepted_socket(_Paused, self._accepted)
+            self._raw.set_write_buffer_limits(high=UNSENT_BYTES)
+            transport: asyncio.Transport | None = self._raw
+            if context is None:
+                self._raw.set_protocol(self)
+            else:
+                transport = await self._own_loop.start_tls(
+                    self._raw,
+                    self,
+                    context,
+                    server_side=True,
+                    ssl_handshake_timeout=UNKNOWN_S,
+                    ssl_shutdown_timeout=CLOSING_S,
+                )
+            if self._has_ended or transport is None or transport.is_closing():
+                self.abort()
+                return
+            transport.set_write_buffer_limits(high=UNSENT_BYTES)
+            self.connection_made(transport)
+            transport.resume_reading()
+        except OSError:  # also ssl.SSLError: no handshake
+            self.abort()
+
+    def data_received(self, data: bytes) -> None:
+        self._reads += 1
+        self._received += len(data)
+        if self._has_session:
+            allowed = self._bytes.take(time.monotonic_ns(), len(data))
+        else:
+            allowed = self._reads <= READS and self._received <= REQUEST_BYTES
+        if allowed:
+            super().data_received(data)
+        else:
+            self.abort()
+
+    def connection_lost(self, exc: BaseException | None) -> None:
+        super().connection_lost(exc)
+        self._end()
+
+    def signed_in(self, *, until_s: float | None) -> None:
+        """Its request has a session; it may take this long (None: as long as it likes)."""
+        self._has_session = True
+        self._deadline.cancel()
+        if until_s is not None:
+            self._deadline = self._own_loop.call_later(until_s, self.abort)
+
+    def abort(self) -> None:
+        """End it at once."""
+        if self._raw is None:
+            self._accepted.close()
+        else:
+            self._raw.abort()
+        self._end()
+
+    def _end(self) -> None:
+        if not self._has_ended:
+            self._has_ended = True
+            self._deadline.cancel()
+            self._ended(self)
 
 
-@dataclass(eq=False)
-class _Visit:
-    """One connection, until it is answered or handed over."""
+class _Paused(asyncio.Protocol):
+    """Reads nothing, until another protocol takes its place."""
 
-    connection: socket.socket
-    address: str
-    layer: Layer
-    protocol: ServerProtocol
-    task: "asyncio.Task[None] | None" = None
-    reads: int = 0
-    received: int = 0
-    handed_over: bool = False
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        cast("asyncio.Transport", transport).pause_reading()
 
 
-@dataclass(eq=False)
 class _Places:
     """The connections that have one, the oldest first."""
 
-    most: int
-    visits: dict[_Visit, None] = field(default_factory=dict)
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._connections: dict[Connection, None] = {}
 
-    def add(self, visit: _Visit) -> None:
+    def add(self, connection: Connection) -> None:
         """Give it a place; if there is none, end the oldest connection of the address that has most."""
-        if len(self.visits) >= self.most:
-            have = Counter(other.address for other in self.visits)
+        if len(self._connections) >= self._most and connection not in self._connections:
+            have = Counter(other.address for other in self._connections)
             largest = max(have.values())
-            self._end(next(other for other in self.visits if have[other.address] == largest))
-        self.visits[visit] = None
+            next(other for other in self._connections if have[other.address] == largest).abort()
+        self._connections[connection] = None
 
     def end_all(self) -> None:
         """End all: a Stop needs what they hold."""
-        for visit in list(self.visits):
-            self._end(visit)
+        for connection in list(self._connections):
+            connection.abort()
 
-    def _end(self, visit: _Visit) -> None:
-        del self.visits[visit]
-        if visit.task is not None:
-            visit.task.cancel()
-
-    def discard(self, visit: _Visit) -> None:
-        self.visits.pop(visit, None)
+    def discard(self, connection: Connection) -> None:
+        self._connections.pop(connection, None)
 
 
 class HttpListener:
-    """Serves on a thread of its own, from `start` on."""
+    """Serves these sockets. On the loop of the pages."""
 
     def __init__(
         self,
         listening: Sequence[socket.socket],
         context: ssl.SSLContext | None,
         auth: Auth,
-        admit: Callable[[Admitted], None],
+        serve_page: Callable[[web.BaseRequest, SignedIn], Awaitable[web.StreamResponse]],
     ) -> None:
-        """`admit` is called on this thread."""
+        """`serve_page` answers a page's WebSocket, and returns once that has ended."""
         self._listening = listening
         self._context = context
         self._auth = auth
-        self._admit = admit
+        self._serve_page = serve_page
+        self._server = web.Server(self._answer)
         self._unknown = _Places(MAX_UNKNOWN)
         self._signed_in = _Places(MAX_SIGNED_IN)
         self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
-
-    def start(self) -> None:
-        """Begin to accept connections, on the new thread."""
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
-        threading.Thread(target=self._run, name="listener", daemon=True).start()
-
-    def _run(self) -> None:
-        while True:
-            try:
-                asyncio.run(self.serve())
-            except Exception:
-                _log.exception("new connections cannot be served; trying again")
+        self._opening: set[asyncio.Task[None]] = set()
 
     async def serve(self) -> None:
         """Accept connections until it is cancelled."""
-        loop = asyncio.get_running_loop()
-        loop.set_exception_handler(report)
-        await asyncio.gather(*(self._serve(loop, each) for each in self._listening))
+        await asyncio.gather(*(self._serve(each) for each in self._listening))
 
-    async def _serve(self, loop: asyncio.AbstractEventLoop, listening: socket.socket) -> None:
+    async def _serve(self, listening: socket.socket) -> None:
         listening.setblocking(False)
+        loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(self._allowance.wait_ns(time.monotonic_ns()) / NS_PER_S)
             try:
-                connection, address = await loop.sock_accept(listening)
-            except OSError as error:
+                accepted, address = await loop.sock_accept(listening)
+                self._allowance.take(time.monotonic_ns())
+                connection = Connection(self._server, accepted, str(address[0]), self._discard)
+                self._unknown.add(connection)
+                opening = loop.create_task(connection.open(self._context))
+                self._opening.add(opening)
+                opening.add_done_callback(self._opening.discard)
+            except Exception as error:  # for want of descriptors or memory
                 _log.warning("a connection could not be accepted: %s; all without a session are ended", error)
                 self._unknown.end_all()
                 await asyncio.sleep(ACCEPT_AGAIN_S)
-                continue
-            self._allowance.take(time.monotonic_ns())
-            self._begin(connection, str(address[0]))
 
-    def _begin(self, connection: socket.socket, address: str) -> None:
-        layer = Layer() if self._context is None else Tls(self._context)
-        protocol = ServerProtocol(subprotocols=[Subprotocol(SUBPROTOCOL)], max_size=MAX_MESSAGE_BYTES, logger=_silent)
-        visit = _Visit(connection, address, layer, protocol)
-        self._unknown.add(visit)
-        visit.task = asyncio.get_running_loop().create_task(self._visit(visit))
-        visit.task.add_done_callback(partial(self._end, visit))
+    def _discard(self, connection: Connection) -> None:
+        self._unknown.discard(connection)
+        self._signed_in.discard(connection)
 
-    def _end(self, visit: _Visit, task: "asyncio.Task[None]") -> None:
-        """Release what it holds, also if it was cancelled before it began."""
-        self._unknown.discard(visit)
-        self._signed_in.discard(visit)
-        if not visit.handed_over:
-            visit.connection.close()
-        if not task.cancelled() and (error := task.exception()) is not None:
-            _log.error("a connection ended by a fault: %r", error)
-
-    async def _visit(self, visit: _Visit) -> None:
+    async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
+        connection = cast("Connection", request.protocol)
         try:
-            async with asyncio.timeout(UNKNOWN_S) as deadline:
-                request = await self._request(visit)
-                if request is not None:
-                    await self._answer(visit, request, deadline)
-        except (OSError, EOFError):
-            pass  # closed, or too slow (TimeoutError is an OSError, and so is ssl.SSLError)
-
-    async def _request(self, visit: _Visit) -> Request | None:
-        """The request; None if it was malformed, and is answered. Raises OSError, EOFError."""
-        loop = asyncio.get_running_loop()
-        while visit.reads < READS and visit.received < REQUEST_BYTES:
-            data = await loop.sock_recv(visit.connection, REQUEST_READ_BYTES)
-            if not data:
-                raise EOFError
-            visit.reads += 1
-            visit.received += len(data)
-            try:
-                received = visit.layer.receive(data)
-            finally:
-                await self._send(visit, visit.layer.to_send())
-            if received:
-                visit.protocol.receive_data(received)
-                for event in visit.protocol.events_received():
-                    if visit.protocol.eof_sent:
-                        raise EOFError  # what follows the request is no frame
-                    if isinstance(event, Request):
-                        return event
-                if await self._send_answer(visit):
-                    return None
-        raise EOFError
-
-    async def _answer(self, visit: _Visit, request: Request, deadline: asyncio.Timeout) -> None:
-        answer = self._auth.answer(request)
-        if isinstance(answer, SignedIn):
-            response = visit.protocol.accept(request)
-            visit.protocol.send_response(response)
-            if response.status_code == 101:
-                visit.handed_over = True
-                self._admit(Admitted(visit.connection, visit.layer, visit.protocol, answer))
-                return
-        else:
-            if answer.is_for_session:
-                self._unknown.discard(visit)
-                self._signed_in.add(visit)
-                deadline.reschedule(asyncio.get_running_loop().time() + SIGNED_IN_S)
-            visit.protocol.send_response(answer.response)
-        await self._send_answer(visit)
-
-    async def _send_answer(self, visit: _Visit) -> bool:
-        """Send what the protocol has to send; returns whether there was something."""
-        parts = visit.protocol.data_to_send()
-        for part in parts:
-            for start in range(0, len(part), ANSWER_PART_BYTES):
-                await self._send(visit, visit.layer.encrypt(part[start : start + ANSWER_PART_BYTES]))
-        if parts:
-            with suppress(OSError):
-                visit.connection.shutdown(socket.SHUT_WR)
-        return bool(parts)
-
-    async def _send(self, visit: _Visit, data: bytes) -> None:
-        if data:
-            await asyncio.get_running_loop().sock_sendall(visit.connection, data)
+            found = self._auth.answer(request.method, request.raw_path, request.headers)
+            if isinstance(found, SignedIn):
+                self._discard(connection)
+                connection.signed_in(until_s=None)
+                try:
+                    return await self._serve_page(request, found)
+                finally:
+                    connection.signed_in(until_s=CLOSING_S)
+        except Exception:
+            _log.exception("a request could not be answered")
+            raise
+        if found.keep_alive is None:
+            self._unknown.discard(connection)
+            self._signed_in.add(connection)
+            connection.signed_in(until_s=SIGNED_IN_S)
+        return found
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
@@ -253,7 +249,10 @@ def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     _log.error("%s: %r", context.get("message"), context.get("exception"))
 
 
-_silent: Final = logging.getLogger("gateway.people.console.websockets")
-"""The library's log of each connection."""
-_silent.setLevel(logging.CRITICAL + 1)
-_silent.propagate = False
+def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
+    """TLS 1.2 or newer, with this certificate and key. Raises OSError, ssl.SSLError."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.options |= ssl.OP_NO_RENEGOTIATION  # in TLS 1.2 a client could demand handshakes without end
+    context.load_cert_chain(certificate, key)
+    return context

@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gateway import durable
 from gateway.errors import ConfigError
 from gateway.people.console.pages.page_messages import Role
+from gateway.people.console.server.site import STATE_DIRECTORY
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
@@ -31,8 +32,6 @@ LINK_S: Final = 600
 MAX_ENTRIES: Final = 256
 """Of sessions, and of links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
-STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
-"""Of the service hexapod-console, also for root's commands."""
 _LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 

@@ -5,6 +5,8 @@ the cookie of a session. So both headers are compared with the console's own add
 """
 
 import ipaddress
+import os
+import shlex
 import socket
 import ssl
 from contextlib import suppress
@@ -19,6 +21,8 @@ from gateway.errors import ConfigError
 from gateway.own_command import this_command
 
 CONSOLE_PORT: Final = 8080
+STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
+"""Of the service hexapod-console, also for root's commands."""
 DEFAULT_ADDRESS: Final = "127.0.0.1"
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """To which browsers resolve `localhost`, whatever the machine's own file states. Links name the first."""
@@ -57,9 +61,9 @@ class Site:
 
     @property
     def link_command(self) -> str:
-        """The command that prints a link for another browser, on the console's machine."""
-        where = "" if self.port == CONSOLE_PORT else f" --listen {with_port(self.address, self.port)}"
-        return f"{this_command()} console --link{where}"
+        """The command that prints a link for another browser, on the console's machine; of the service, as root."""
+        sudo = "sudo " if os.environ.get("STATE_DIRECTORY") == str(STATE_DIRECTORY) else ""
+        return f"{sudo}{this_command()} console --link --listen {shlex.quote(with_port(self.address, self.port))}"
 
     def knows_host(self, host: str | None) -> bool:
         """Whether a Host header names this site."""

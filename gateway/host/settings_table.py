@@ -1,0 +1,261 @@
+"""The table of all settings: section, name, type, limits, default and meaning, each once.
+
+The service and `stop-servos` read files by it (`gateway.host.settings_reader`). The table in docs/interface.md and the
+JSON Schema (docs/settings.schema.json) are made from it (`python -m release.settings`). Imports no pydantic: loading
+that takes longer than all Stops.
+"""
+
+# ruff: noqa: E501, RUF009  (a row for each setting, however long; `_setting` returns a field)
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Final, Literal, NamedTuple
+
+from gateway.model.framing import Framing
+from gateway.model.protocols import SpiProtocol
+from schemas.keys import MAX_SOURCE
+from schemas.robot import SERVO_IDS
+
+SIMULATED: Final = "sim"
+"""The interface of a simulated power board."""
+DEFAULT_LISTEN: Final = ("tcp/127.0.0.1:7447",)
+
+
+class Allowed(NamedTuple):
+    """What a setting may be, besides its type, and what it means."""
+
+    meaning: str
+    limits: tuple[float, float] | None = None
+    """Both ends included."""
+    fault: Callable[[Any], str] = lambda _value: ""
+    """What is wrong with a value of the right type; "": nothing."""
+
+
+def _setting(
+    default: Any,
+    meaning: str = "",
+    limits: tuple[float, float] | None = None,
+    fault: Callable[[Any], str] = lambda _value: "",
+) -> Any:
+    return field(default=default, metadata={"allowed": Allowed(meaning, limits, fault)})
+
+
+def _table(meaning: str, limits: tuple[float, float] | None = None) -> Any:
+    """A setting for each servo that the file names."""
+    return field(default_factory=dict, metadata={"allowed": Allowed(meaning, limits)})
+
+
+def _is_device(example: str) -> Callable[[str], str]:
+    wanted = f"write the path of a device, such as {example}"
+    return lambda path: "" if path.startswith("/") and "\0" not in path else wanted
+
+
+def _host_and_port(value: str) -> str:
+    host, _, port = value.rpartition(":")
+    if not value or (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
+        return ""
+    return 'write a host and a port, such as "127.0.0.1:9464", or "" for none'
+
+
+def _absolute(path: str) -> str:
+    if (not path or path.startswith("/")) and "\0" not in path:
+        return ""
+    return 'write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none'
+
+
+def _beyond_walking(tilt_deg: float) -> str:
+    wanted = "write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never"
+    return wanted if 0 < tilt_deg < 10 else ""
+
+
+def _interface(name: str) -> str:
+    if name == "gs_usb":  # python-can's goes around the kernel by libusb, whose devices the unit denies
+        return 'Linux has a driver for this adapter: write interface = "socketcan", channel = "can0"'
+    plain = len(name) <= 32 and all(each in "abcdefghijklmnopqrstuvwxyz0123456789_-" for each in name)
+    return "" if plain else 'write a name of python-can, such as "socketcan", or "" for none'
+
+
+def _each_once(servos: tuple[int, ...]) -> str:
+    wanted = "write all 18 servos, each once, in the order of the board's outputs, or [] for 11 to 63"
+    return wanted if servos and sorted(servos) != sorted(SERVO_IDS) else ""
+
+
+def _names(names: tuple[str, ...]) -> str:
+    wanted = f"write at most 64 names, each of 1 to {MAX_SOURCE} characters"
+    return "" if len(names) <= 64 and all(0 < len(name) <= MAX_SOURCE for name in names) else wanted
+
+
+class Section:
+    """One table of the file."""
+
+    def fault(self) -> str:
+        """What is wrong with values that are right one by one; "": nothing."""
+        return ""
+
+
+# fmt: off
+@dataclass(frozen=True)
+class ZenohSettings(Section):
+    """The gateway's Zenoh endpoints."""
+
+    listen: tuple[str, ...] = _setting(DEFAULT_LISTEN, "endpoints on which clients reach the gateway")
+    config: str = _setting("", "a Zenoh JSON5 file, the base for everything else: TLS, access control, namespace, and what the gateway dials (`connect.endpoints`)")
+    allow_insecure: bool = _setting(False, "listen beyond loopback without certificates or passwords")
+
+
+@dataclass(frozen=True)
+class SpiSettings(Section):
+    """The device. The clock was measured to be clean at 2.5 MHz; the controller takes at most 20 MHz."""
+
+    protocol: SpiProtocol = _setting(SpiProtocol.HEXAPOD_1_0, "what the controller speaks ([protocol.md](protocol.md)); with `elkapod-2025`, `spi.framing`, `spi.frame_gap_us` and `limits.start_stagger_ms` are not used")
+    device: str = _setting("/dev/spidev0.0", fault=_is_device("/dev/spidev0.0"))
+    # 0: the protocol's.
+    speed_hz: int = _setting(0, "with `length-prefixed` 5000000 at most: the published firmware loses bytes of a faster clock", (1, 20_000_000))
+    # The default is for --sim only: a real device needs it to be set.
+    framing: Framing = _setting(Framing.PLAIN, "which framing the controller needs; must be set for a real device")
+    # The published firmware needed 6 (measured), or 20 if its loop takes twice the estimate. At most 1 ms: the gateway
+    # waits for the pause, six times for six legs.
+    frame_gap_us: float = _setting(50.0, "least pause behind a transfer; 100 at least behind a preamble's zero. Linux makes it while chip select is asserted, and then releases chip select for 10 µs, whatever is set here. With `length-prefixed` 20 at least: in shorter pauses the published firmware loses frames, Stops too", (0, 1000))
+
+    def __post_init__(self) -> None:
+        if not self.speed_hz:
+            object.__setattr__(self, "speed_hz", self.protocol.speed_hz)
+
+    @property
+    def spoken(self) -> str:
+        """What the controller has to understand, in a word."""
+        return self.framing if self.protocol is SpiProtocol.HEXAPOD_1_0 else self.protocol
+
+    @property
+    def avoid_cdeg(self) -> tuple[int, int] | None:
+        """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
+        return None if self.protocol.measures else self.framing.avoid_cdeg
+
+    def fault(self) -> str:
+        framed = self.protocol is SpiProtocol.HEXAPOD_1_0
+        return self.framing.too_fast(self.speed_hz, self.frame_gap_us) if framed else ""
+
+    def within_limits(self) -> tuple["SpiSettings", str]:
+        """Return these with the clock and the pause that the framing allows, and a sentence if that changed them.
+
+        The service rejects what this changes. The last means of stopping must not fail for it, nor lose Stops by it.
+        """
+        fault, framing = self.fault(), self.framing
+        if not fault:
+            return self, ""
+        speed_hz, gap_us = min(self.speed_hz, framing.most_hz), max(self.frame_gap_us, framing.least_gap_us)
+        changed = f"spi: {fault}; stop-servos uses {speed_hz} Hz and {gap_us:g} µs"
+        return replace(self, speed_hz=speed_hz, frame_gap_us=gap_us), changed
+
+
+@dataclass(frozen=True)
+class ControllerSettings(Section):
+    """The controller's own line; with elkapod-2025 only."""
+
+    uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_is_device("/dev/ttyAMA1"))
+    # At least five cycles: one answer may be lost, and one late.
+    silent_ms: float = _setting(300.0, "with `elkapod-2025`: no heartbeat or no well-formed answer for so long is a fault, as a lost bus is (Behaviour 16)", (100, 2000))
+
+
+@dataclass(frozen=True)
+class ServoLimits(Section):
+    """Range of one servo, in degrees, both ends included, and its speed; 0: unlimited."""
+
+    min_deg: float = _setting(0.0, "of servo N, such as `[limits.servos.11]`", (0, 180))
+    max_deg: float = _setting(180.0, "", (0, 180))
+    # The slowest is 0.01°/s, the resolution of frames.
+    max_speed_deg_s: float = _setting(0.0, "a Set that is farther away is approached at this speed; 0: at once", (0, 1000))
+
+    def fault(self) -> str:
+        if self.min_deg <= self.max_deg:
+            return ""
+        return f"min_deg is {self.min_deg:g} and max_deg {self.max_deg:g}; min_deg must not be larger"
+
+
+@dataclass(frozen=True)
+class LimitSettings(Section):
+    """Limits for commands of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
+
+    leg_rate_hz: float = _setting(50.0, "frames a second and leg", (1, 1000))
+    max_age_ms: float = _setting(500.0, "commands that were delayed for longer are rejected (needs `sent_ms`); 0: off", (0, 60_000))
+    start_stagger_ms: float = _setting(0.0, "least pause between energising two legs; 0: off", (0, 2000))
+    servos: Mapping[str, ServoLimits] = _table("")
+
+
+@dataclass(frozen=True)
+class WatchdogSettings(Section):
+    """Silence stops a leg. It cannot be switched off."""
+
+    timeout_ms: float = _setting(250.0, "cannot be switched off", (20, 10_000))
+    scope: Literal["leg", "robot"] = _setting("leg", "what one silent leg stops")
+    landing_ms: float = _setting(0.0, "how long a silent robot takes to its landing pose before it is stopped; 0: a silent leg is stopped at once", (0, 5000))
+    landing: Mapping[str, float] = _table("the landing pose, as in `[watchdog.landing]` with `11 = 90.0`; a servo that is not named holds its angle", (0, 180))
+
+
+@dataclass(frozen=True)
+class LeaseSettings(Section):
+    """Whether driving requires the lease, and how long that lasts unrenewed."""
+
+    required: bool = _setting(False, "`true`: starts and sets are rejected while nobody holds the lease")
+    # Clients renew at a third of it; below 200 a hiccup of a wireless network would end it.
+    ttl_ms: float = _setting(1000.0, "how long a lease lasts without renewal or accepted command", (200, 10_000))
+
+
+@dataclass(frozen=True)
+class ButtonSettings(Section):
+    """How many stop buttons must be alive for the robot to move, and for how long a check-in counts."""
+
+    # More than eight people watch no robot of this size.
+    required: int = _setting(0, "how many buttons must be alive for anything to move; 0: none", (0, 8))
+    # A browser runs a background page once a second, which by this default means a stop (docs/buttons.md).
+    timeout_ms: float = _setting(1000.0, "how long a button is alive after a check-in", (200, 10_000))
+    names: tuple[str, ...] = _setting((), 'up to 64 people or roles (`"button"`, `"operator"`) whose buttons count; `[]`: any. Without certificates: names, up to the first `/`', fault=_names)
+
+
+@dataclass(frozen=True)
+class StateSettings(Section):
+    """The folder of what outlasts the gateway; "": systemd's state directory, without which nothing outlasts it."""
+
+    path: str = _setting("", "the folder of what outlasts the gateway: an engaged emergency stop (`estop.json`), the calibration (`calibration.toml`), revocations, the black box. It must exist. `\"\"`: systemd's `STATE_DIRECTORY`; without that nothing outlasts the process, and the black box is off", fault=_absolute)
+
+
+@dataclass(frozen=True)
+class TelemetrySettings(Section):
+    """Whether frames are published, and the metrics page."""
+
+    frames: bool = _setting(False, "publish `hexapod/frame`")
+    metrics: str = _setting("", '`"127.0.0.1:9464"`: Prometheus [metrics](metrics.md) over HTTP; `""`: none', fault=_host_and_port)
+
+
+@dataclass(frozen=True)
+class SafetySettings(Section):
+    """Rules that need what the robot measures; 0: never."""
+
+    min_battery_v: float = _setting(0.0, "starts are rejected below this voltage of the battery (Behaviour 17); 0: never", (0, 100))
+    max_tilt_deg: float = _setting(0.0, "beyond this tilt (10 at least) for 200 ms all six legs stop, or land; 0: never", (0, 90), _beyond_walking)
+
+
+@dataclass(frozen=True)
+class PowerSettings(Section):
+    """The board on CAN that switches each servo's supply; none by default."""
+
+    interface: str = _setting("", 'the board that feeds the servos (Behaviour 18): `"sim"`, a simulated one, or an interface of python-can, such as `"socketcan"` (also for adapters with the driver gs_usb), `"slcan"`; `""`: none', fault=_interface)
+    channel: str = _setting("can0", 'the interface\'s channel, such as `"can0"`, `"/dev/ttyACM0"`')
+    servos: tuple[int, ...] = _setting((), "the servo on each of the board's outputs 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` shows for the servo that it moves whether that is right", fault=_each_once)
+    # It answers within 55 ms; where a mask meets its counter one pass behind an answer, within 394 ms.
+    confirm_ms: float = _setting(450.0, "a confirmation that is not there by then is reported; a healthy board takes up to 394 ms (512 ms at its slowest)", (60, 2000))
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """The servo on each of the board's outputs, in their order."""
+        return self.servos or SERVO_IDS
+
+
+FOR_STOPS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "spi": ("framing", "protocol", "device", "speed_hz", "frame_gap_us"),
+        "controller": ("uart",),
+        "power": ("interface", "channel"),
+    }
+)
+"""What a Stop needs of the settings: nothing else of a file may prevent one."""

@@ -1,0 +1,122 @@
+"""`python -m release.settings_page [--check]`: write what is made from the table of settings, or list what is out of
+date: the table in docs/interface.md, and the JSON Schema of gateway.toml (docs/settings.schema.json, for editors)."""
+
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple, get_args, get_origin
+
+from gateway.host.settings_reader import words
+from gateway.host.settings_table import Allowed, SpiSettings
+from gateway.model.protocols import SpiProtocol
+from gateway.robot.settings import Settings
+from schemas.robot import SERVO_IDS
+
+ROOT: Final = Path(__file__).parents[1]
+PAGE, SCHEMA = ROOT / "docs/interface.md", ROOT / "docs/settings.schema.json"
+_HEAD: Final = "| setting | default | range | meaning |\n|---|---|---|---|\n"
+
+
+class Setting(NamedTuple):
+    """One setting, as the table has it."""
+
+    kind: Any
+    default: Any
+    """MISSING: none, of a servo that the file names."""
+    allowed: Allowed
+
+
+def settings(section: Any = Settings, prefix: str = "") -> dict[str, Setting]:
+    """Every setting by its dotted name; N is a servo."""
+    found: dict[str, Setting] = {}
+    for each in fields(section):
+        name = f"{prefix}{each.name}"
+        inner = get_args(each.type)[1] if get_origin(each.type) is Mapping else each.type
+        if is_dataclass(inner):
+            found |= settings(inner, f"{name}.N." if inner is not each.type else f"{name}.")
+        else:
+            found[name if inner is each.type else f"{name}.N"] = Setting(inner, each.default, each.metadata["allowed"])
+    return found
+
+
+def limits(setting: Setting) -> str:
+    """Its range as the table writes it: `0 to 1000`, or its words."""
+    if setting.allowed.limits is not None:
+        return " to ".join(map(str, setting.allowed.limits))
+    return ", ".join(f"`{word}`" for word in words(setting.kind))
+
+
+def table() -> str:
+    """The table of docs/interface.md."""
+    rows = []
+    for name, setting in settings().items():
+        default = "none" if setting.default is MISSING else f"`{json.dumps(setting.default)}`"
+        if name == "spi.speed_hz":
+            default = "; ".join(f"`{SpiSettings(protocol=each).speed_hz}` with `{each}`" for each in SpiProtocol)
+        if name == "spi.framing":  # the one that has to be said for a real device
+            default = f"none; {default} with `--sim`"
+        cells = (f"`{name}`", default, limits(setting), setting.allowed.meaning)
+        rows.append("|" + "".join(f" {cell} |" if cell else " |" for cell in cells) + "\n")
+    return _HEAD + "".join(rows)
+
+
+_TYPES: Final = {bool: "boolean", int: "integer", float: "number", str: "string"}
+
+
+def schema() -> dict[str, Any]:
+    """The JSON Schema of gateway.toml."""
+    servo = "^(?:" + "|".join(map(str, SERVO_IDS)) + ")$"
+    whole: dict[str, Any] = _object("hexapod-gateway: gateway.toml")
+    for name, setting in settings().items():
+        at = whole
+        *path, last = name.split(".")
+        for part in path:
+            if part == "N":
+                at = at.setdefault("patternProperties", {}).setdefault(servo, _object())
+            else:
+                at = at["properties"].setdefault(part, _object())
+        where = at.setdefault("patternProperties", {}) if last == "N" else at["properties"]
+        where[servo if last == "N" else last] = _value(setting)
+    return whole
+
+
+def _object(title: str = "") -> dict[str, Any]:
+    return ({"title": title} if title else {}) | {"type": "object", "properties": {}, "additionalProperties": False}
+
+
+def _value(setting: Setting) -> dict[str, Any]:
+    kind, items = setting.kind, {}
+    if get_origin(kind) is tuple:
+        found: dict[str, Any] = {"type": "array", "items": {"type": _TYPES[get_args(kind)[0]]}}
+    elif choice := words(kind):
+        found = {"enum": list(choice)}
+    else:
+        found = {"type": _TYPES[kind]}
+    if setting.allowed.limits is not None:
+        items = dict(zip(("minimum", "maximum"), setting.allowed.limits, strict=True))
+    low = setting.allowed.limits[0] if setting.allowed.limits else None
+    if setting.default is not MISSING and (low is None or setting.default >= low):
+        items |= {"default": setting.default}
+    return found | items | ({"description": setting.allowed.meaning} if setting.allowed.meaning else {})
+
+
+def main(arguments: list[str]) -> int:
+    """Write the two; with `--check` only compare, and return 1 if one differs."""
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(_HEAD)
+    wanted = {
+        PAGE: f"{before}{table()}{rest[rest.index(chr(10) + chr(10)) + 1 :]}",
+        SCHEMA: json.dumps(schema(), indent=2, ensure_ascii=False) + "\n",
+    }
+    stale = [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    for path in stale:
+        if arguments == ["--check"]:
+            sys.stderr.write(f"{path.relative_to(ROOT)} is out of date; run `python -m release.settings_page`\n")
+        else:
+            path.write_text(wanted[path], encoding="utf-8")
+    return int(bool(stale) and arguments == ["--check"])
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
