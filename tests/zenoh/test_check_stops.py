@@ -49,7 +49,6 @@ def test_it_passes_on_a_robot_that_works(tmp_path: Path) -> None:
     (silence,) = (each for each in found["steps"] if each["step"] == "silence")
     assert silence["figures"]["landing_ms"] == 300
     assert abs(silence["figures"]["later_us"]) < LATE_MS * 1000
-    assert "must land the robot, then stop it" in done.stderr
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

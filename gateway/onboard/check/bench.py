@@ -18,7 +18,7 @@ from schemas import keys
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
 
 _POLL_S: Final = 0.01
-SETPOINT_S: Final = 0.02
+_SETPOINT_S: Final = 0.02
 STREAM_S: Final = 0.3  # for this long setpoints stream before the step acts
 _QUIET_S: Final = 0.15  # after this time all pending frames are sent: a leg's rate slot comes every 20 ms
 
@@ -119,7 +119,7 @@ class Bench(Commands):
 
         def stream() -> None:
             with suppress(GatewayError):
-                while not ended.wait(SETPOINT_S):
+                while not ended.wait(_SETPOINT_S):
                     self.client.publish(self.motion.key, self.motion.payload("set", self.motion.start_deg))
 
         thread = threading.Thread(target=stream, name="stream")

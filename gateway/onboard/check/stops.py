@@ -13,17 +13,7 @@ from typing import Final, NamedTuple
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
 from gateway.model.telemetry import starts_whole
-from gateway.onboard.check.bench import (
-    SETPOINT_S,
-    STREAM_S,
-    Bench,
-    FailedError,
-    Figures,
-    Skipped,
-    StopsOptions,
-    demand,
-    ms_since,
-)
+from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Skipped, StopsOptions, demand, ms_since
 from gateway.onboard.check.table import BAD, GOOD, NOTE, SERVICE, conclude, show, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
@@ -32,7 +22,7 @@ from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, PowerReport, Reason
 
-_START_DEG: Final = 90.0
+_START_DEG, _AGAIN_S = 90.0, 0.02
 _LEASE_S: Final = 1.0  # any time: a step holds the lease until it ends
 EVIDENCE_S: Final = 5.0
 _ANSWER_MS: Final = 100.0  # the answer to an emergency stop, beyond that to any other question
@@ -66,11 +56,9 @@ def stops(connect: Connection, options: StopsOptions) -> int:
         with bench.receives():  # no motion yet: without the right to command it ends here
             if not bench.frames_published:
                 hint("The gateway publishes no frames (telemetry.frames), so what is measured comes from its state.")
-            end = "land the robot, then stop it" if state.watchdog.landing_ms else "stop it"
-            texts = {"servos": motion.which, "start": motion.start_deg, "end": motion.end_deg, "end_of_silence": end}
             with _ended_stopped(bench):
                 for number, step in enumerate(steps, 1):
-                    hint(f"{number}/{len(steps)} {step.name}: {step.does.format_map(texts)} …")
+                    hint(f"{number}/{len(steps)} {step.name}: {step.does} …")
                     outcomes.append(_do(bench, step))
     failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
     passed = len(outcomes) == len(steps) and not failed
@@ -141,7 +129,7 @@ def command(bench: Bench) -> Figures:
         arrived = servo.angle_deg == motion.end_deg
         on_the_way = servo.target_deg == motion.end_deg and ms_since(begun_s) < _PROGRAM_S * 1000
         demand(arrived or on_the_way, f"set to {motion.end_deg:g}°, and the state has {servo.angle_deg}")
-        time.sleep(0 if arrived else SETPOINT_S)
+        time.sleep(0 if arrived else _AGAIN_S)
     bench.demand(bench.client.stop(), "a Stop")
     if bench.frames_published:
         stopped = bench.wait(lambda: bench.caused(Cause.COMMAND, mark, moves=False), EVIDENCE_S)
@@ -398,16 +386,16 @@ class CheckStep(NamedTuple):
 
 # fmt: off
 STEPS: Final = (
-    CheckStep("command", "starts {servos} at {start:g}°, sets {end:g}°, and stops again", command),
-    CheckStep("silence", "starts {servos} and falls silent: the watchdog must {end_of_silence}", silence),
+    CheckStep("command", "starts the servo, moves it by 5°, and stops it", command),
+    CheckStep("silence", "falls silent after a start: the watchdog must stop the servo", silence),
     CheckStep("estop", "engages the emergency stop while setpoints stream: six Stops, nothing after, a reset", estop),
     CheckStep("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
     CheckStep("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
     CheckStep("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
     CheckStep("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
               "confirm it", spi_unplugged),
-    CheckStep("can-unplugged", "the power board is unplugged while {servos} runs: must be reported, and stopped over "
-              "SPI", can_unplugged),
+    CheckStep("can-unplugged", "the power board is unplugged while the servo runs: must be reported, and stopped "
+              "over SPI", can_unplugged),
 )
 # fmt: on
 """In their order. Each leaves all legs stopped, or `check --stops` does."""
