@@ -183,24 +183,6 @@ class SimulatedElkapod(DuplexDevice):
             self._advance(self._clock())
             return self._servos
 
-    @property
-    def energised(self) -> frozenset[int]:
-        """The ids of the servos that are driven now: all or none."""
-        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
-
-    def power_cycle(self, *, off_ns: int = 0, first_answer: bytes = GARBAGE) -> None:
-        """Somebody switches it off, and on after `off_ns`: servos slack, and all angles forgotten.
-
-        Meanwhile it hears nothing, sends no heartbeat, and MISO is low.
-        """
-        with self._lock:
-            now_ns = self._clock()
-            self._advance(now_ns)
-            self._servos.power_cycle()
-            self._on_ns = self._beat_ns = now_ns + off_ns
-            self._answer, self._received = first_answer, b""
-            self._say("it was switched off and on")
-
     # ---- the firmware
 
     def _take(self, angles_deg: tuple[float, ...]) -> None:

@@ -50,12 +50,6 @@ class SimulatedServos(dict[int, ServoState]):
         servo.energised = False
         self._show(servo_id, servo)
 
-    def power_cycle(self) -> None:
-        """All are off, and what they were sent to is forgotten."""
-        for servo_id, servo in self.items():
-            servo.target_deg = servo.pulse_us = None
-            self.stop(servo_id)
-
     def move(self, now_ns: int) -> None:
         """Where their horns are by now, without load."""
         reach_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9

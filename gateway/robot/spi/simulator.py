@@ -113,25 +113,6 @@ class SimulatedController(ByteDevice):
         self._servos.move(now_ns)
         return self._servos
 
-    @property
-    def energised(self) -> frozenset[int]:
-        """The ids of the servos whose PWM output is on now."""
-        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
-
-    @property
-    def missing(self) -> int:
-        """Bytes of a body that it still awaits; 0 if it awaits a length."""
-        self._expire_receive(self._clock())
-        return self._body_len - len(self._body)
-
-    def reset(self) -> None:
-        """Somebody presses its reset button: it awaits a length, and all servos are off."""
-        self.dead = None
-        self._body.clear()
-        self._body_len = 0
-        self._servos.move(self._clock())
-        self._servos.power_cycle()
-
     # ---- the firmware
 
     def _receive(self, data: bytes, now_ns: int) -> None:
