@@ -9,6 +9,7 @@ import fcntl
 import grp
 import importlib.metadata
 import os
+import platform
 import re
 import resource
 import shlex
@@ -55,15 +56,6 @@ _ASK_POWER_SAVE, _DISABLED_BYTE = 0x8B2D, 21  # SIOCGIWPOWER; a struct iwreq beg
 # ---- the machine
 
 
-def _python(_: CheckedRobot) -> Seen:
-    zenoh = importlib.metadata.version("eclipse-zenoh")
-    return Seen(version=".".join(map(str, sys.version_info[:3])), zenoh=zenoh, python=sys.executable)
-
-
-def _user(robot: CheckedRobot) -> Seen | None:
-    return robot.service and Seen(own=os.geteuid() == robot.service[0], root=not os.geteuid())
-
-
 def _clock(_: CheckedRobot) -> Seen | None:
     with suppress(AttributeError, OSError):  # not Linux: a laptop
         return Seen(adjtimex=int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))))
@@ -85,11 +77,6 @@ def _realtime(robot: CheckedRobot) -> Seen:
     return seen
 
 
-def _governor(robot: CheckedRobot) -> Seen:
-    folder = robot.root / "sys/devices/system/cpu/cpu0/cpufreq"
-    return Seen(governor=text(folder / "scaling_governor"), driver=text(folder / "scaling_driver"))
-
-
 def _voltage(robot: CheckedRobot) -> Iterator[Seen]:
     for name in (robot.root / "sys/class/hwmon").glob("hwmon*/name"):
         if text(name) == "rpi_volt":
@@ -105,12 +92,6 @@ def _wifi(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 # ---- release and unit
-
-
-def _package(robot: CheckedRobot) -> Iterator[Seen | None]:
-    """A reading for each kind of fault of the package's files."""
-    for kind, found in robot.files._asdict().items():
-        yield names(found, "/", kind=kind, again=whole.how_to_repeat(robot.package))
 
 
 def names(found: Sequence[str], folder: Path | str, **more: object) -> Seen | None:
@@ -260,8 +241,10 @@ _NOT_KEPT: Final = "no calibration, emergency stop or list is kept"
 _LATE: Final = "on a busy machine a Stop may be late"
 _NM: Final = "/etc/NetworkManager/conf.d/hexapod-wifi.conf"
 # fmt: off
-PYTHON: Final = Probe("Python", _python, (), "{version} with eclipse-zenoh {zenoh}, {python}")
-USER: Final = Probe("user", _user, (
+_ZENOH: Final = importlib.metadata.version("eclipse-zenoh")
+PYTHON: Final = Probe("Python", lambda _: Seen(), (), f"{platform.python_version()} with eclipse-zenoh {_ZENOH}, "
+                      f"{sys.executable}")
+USER: Final = Probe("user", lambda r: r.service and Seen(own=os.geteuid() == r.service[0], root=not os.geteuid()), (
     warning(lambda r: r.root and not r.own, f"all this is what root may do; the service is {SERVICE}",
             f"outside of this container, or with its rights SETUID and SETGID: root may not become {SERVICE} here"),
     warning(lambda r: not r.own, f"all this is what you may do; the service is {SERVICE}",
@@ -272,9 +255,10 @@ CLOCK: Final = Probe("clock", _clock, (
             "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"),
 ), "is synchronised")
 MACHINE: Final = (
-    Probe("processor", _governor, (
+    Probe("processor", lambda r: Seen(cpu=r.root / "sys/devices/system/cpu/cpu0/cpufreq"), (
         # Drivers that choose the clock in hardware give this name to a governor that does raise it.
-        warning(lambda r: r.governor == "powersave" and not r.driver.endswith("pstate"),
+        warning(lambda r: text(r.cpu / "scaling_governor") == "powersave"
+                and not text(r.cpu / "scaling_driver").endswith("pstate"),
                 f"its governor is powersave, which keeps it at its lowest clock: {_LATE}",
                 "echo 'w /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance' | "
                 "sudo tee /etc/tmpfiles.d/hexapod-governor.conf && sudo systemd-tmpfiles --create "
@@ -314,9 +298,11 @@ UNIT: Final = Probe("systemd unit", _unit, (
     warning(lambda r: r.active != "active", "is enabled, but {active}", f"sudo systemctl start {SERVICE}"),
 ), "is enabled and active")
 PROBES: Final = (
-    Probe("package", _package, (
+    Probe("package", lambda r: (names(each, "/", kind=kind, again=whole.how_to_repeat(r.package))
+                                for kind, each in r.files._asdict().items()), (
         failure(lambda r: r.kind == "changed",
-                "not as installed: {some}. The service, or its Stops after a crash, may fail", "{again}"),
+                "not as installed: {some}. The service, or its Stops after a crash, may fail",
+                "{again}"),
         warning(lambda r: r.kind == "added", "in the release, and not installed with it: {some}. Python may load it",
                 "sudo rm {all}"),
         failure(lambda r: r.kind == "closed", "not for all to read, or not for root alone to write: {some}",

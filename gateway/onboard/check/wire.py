@@ -129,11 +129,6 @@ def _carrier(robot: CheckedRobot) -> Seen:
     return Seen(found=found, when=f"of {built}" if built else when, loses=machine.on_rp1(device, root) and old)
 
 
-def _neighbours(robot: CheckedRobot) -> Seen:
-    found = machine.neighbours(robot.settings.spi.device, robot.root)
-    return Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in found))
-
-
 def _speed(robot: CheckedRobot) -> Seen:
     """The clock that the kernel gives where nobody has set one, as device tree and controller allow; else what is set.
 
@@ -320,7 +315,8 @@ BUS: Final = (
                 "transfers that only send; the controller then takes in nothing until it is reset",
                 "update the kernel (sudo apt full-upgrade) and reboot"),
     ), "{found}"),
-    Probe("SPI bus", _neighbours, (
+    Probe("SPI bus", lambda r: Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in machine.neighbours(
+        r.settings.spi.device, r.root))), (
         # A neighbour's transfer of 2 ms is what docs/safety.md allows.
         warning(lambda r: r.others, "on it, too: {others}: an emergency stop waits for two to four of its transfers",
                 "move it to another bus, or see that none of its transfers takes more than 2 ms"),
