@@ -72,8 +72,7 @@ class CheckedRobot:
     root: Path = ROOT_DIR
     shown: Callable[..., dict[str, str]] = shown
     gateway_runs: bool = False
-    """Whether a gateway holds the SPI device, and (`locked`) another program. The device's probe finds it out."""
-    locked: bool = False
+    """Whether a gateway holds the SPI device. The device's probe finds it out."""
 
     def path(self, absolute: str | Path) -> Path:
         """A path of the machine."""

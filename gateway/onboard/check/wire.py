@@ -111,7 +111,7 @@ def _device(robot: CheckedRobot) -> Seen:
             held = isinstance(error.__cause__, BlockingIOError)
             seen.error = "" if held else str(error)
     robot.gateway_runs = held and outside.is_gateways(spi.device)
-    seen.locked = robot.locked = held and not robot.gateway_runs
+    seen.locked = held and not robot.gateway_runs
     seen.opens = f"opens, as {seen.user}" + (f"; {ioctls.USED}" if ioctls.are_used() else "")
     if robot.gateway_runs:
         seen.opens = "is held by a running gateway; a second one would be rejected"
@@ -130,15 +130,11 @@ def _carrier(robot: CheckedRobot) -> Seen:
 
 
 def _speed(robot: CheckedRobot) -> Seen:
-    """The clock that the kernel gives where nobody has set one, as device tree and controller allow; else what is set.
-
-    A program that has locked the device has its own clock there.
-    """
+    """The clock that the kernel gives where nobody has set one, as device tree and controller allow."""
     with suppress(OSError):
         fd = os.open(robot.settings.spi.device, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
-            hz = int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder)
-            return speed(robot, None if robot.locked else hz or None)
+            return speed(robot, int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None)
         finally:
             os.close(fd)
     return speed(robot, None)
