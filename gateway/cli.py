@@ -276,6 +276,12 @@ def console(
     geometry: OtherShapeOption = None,
     adapt: AdaptOption = False,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in this machine's browser.")] = False,
+    phone: Annotated[
+        bool,
+        typer.Option(
+            "--phone", help="For a phone in this network: with a certificate, made if there is none, and a QR code."
+        ),
+    ] = False,
     link: Annotated[
         bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")
     ] = False,
@@ -294,7 +300,7 @@ def console(
 
     if sign_out or link:
         sys.exit(command.sign_out() if sign_out else command.link(listen))
-    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, adapt, open_browser)
+    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, adapt, open_browser, phone)
     command.console(options)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args, get_origin
 
 from gateway.host.settings_reader import words
-from gateway.host.settings_table import Allowed, SpiSettings
+from gateway.host.settings_table import START_STAGGER_MS, Allowed, SpiSettings
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.settings import Settings
 from schemas.robot import SERVO_IDS
@@ -55,6 +55,8 @@ def table() -> str:
         default = "none" if setting.default is MISSING else f"`{json.dumps(setting.default)}`"
         if name == "spi.speed_hz":
             default = "; ".join(f"`{SpiSettings(protocol=each).speed_hz}` with `{each}`" for each in SpiProtocol)
+        if name == "limits.start_stagger_ms":
+            default = f"`{START_STAGGER_MS}`; `0.0` with a power board or `{SpiProtocol.ELKAPOD_2025}`"
         if name == "spi.framing":  # the one that has to be said for a real device
             default = f"none; {default} with `--sim`"
         cells = (f"`{name}`", default, limits(setting), setting.allowed.meaning)

@@ -98,6 +98,11 @@ class PowerBoardAt(NamedTuple):
     """Shared memory in which it reads where the servos are sent, and writes which are fed."""
 
 
+def _speed_cdeg_s(deg_s: float) -> int:
+    """A speed in hundredths of a degree a second; only 0 is 0, since that means no limit."""
+    return max(1, centidegrees(deg_s)) if deg_s else 0
+
+
 def rules(settings: Settings) -> Rules:
     """The supervisor's rules: the settings in ns and hundredths of a degree."""
     return Rules(
@@ -113,10 +118,11 @@ def rules(settings: Settings) -> Rules:
         },
         avoid_cdeg=settings.spi.avoid_cdeg,
         max_speed_cdeg_s={
-            int(servo): max(1, centidegrees(limits.max_speed_deg_s))
+            int(servo): _speed_cdeg_s(limits.max_speed_deg_s)
             for servo, limits in settings.limits.servos.items()
             if limits.max_speed_deg_s
         },
+        takeover_cdeg_s=_speed_cdeg_s(settings.limits.takeover_deg_s),
         landing_ns=round(settings.watchdog.landing_ms * NS_PER_MS),
         landing_cdeg={int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()},
         lease_required=settings.lease.required,

@@ -7,7 +7,7 @@ A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVI
 import json
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self, get_origin
@@ -28,6 +28,7 @@ from gateway.host.settings_reader import (
 )
 from gateway.host.settings_table import (
     FOR_STOPS,
+    START_STAGGER_MS,
     ButtonSettings,
     ControllerSettings,
     LeaseSettings,
@@ -70,6 +71,12 @@ class Settings:
     def starts_whole(self) -> bool:
         """Whether only the whole robot can be started and stopped: with a power board, each servo can."""
         return self.spi.protocol.starts_whole and not self.power.interface
+
+    def __post_init__(self) -> None:
+        if self.limits.start_stagger_ms < 0:  # it is not set
+            at_once = self.starts_whole or self.power.interface
+            limits = replace(self.limits, start_stagger_ms=0.0 if at_once else START_STAGGER_MS)
+            object.__setattr__(self, "limits", limits)
 
     @classmethod
     def of(cls, tables: Mapping[str, Any]) -> Self:

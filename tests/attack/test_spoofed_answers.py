@@ -1,6 +1,5 @@
 """Without access control: programs that answer besides the gateway, with nonsense or to be believed."""
 
-import json
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -15,6 +14,7 @@ from schemas import keys
 from schemas.telemetry import Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, dialling, free_port
+from tests.support.router import zenoh_listening
 
 FALSE = '{"accepted": true, "stop_frames": 6, "latency_us": 1}'
 NONSENSE = ["{}", "nonsense", '{"accepted": true}', '{"accepted": true, "stop_frames": 6}', "[]", ""]
@@ -67,7 +67,7 @@ def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, t
     router = f"tcp/127.0.0.1:{free_port()}"
     settings = {"zenoh": {"config": dialling(tmp_path, router, mode="client")}}
     with (
-        listening(router, "router"),
+        zenoh_listening(router),
         Gateway(tmp_path, settings),
         answering(router, text, keys.ESTOP),
         Client(router, timeout_s=20) as client,
@@ -77,14 +77,3 @@ def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, t
             assert client.estop().stop_frames == 6
         assert len(client.answerers(keys.ESTOP, wait_s=10)) == 2
         assert client.state().mode is Mode.ESTOPPED
-
-
-@contextmanager
-def listening(endpoint: str, mode: str = "peer") -> Iterator[zenoh.Session]:
-    """A program that can be dialled, and is no gateway."""
-    config = zenoh.Config()
-    config.insert_json5("mode", json.dumps(mode))
-    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(config) as session:
-        yield session

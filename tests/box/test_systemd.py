@@ -1,24 +1,20 @@
 """The service unit under a real systemd: it starts, is watched, is stopped from outside after every end, gives up."""
 
 import json
-import re
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from gateway.model.frames import ONE_LEG_LEN, Op, decode, stop_leg
-from gateway.model.framing import Framing
 from gateway.people.recorder.incidents import kind_of
 from gateway.people.recorder.story import story
 from schemas import keys
-from tests.box.box import Box, Unit
-from tests.box.installed import CONFIGURATION, DROP_IN, NAME, REPOSITORY, STOPS, InstalledGateway
+from tests.box.box import Unit
+from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
 from tests.hil.bed import SYSTEM_PYTHON, Transfer
-from tests.hil.wire import Replay
 from tests.support.child import Child
 from tests.support.mcap_file import checked, read
 
@@ -156,36 +152,6 @@ def has_started_hex(frame: str) -> bool:
     return any(command.op is Op.START for _, command in decode(bytes.fromhex(frame)).servos)
 
 
-BUSY = "for each in $(seq 40); do timeout 90 sh -c 'while :; do :; done' >/dev/null 2>&1 & echo $!; done"
-
-
-@contextmanager
-def busy(box: Box) -> Iterator[None]:
-    """Twenty busy programs for each of two processors; should the test be killed, they end by themselves."""
-    programs = box.run("sh", "-c", BUSY).stdout.split()
-    try:
-        yield
-    finally:
-        box.run("kill", *programs)
-
-
-def test_killed_on_a_loaded_machine(robot: InstalledGateway) -> None:
-    """Its Stops come after a death, and systemd does not end what writes them."""
-    robot.unit.systemctl("start")
-    process = robot.unit.property("MainPID")
-    client, opening = start_moving(robot)
-    with robot.journal() as journal:
-        with busy(robot.box):
-            killed_ns = time.monotonic_ns()
-            robot.box.run("kill", "-KILL", process)  # not by systemctl, which would wait in the same line
-            stops = stopped_by(robot, opening + 1, timeout_s=40)
-            print(f"first Stop {(stops[0].monotonic_ns - killed_ns) / 1e6:.0f} ms after SIGKILL")
-        client.close()
-        journal.wait_for_output("Stop written to all six legs, 4 times each", timeout_s=30)
-        journal.wait_for_output("Started ", timeout_s=30)
-        assert "timed out" not in journal.stdout
-
-
 def test_hanging(robot: InstalledGateway) -> None:
     """A transfer that never returns: killed by the watchdog with its stack in the journal, Stops, and a new start."""
     robot.unit.systemctl("start")
@@ -274,30 +240,6 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
         assert "rejected: servo_stopped" in robot.gateway("send", "leg", "3", "set", "1", "2", "3", check=False)
 
 
-def test_no_stop_servos_is_deaf_to_a_drop_in(robot: InstalledGateway) -> None:
-    """The file has `plain`, a drop-in length-prefixed: by hand and by systemd, it writes what the service writes."""
-    before = len(robot.bed.transfers)
-    robot.configure("")
-    robot.drop_in("framing", "Environment=HEXAPOD_SPI__FRAMING=length-prefixed")
-    by_hand = ("env", *robot.emulated, NAME, "stop-servos")
-    differs = f'{CONFIGURATION} has spi.framing = "plain", and the service uses "length-prefixed"'
-    robot.box.run(*by_hand)  # the service has not run since the boot
-    robot.unit.systemctl("start")
-    assert f"{differs}; used the latter" in robot.box.run(*by_hand).stderr
-    checked = robot.gateway("check", check=False)
-    assert f"warning  in use         {differs}" in checked
-    assert "length-prefixed, as the published STM32 firmware wants it" in checked
-    robot.box.run("rm", f"{DROP_IN}/framing.conf")
-    robot.box.run("systemctl", "daemon-reload")
-    with robot.journal() as journal:
-        robot.unit.systemctl("stop")
-        journal.wait_for_output("Stop written to all six legs, 4 times each")
-    assert f"{differs}; used the latter" in robot.box.run(*by_hand).stderr, "which the controller understands"
-    replay = Replay(Framing.LENGTH_PREFIXED)
-    replay.play(robot.bed.transfers[before:])
-    assert not replay.controller.corruptions
-
-
 def test_no_framing(robot: InstalledGateway) -> None:
     """Neither the service nor stop-servos guesses: exit code 2, said twice in three lines, and nothing on the wire."""
     before = len(robot.bed.transfers)
@@ -309,72 +251,6 @@ def test_no_framing(robot: InstalledGateway) -> None:
     assert len(said) == 6
     assert robot.unit.properties("ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "2", "0"]
     assert len(robot.bed.transfers) == before
-
-
-def test_broken_configuration(robot: InstalledGateway) -> None:
-    """Broken while the service runs: its end is still cleaned up with what it ran with; exit code 2, no second try."""
-    robot.configure("[watchdog]\ntimeout_ms = 300\n")
-    robot.unit.systemctl("start")
-    opening = robot.bed.transfers[-1].opening
-    with robot.journal() as journal:
-        robot.configure("[watchdog]\ntimeout = 1\n")
-        robot.unit.systemctl("kill", "--signal=SIGKILL")
-        stopped_by(robot, opening + 1)
-        journal.wait_for_output("Stop written to all six legs, 4 times each")
-        journal.wait_for_output("watchdog.timeout: is no setting")
-        journal.wait_for_output("Failed to start")
-        restarts = journal.stdout.count("Scheduled restart job")
-    assert restarts == 1, "the one after SIGKILL"
-    assert robot.unit.properties("ActiveState", "ExecMainStatus") == ["failed", "2"]
-
-
-@pytest.mark.nightly
-def test_what_time_may_cure_is_tried_without_an_end(robot: InstalledGateway) -> None:
-    """Exit code 3: its starts stay below the unit's limit, here one of 3 in 30 s."""
-    robot.drop_in("sooner", "RestartSec=20ms\n[Unit]\nStartLimitBurst=3\nStartLimitIntervalSec=30")
-    robot.configure('spi.device = "/dev/spidev9.9"\n')
-    with robot.journal() as journal:
-        robot.unit.systemctl("start", "--no-block")
-        journal.wait_for_output("restart counter is at 4", timeout_s=90)
-        assert journal.stdout.count("Main process exited, code=exited, status=3") == 4
-    assert "repeated too quickly" not in journal.stdout
-
-
-def test_an_address_that_comes_late_costs_no_start(robot: InstalledGateway) -> None:
-    """Loopback clients are served meanwhile, systemd shows what is missing, and it is listened on once it is there."""
-    here, late = "tcp/127.0.0.1:7447", "tcp/192.0.2.77:7447"
-    robot.configure(f'[zenoh]\nlisten = ["{late}", "{here}"]\nallow_insecure = true\n')
-    with robot.journal() as journal:
-        robot.unit.systemctl("start")
-        journal.wait_for_output(f"does not listen on {late} yet")
-        assert "accepted" in robot.gateway(*MOVE_LEG_3, "--connect", here)
-        assert f"does not listen on {late} yet" in robot.unit.property("StatusText")
-        robot.box.run("ip", "address", "add", "192.0.2.77/32", "dev", "lo")
-        journal.wait_for_output(f"listens on {late}, too")
-    assert "accepted" in robot.gateway(*MOVE_LEG_3, "--connect", late)
-    assert robot.unit.properties("NRestarts", "StatusText") == ["0", "takes commands"]
-    robot.box.run("ip", "address", "del", "192.0.2.77/32", "dev", "lo")
-
-
-@pytest.mark.nightly
-def test_a_crash_loop_ends_and_the_remedy_of_check_works(robot: InstalledGateway) -> None:
-    """Ten kills within two minutes; until a person looks, nothing moves."""
-    robot.drop_in("sooner", "RestartSec=20ms")
-    robot.unit.systemctl("start")
-    with robot.journal() as journal:
-        for kill in range(1, 11):
-            robot.unit.systemctl("kill", "--signal=SIGKILL")
-            if kill < 10:
-                journal.wait_for_output(f"restart counter is at {kill}.")
-            robot.box.run("sh", "-c", f"until systemctl is-active {NAME} || systemctl is-failed {NAME}; do :; done")
-        journal.wait_for_output("Start request repeated too quickly")
-    assert robot.unit.property("ActiveState") == "failed"
-    assert robot.unit.systemctl("start", check=False).returncode != 0
-    said = robot.gateway("check", check=False)
-    remedy = re.search(rf"has failed .*?(sudo systemctl reset-failed {NAME}.*)$", said, re.MULTILINE)
-    assert remedy is not None, said
-    robot.box.run("sh", "-c", remedy[1].replace("sudo ", ""))
-    assert robot.unit.property("ActiveState") == "active"
 
 
 def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(robot: InstalledGateway) -> None:

@@ -58,7 +58,8 @@ class OtherBrowser(Closing):
     It is driven by a thumb. WebKit without a touch screen makes a mouse's events of that.
     """
 
-    def __init__(self, home: Path) -> None:
+    def __init__(self, home: Path, *, accepts_any_certificate: bool = False) -> None:
+        self._accepts = accepts_any_certificate
         self.env = {**os.environ, "HOME": str(home), "XDG_RUNTIME_DIR": str(home)}
         self._stack = ExitStack()
         try:
@@ -150,7 +151,8 @@ class WebKit(OtherBrowser):
         self._stack.enter_context(Child(["WebKitWebDriver", f"--port={port}"], env))
         (program,) = Path("/usr/lib").glob("*/webkit2gtk-4.1/MiniBrowser")
         options = {"binary": str(program), "args": ["--automation"]}
-        wanted = {"capabilities": {"alwaysMatch": {"webkitgtk:browserOptions": options}}}
+        matches = {"webkitgtk:browserOptions": options, "acceptInsecureCerts": self._accepts}
+        wanted = {"capabilities": {"alwaysMatch": matches}}
         dials = httpx.HTTPTransport(retries=8)  # with pauses that grow: until it listens
         self._http = self._stack.enter_context(
             httpx.Client(base_url=f"http://127.0.0.1:{port}", transport=dials, timeout=LATE_S)

@@ -54,7 +54,7 @@ def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> Non
 
 
 def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, console: Console) -> None:
-    """Of another user of this machine, opened by somebody who is signed in; see docs/security.md."""
+    """Of another user of this machine, opened by somebody who is signed in; see docs/certificates.md."""
     with listening() as (port, requests):
         there = victim.context.new_page()
         there.goto(f"http://127.0.0.1:{port}/")

@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from gateway.robot.spi import ioctls
-from schemas import keys
 from tests.hil.bed import DEVICE, SpiTestbed
-from tests.hil.wire import LATE_S, SET_3, START_3, STOPS, Wire, settings_for
+from tests.hil.wire import LATE_S, STOPS, Wire, settings_for
 from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.hil
@@ -24,51 +23,14 @@ def without(tmp_path: Path) -> Mapping[str, str]:
     return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-def scene(
-    folder: Path, env: Mapping[str, str]
-) -> tuple[list[str], set[tuple[str, int]], set[tuple[int, int, int]], str]:
-    """A ride, a bus fault and an emergency stop: bytes, settings, what each transfer had, and what was logged.
-
-    spidev sets no bits where the device says that it has 8 already.
-    """
-    folder.mkdir()
-    with SpiTestbed() as bed:
-        wire = Wire(bed)
-        settings = settings_for(wire, watchdog={"timeout_ms": 900})
-        with Gateway(folder, settings, bed=bed, env=env) as gateway, gateway.client() as client:
-            wire.expect_opening(*STOPS)
-            wire.expect_repeats(3, *STOPS)
-            assert client.start_leg(3, 90, 45, 120).accepted
-            assert client.set_leg(3, 91, 45, 120).accepted
-            wire.expect(START_3, SET_3, STOPS[2])  # the last by the watchdog
-            wire.expect_repeats(3, STOPS[2])
-            bed.fail(count=1)
-            assert client.ask(keys.ESTOP, {}).stop_frames == len(STOPS)
-            gateway.child.terminate()
-            assert gateway.child.wait(LATE_S) == 0
-        sent = [each for each in bed.transfers if each.delivered]
-        return (
-            [each.data.hex() for each in sent],
-            {(each.kind, each.value) for each in bed.settings if each.kind in ("mode", "speed")},
-            {(each.mode, each.speed_hz, each.bits_per_word) for each in sent},
-            gateway.child.stderr,
-        )
-
-
-def test_the_same_bytes_leave_in_the_same_way(tmp_path: Path, without: Mapping[str, str]) -> None:
-    *package, said = scene(tmp_path / "package", {})
-    *own, own_said = scene(tmp_path / "own", without)
-    assert own == package
-    assert own_said.count(ioctls.USED) == 1
-    assert ioctls.USED not in said
-
-
 def test_check_and_stop_servos_need_no_package(
     tmp_path: Path, spi_testbed: SpiTestbed, without: Mapping[str, str]
 ) -> None:
     wire = Wire(spi_testbed)
     with Gateway(tmp_path, settings_for(wire), bed=spi_testbed, env=without) as gateway:
-        wire.expect_opening(*STOPS)
+        opening = wire.expect_opening(*STOPS)
+        assert {(each.mode, each.bits_per_word, each.speed_hz) for each in opening} == {(0, 8, 2_500_000)}
+        assert gateway.child.stderr.count(ioctls.USED) == 1
         child = spi_testbed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)], env=without)
         assert child.wait(LATE_S) == 0, str(child)
         wire.expect_opening(*STOPS)

@@ -89,7 +89,7 @@ class Want(NamedTuple):
 
 def speed_age_ns(since_ns: int, now_ns: int, rules: Rules) -> int | None:
     """How long ago, as far as it matters: a servo with a limited speed gets anywhere in the time for 180 degrees."""
-    speeds = rules.max_speed_cdeg_s.values()
+    speeds = [*rules.max_speed_cdeg_s.values(), *([rules.takeover_cdeg_s] if rules.takeover_cdeg_s else [])]
     return min(now_ns - since_ns, 180_00 * NS_PER_S // min(speeds) + 1) if speeds else None
 
 
@@ -105,6 +105,13 @@ class ServoHistory:
     """Which command that is."""
     said_ns: int = 0
     """When a frame last named it."""
+    source: str | None = None
+    """Who started or set it last."""
+    eases: bool = False
+    """Whether it has not arrived since another source commanded it, or since its start at an angle that was known."""
+    stood_cdeg: int | None = None
+    """Where it was when it was stopped; None: nobody knows."""
+    stood_ns: int = 0
     edge_ns: int | None = None
     """Since when it is on its way across angles that are never sent."""
     owed: int = 0
@@ -126,7 +133,28 @@ class ServoHistory:
             speed_age_ns(self.edge_ns, now_ns, rules) if self.on and self.edge_ns is not None else None,
             self.owed and (self.owed, max(0, self.owed_ns - now_ns)),
             self.stopped_by if self.stopped_ns == instant_ns else None,
+            rules.takeover_cdeg_s and (self.source, self.eases, self.on or self.stands(now_ns, rules)),
+            rules.takeover_cdeg_s and not self.on and min(now_ns - self.stood_ns, rules.takeover_known_ns + 1),
         )
+
+    def rest(self, now_ns: int) -> None:
+        """A Stop was written."""
+        if self.written_cdeg is not None:
+            self.stood_cdeg, self.stood_ns = self.written_cdeg, now_ns
+        self.written_cdeg, self.eases = None, False
+
+    def stands(self, now_ns: int, rules: Rules) -> int | None:
+        """Where it is, if anybody knows."""
+        if self.on:
+            return self.written_cdeg
+        known = rules.takeover_cdeg_s and now_ns - self.stood_ns <= rules.takeover_known_ns
+        return self.stood_cdeg if known else None
+
+    def commanded_by(self, source: str | None, moved_ns: int | None, rules: Rules) -> None:
+        """A command starts or sets it; a frame moved its leg at `moved_ns`."""
+        if self.on and rules.takeover_cdeg_s and self.source != source and not self.eases:
+            self.eases, self.said_ns = True, moved_ns or 0
+        self.source = source
 
     @property
     def on(self) -> bool:

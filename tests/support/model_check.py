@@ -52,6 +52,7 @@ from tests.support.model_parts import (
     measurements,
     power_key,
     rest_key,
+    takeover_key,
     tokens,
 )
 from tests.support.motion import landing_key
@@ -94,11 +95,11 @@ _KNOWN: Final = (
     (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "_moved given _silent _first_stops _fed"),  # these count within a step
-    (Leg, "number servos slots heard_ns expired source landed_ns unfed_ns"),
+    (Leg, "number servos slots heard_ns expired source landed_ns unfed_ns eases"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
     (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),
-    (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by"),
-    (RateSlots, "period_ns oldest_ns next_ns"),
+    (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
+    (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
     (StartQueue, "pause_ns next_ns legs"),
     (
         Command,
@@ -220,6 +221,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 legs.landing and leg.landed_ns,
                 max(leg.slots.oldest_ns - now_ns, -2 * leg.slots.period_ns),  # then the bucket is full
                 max(leg.slots.next_ns - now_ns, 0),
+                legs._rules.takeover_cdeg_s and (leg.eases, speed_age_ns(leg.slots.taken_ns, now_ns, legs._rules)),
                 tuple(
                     (
                         servo.angle_cdeg,
@@ -228,6 +230,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
+                        legs._rules.takeover_cdeg_s and takeover_key(legs, servo, now_ns),
                         # A bus that opens again is told to stop everything anew.
                         supervisor._bus_ok
                         and servo.repeats_left
@@ -262,12 +265,10 @@ def events(
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
         for whose, token in tokens(configuration.drivers, lease):
-            yield (
-                f"{channel} command {which}{whose}",
-                Command(
-                    targets, key=channel, number=number, lease=token, sent_ms=1.0 if "with a time" in channel else None
-                ),
-            )
+            by = "anna" if "anna's" in channel else None
+            timed = 1.0 if "with a time" in channel else None
+            command = Command(targets, key=channel, source=by, number=number, lease=token, sent_ms=timed)
+            yield f"{channel} command {which}{whose}", command
     for stops in configuration.unread:
         unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
         yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)

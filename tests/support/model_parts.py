@@ -18,6 +18,8 @@ from gateway.robot.core.events import (
     LeaseRequest,
 )
 from gateway.robot.core.lease import RobotLease
+from gateway.robot.core.leg import Servo
+from gateway.robot.core.legs import Legs
 from gateway.robot.core.rest import RestStops
 from gateway.robot.core.supervisor import Supervisor
 from tests.support.backlog_history import backlog_key
@@ -133,12 +135,23 @@ def power_key(supervisor: Supervisor) -> tuple[object, ...]:
     return power.alive, power.closed, tuple(power._refused)
 
 
+def takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
+    """Whose servo it is, and where it stands while it does not run, as long as that counts."""
+    stood = None
+    if servo.stopped is not None and not servo.running:
+        angle_cdeg, stopped_ns, calibration = servo.stopped
+        if calibration is legs._reach.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
+            stood = angle_cdeg, now_ns - stopped_ns
+    return servo.source, servo.eases, stood
+
+
 # ---- the calibration
 
 
 def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:
     """Give `other` a calibration of its own, that of `supervisor`; to be called once it has its own legs."""
     other._reach = other.legs._reach = cloned(supervisor._reach)
+    other.legs._speeds = cloned(supervisor.legs._speeds, _reach=other._reach)
     other.calibrating = cloned(supervisor.calibrating, _reach=other._reach)
 
 

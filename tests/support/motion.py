@@ -19,16 +19,20 @@ def stepped(
     servo: ServoHistory, servo_id: int, angle_cdeg: int, target_cdeg: int, now_ns: int, rules: Rules, gap: Gap
 ) -> None:
     """A frame takes a servo to `angle_cdeg`, towards its target. Raise Violation where it is too far or too little."""
-    speed_cdeg_s = rules.max_speed_cdeg_s.get(servo_id)
-    if speed_cdeg_s is None or servo.written_cdeg is None:
+    stood_cdeg = servo.stands(now_ns, rules)
+    if not servo.on and stood_cdeg is not None:
+        servo.eases, servo.said_ns = True, now_ns
+    speeds = [rules.max_speed_cdeg_s.get(servo_id), rules.takeover_cdeg_s if servo.eases else None]
+    speed_cdeg_s = min((each for each in speeds if each is not None), default=None)
+    if speed_cdeg_s is None or stood_cdeg is None:
         demand(angle_cdeg == target_cdeg, f"{servo_id}: the newest target is sent")
         return
     slot_cdeg = -(-speed_cdeg_s * rules.period_ns // NS_PER_S)
     most_cdeg = min(speed_cdeg_s * (now_ns - servo.said_ns) // NS_PER_S, slot_cdeg)
-    gone_cdeg, way_cdeg = angle_cdeg - servo.written_cdeg, target_cdeg - servo.written_cdeg
+    gone_cdeg, way_cdeg = angle_cdeg - stood_cdeg, target_cdeg - stood_cdeg
     on_its_way = gone_cdeg * way_cdeg >= 0 and abs(gone_cdeg) <= abs(way_cdeg)
     demand(on_its_way, f"{servo_id} goes towards the newest target")
-    edges = gap(servo_id, servo.written_cdeg, target_cdeg)
+    edges = gap(servo_id, stood_cdeg, target_cdeg)
     if edges is None:
         servo.edge_ns = None
     elif angle_cdeg == edges[0]:  # it waits there until it would be beyond
@@ -46,6 +50,7 @@ def stepped(
         enough = gone_cdeg == way_cdeg or waits or abs(gone_cdeg) >= most_cdeg
         demand(enough, f"{servo_id} goes as far as its speed allows")
     servo.bound_cdeg = None if gone_cdeg == way_cdeg else target_cdeg
+    servo.eases = servo.eases and servo.bound_cdeg is not None
 
 
 @dataclass(slots=True)

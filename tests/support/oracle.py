@@ -51,9 +51,6 @@ from tests.support.robot_history import RobotHistory
 class Oracle(RobotHistory):
     """The history of one robot and what it demands of the next step."""
 
-    _lost: frozenset[int] = frozenset()
-    """Commands of which the watchdog dropped something in this step."""
-
     def judge(
         self,
         event: Event,
@@ -88,6 +85,7 @@ class Oracle(RobotHistory):
             case CalibrationSaved():
                 self._must_be_rejected(event, effects, kept)
                 self._in_time(event, now_ns, effects)
+                self.forget_angles(changed=kept is None)
             case LeaseRequest() if self.lease.judge(event, now_ns, effects, ended=self.ended):
                 self._all_stopped(effects, Cause.COMMAND, Reason.NOT_HOLDER, now_ns)
             case LeaseRequest():
@@ -113,6 +111,7 @@ class Oracle(RobotHistory):
                 self.fault = Kind.BUS_FAULT
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
+                self.forget_angles(changed=True)
             case ShutDown():
                 self.ended = True
                 self.lease.end()
@@ -148,7 +147,7 @@ class Oracle(RobotHistory):
         for servo in self.servos.values():
             servo.want = servo.bound_cdeg = None
             if self.bus_ok:
-                servo.written_cdeg = None
+                servo.rest(now_ns)
                 servo.stop(cause, self.instant_ns)
                 self.owe((servo,), now_ns)
             else:
@@ -205,12 +204,6 @@ class Oracle(RobotHistory):
     def _drop_starts(self) -> None:
         """With staggered starts, the watchdog's Stop ends what waits to be energised, before a command of the step."""
         self._lose({servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on})
-
-    def _lose(self, numbers: set[int]) -> None:
-        """Commands are rejected as a whole."""
-        self._lost |= numbers
-        for servo in self.servos.values():
-            servo.want = None if servo.want is not None and servo.want.number in self._lost else servo.want
 
     def _expired(self, now_ns: int) -> list[int]:
         """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
@@ -283,7 +276,7 @@ class Oracle(RobotHistory):
         for number in stopped:
             self.legs[number].source = None
             for servo in self.servos_of(number):
-                servo.written_cdeg = None
+                servo.rest(now_ns)
                 if servo.want is not None:
                     self._lost |= {servo.want.number}
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
@@ -301,7 +294,7 @@ class Oracle(RobotHistory):
         for servo_id, servo in self.servos.items():
             if servo.want is not None:
                 self._lost |= {servo.want.number}
-            servo.want = servo.bound_cdeg = None
+            servo.want, servo.bound_cdeg, servo.eases = None, None, False
             if servo.written_cdeg is not None:
                 ways[servo_id] = servo.written_cdeg, pose_cdeg.get(servo_id, servo.written_cdeg)
         for leg in self.legs.values():
@@ -365,6 +358,7 @@ class Oracle(RobotHistory):
                 still_starts = op.op is Op.START or servo.starts
                 servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.number)
                 servo.bound_cdeg = None
+                servo.commanded_by(command.source, self.legs[leg_of(servo_id)].moved_ns, self.rules)
         return frozenset(servo_id for servo_id, op in targets if op.op is Op.STOP)
 
     def _must_be_rejected(
@@ -418,7 +412,7 @@ class Oracle(RobotHistory):
                     servo.want is None or servo_id in held,
                     f"{servo_id} is stopped although a newer command wants it to move",
                 )
-                servo.written_cdeg = None
+                servo.rest(now_ns)
                 if servo_id in stops:
                     self.owe((servo,), now_ns)
                 continue

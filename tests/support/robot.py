@@ -43,7 +43,7 @@ class Robot:
     """One conductor and its controller. Make it inside a running (virtual) loop."""
 
     start_wait_ns = 0
-    """Starts without `sent_ms` leave at once, unless a test is about bursts of them."""
+    """Starts without `sent_ms` leave at once, unless a test is about bursts of them; legs wait for no other, either."""
 
     def __init__(
         self,
@@ -54,6 +54,8 @@ class Robot:
         memory only."""
         sections = dict(sections or {})
         changed = {"start_wait_ns": self.start_wait_ns, **sections.pop("rules", {})}
+        if "start_stagger_ms" not in sections.get("limits", {}):
+            changed.setdefault("start_pause_ns", 0)
         spi = sections.get("spi", {})
         shortest = {"frame_gap_us": Framing(spi.get("framing", Framing.PLAIN)).least_gap_us}  # see _pause
         merged = {**sections, "spi": {**shortest, **spi}}

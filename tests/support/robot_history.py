@@ -22,6 +22,9 @@ from tests.support.power_history import PowerHistory
 class RobotHistory:
     """What was asked of one robot and sent to it. `legs` are all the legs there are."""
 
+    _lost: frozenset[int] = frozenset()
+    """Commands of which the watchdog dropped something in this step."""
+
     def __init__(
         self,
         rules: Rules,
@@ -230,6 +233,17 @@ class RobotHistory:
     def too_few_buttons(self) -> Reason | None:
         """Why no start, set or reset is taken while fewer buttons are alive than are required."""
         return Reason.NO_BUTTON if self.buttons.closed else None
+
+    def _lose(self, numbers: set[int]) -> None:
+        """Commands are rejected as a whole."""
+        self._lost |= numbers
+        for servo in self.servos.values():
+            servo.want = None if servo.want is not None and servo.want.number in self._lost else servo.want
+
+    def forget_angles(self, *, changed: bool) -> None:
+        """Another calibration is in force, or the bus is back: where servos stood is not known any more."""
+        for servo in self.servos.values() if changed else ():
+            servo.stood_cdeg = None
 
     # ---- frames
 

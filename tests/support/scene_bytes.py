@@ -20,7 +20,7 @@ FOLDER = Path(__file__).parents[1] / "data" / "scene"
 
 async def _play(framing: Framing, *, lists: bool) -> Robot:
     """Start, streams above and below the rate, Stops of each kind, a fault, the end."""
-    robot = Robot({"spi": {"framing": framing}, "limits": {"start_stagger_ms": 5}})
+    robot = Robot({"spi": {"framing": framing}, "limits": {"start_stagger_ms": 5, "takeover_deg_s": 0}})
     if not lists:
         robot.take_no_lists()
     robot.conductor.start()

@@ -481,4 +481,62 @@ CONFIGURATIONS: Final = (
         (TICK, 3 * TICK),
         ends=False,
     ),
+    Configuration(
+        "one servo, two programs that take it from each other",
+        _rules(repeats=0, takeover_cdeg_s=180_00 * NS_PER_S // (6 * TICK), takeover_known_ns=2 * TICK),
+        (1,),
+        (
+            ("servo", ((11, ServoOp(Op.START, 0)),)),
+            ("servo anna's", ((11, ServoOp(Op.SET, 180_00)),)),
+            ("leg anna's", ((11, ServoOp(Op.START, 180_00)), (12, START))),
+            ("servo", _each(STOP, 11)),
+        ),
+        (TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+    ),
+    Configuration(
+        "one servo, started again soon, and calibrated meanwhile",
+        _rules(
+            repeats=0,
+            timeout_ns=2 * TICK,
+            takeover_cdeg_s=180_00 * NS_PER_S // (6 * TICK),
+            takeover_known_ns=3 * TICK,
+        ),
+        (1,),
+        (("servo", ((11, ServoOp(Op.START, 150_00)),)), ("servo", ((11, ServoOp(Op.START, 30_00)),)), _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+        calibration=_MIRRORED,
+        changes=_RECALIBRATED[:1],
+    ),
+    Configuration(
+        "one servo, taken over, and landing",
+        _rules(
+            repeats=0,
+            takeover_cdeg_s=180_00 * NS_PER_S // (8 * TICK),
+            takeover_known_ns=TICK,
+            landing_ns=4 * TICK,
+            landing_cdeg={11: 90_00},
+        ),
+        (1,),
+        (
+            ("servo", ((11, ServoOp(Op.START, 150_00)),)),
+            ("servo anna's", ((11, ServoOp(Op.SET, 30_00)),)),
+            _ONE_SERVO[2],
+        ),
+        (TICK, 3 * TICK),
+        ends=False,
+        calm=True,
+    ),
+    Configuration(
+        "one servo, started again soon, whatever else may happen",
+        _rules(
+            repeats=0, timeout_ns=2 * TICK, takeover_cdeg_s=180_00 * NS_PER_S // (6 * TICK), takeover_known_ns=2 * TICK
+        ),
+        (1,),
+        (("servo", ((11, ServoOp(Op.START, 0)),)), ("servo anna's", ((11, ServoOp(Op.START, 90_00)),)), _ONE_SERVO[2]),
+        (TICK, 3 * TICK),
+    ),
 )

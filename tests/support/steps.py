@@ -158,10 +158,18 @@ class Steps:
         """What the only rejection of the latest step states."""
         return self.only(Rejected).detail
 
-    def command(self, at_ms: float, targets: Targets, channel: str = "leg", *, lease: str | None = None) -> list[str]:
+    def command(
+        self,
+        at_ms: float,
+        targets: Targets,
+        channel: str = "leg",
+        *,
+        lease: str | None = None,
+        source: str | None = None,
+    ) -> list[str]:
         """A command with the next number."""
         self.number += 1
-        return self.take(at_ms, Command(targets, key=channel, number=self.number, lease=lease))
+        return self.take(at_ms, Command(targets, key=channel, source=source, number=self.number, lease=lease))
 
     def unread(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
         """A message that could not be read, and may stop these."""

@@ -51,16 +51,38 @@ SHOWN_ELSEWHERE = {
 }
 
 
-def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
-    """But that starts without `sent_ms` wait: tests of single rules have these leave at once."""
-    assert rules(Settings()) == Rules(start_wait_ns=START_WAIT_NS)
-
-
 MS = 1_000_000
+
+
+def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
+    """But for these: tests of other rules have starts leave at once, and servos go straight to their targets."""
+    assert rules(Settings()) == Rules(start_wait_ns=START_WAIT_NS, start_pause_ns=15 * MS, takeover_cdeg_s=180_00)
+
+
+@pytest.mark.parametrize(
+    ("sections", "pause_ms"),
+    [
+        ({}, 15),
+        ({"power": {"interface": "sim"}}, 0),
+        ({"power": {"interface": "sim"}, "limits": {"start_stagger_ms": 15}}, 15),
+        ({"spi": {"protocol": "elkapod-2025"}}, 0),
+        ({"spi": {"protocol": "elkapod-2025"}, "power": {"interface": "sim"}}, 0),
+        ({"limits": {"start_stagger_ms": 0}}, 0),
+    ],
+)
+def test_legs_start_one_after_the_other_unless_a_power_board_or_the_wire_sees_to_it(
+    sections: dict[str, Any], pause_ms: float
+) -> None:
+    assert rules(Settings.of(sections)).start_pause_ns == pause_ms * MS
+
+
 RULES: list[tuple[str, object, dict[str, object]]] = [
     ("limits.leg_rate_hz", 100, {"period_ns": 10 * MS}),
     ("limits.leg_rate_hz", 3, {"period_ns": 333_333_334}),
     ("limits.start_stagger_ms", 30, {"start_pause_ns": 30 * MS}),
+    ("limits.takeover_deg_s", 90.5, {"takeover_cdeg_s": 90_50}),
+    ("limits.takeover_deg_s", 0.001, {"takeover_cdeg_s": 1}),
+    ("limits.takeover_deg_s", 0, {"takeover_cdeg_s": 0}),
     ("limits.servos", {"32": {"min_deg": 20}, "11": {"max_deg": 45.5, "max_speed_deg_s": 60}},
      {"joint_limits_cdeg": {32: (20_00, 180_00), 11: (0, 45_50)}, "max_speed_cdeg_s": {11: 60_00}}),
     ("limits.servos", {"32": {"max_speed_deg_s": 0.001}},

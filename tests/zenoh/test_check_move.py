@@ -24,8 +24,10 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames
 
-# Patient, for a busy machine: no servo is stopped but by command.
-gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}})
+# Patient, for a busy machine: no servo is stopped but by command; and each test starts where it says.
+gateway = gateway_fixture(
+    {"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 9000}, "limits": {"takeover_deg_s": 0}}
+)
 
 
 @pytest.fixture

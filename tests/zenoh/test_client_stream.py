@@ -86,12 +86,6 @@ def test_a_setpoint_that_was_rejected_is_reported_and_the_stream_goes_on(robot: 
         assert running(watcher) == [5, 6]
 
 
-def test_an_error_of_the_program_stops_the_robot(robot: Client, watcher: Client) -> None:
-    with pytest.raises(ZeroDivisionError):
-        walk(robot, lambda: 1 // 0)
-    assert not running(watcher)
-
-
 # ---- whose legs the end of a stream stops: its own, also where nobody knows whether they run, and nobody else's
 
 

@@ -13,16 +13,12 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.host.realtime import LOOP_PRIORITY
-from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import READER_DEPTH, Inbox, _received
+from gateway.robot.zenoh_io.inbox import READER_DEPTH, Inbox
 from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
 from gateway.robot.zenoh_io.receiver import Deal, Reader
-from gateway.robot.zenoh_io.rings import RING_DEPTH
-from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import BUTTON, ESTOP, LEASE, STATE, leg_command, servo_command
+from schemas.keys import BUTTON, ESTOP, LEASE, leg_command, servo_command
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
 PATIENCE_S = 5.0
@@ -88,23 +84,6 @@ async def held(session: zenoh.Session) -> AsyncIterator[Held]:
 # ---- what is kept
 
 
-@pytest.mark.parametrize("key", [ESTOP, STATE])
-async def test_who_asks_for_an_emergency_stop_or_the_state_is_answered_however_many_ask(
-    session: zenoh.Session, held: Held, key: str
-) -> None:
-    with held.owner:  # so that what waits, waits in its ring
-        asked = [session.get(key, timeout=PATIENCE_S) for _ in range(RING_DEPTH)]
-    waits = [asyncio.create_task(asyncio.to_thread(list, replies)) for replies in asked]
-    while not all(wait.done() for wait in waits):
-        await asyncio.sleep(0.001)
-        while held.estops:
-            each = held.estops.pop()
-            assert each.reply is not None
-            each.reply(b"{}")
-    answered = sum([len(await wait) for wait in waits])
-    assert answered == RING_DEPTH
-
-
 # ---- the emergency stop
 
 
@@ -147,11 +126,6 @@ async def test_the_second_way_to_stop_does_not_wait_for_the_state(
         assert not held.estops, "the first way waits"
     await held.until(lambda: len(held.estops) == 1)
     del asked
-
-
-async def test_an_emergency_stops_threads_are_as_urgent_as_the_loop(held: Held) -> None:
-    urgent = {each.thread.name for each in held.inbox._receivers if each._priority == LOOP_PRIORITY}
-    assert urgent == {"estop-put", "estop-get"}
 
 
 async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_they_are_read(
@@ -269,14 +243,3 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
 
 
 # ---- what a message says
-
-
-async def test_what_may_be_a_stop_is_seen_at_a_glance(session: zenoh.Session) -> None:
-    with session.declare_subscriber(LEG_1, zenoh.handlers.FifoChannel(10)) as subscriber:
-        for payload in (b'{"op": "stop"}', b'{"op": "\\u0073top"}', b'{"op": "set"}', b"stop" * MAX_PAYLOAD_BYTES):
-            session.put(LEG_1, payload)
-        session.delete(LEG_1)
-        samples = [await asyncio.to_thread(subscriber.recv) for _ in range(5)]
-    answers: Any = None
-    messages = [_received(answers, LEG_1, sample) for sample in samples]
-    assert [words_of_stop(message) is not None for message in messages] == [True, True, False, True, True]

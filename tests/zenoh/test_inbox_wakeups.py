@@ -73,15 +73,6 @@ async def taker(session: zenoh.Session) -> AsyncIterator[Taker]:
     await asyncio.to_thread(taker.inbox.close)
 
 
-async def test_more_messages_than_a_bell_holds_are_all_taken(session: zenoh.Session, taker: Taker) -> None:
-    """More keys than the wakeup's ring is deep, while the loop is held: the first wakeups are lost."""
-    for first in range(40):
-        order = KEYS[first % len(KEYS) :] + KEYS[: first % len(KEYS)]
-        for key in order:
-            session.put(key, b"{}")
-        await taker.wait_for(*KEYS)
-
-
 async def test_a_message_whose_wakeup_was_lost_while_the_state_was_owned_is_taken(
     session: zenoh.Session, taker: Taker
 ) -> None:

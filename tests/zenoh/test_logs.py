@@ -6,13 +6,9 @@ import pty
 import subprocess
 import sys
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import pytest
-
-from schemas.keys import leg_command, servo_command
-from tests.support.gateway_process import Gateway
 
 SPEAKER = """
 import logging, sys, threading, warnings
@@ -108,20 +104,6 @@ def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_i
     assert "\x1b]0;" not in written
     assert not set("\x07\x9b\u2028") & set(written)
     assert r"hostile \x1b[2J\nsecond line" in written
-
-
-def test_rejections_in_the_log_of_the_real_service(tmp_path: Path) -> None:
-    with Gateway(tmp_path) as gateway:
-        with gateway.client(source="me") as client:
-            malformed = client.ask(leg_command(3), {"servos": []})
-            stopped = client.ask(servo_command(11), {"op": "set", "angle_deg": 1, "source": "lap top"})
-        gateway.child.wait_for_output("servo_stopped")
-        told = [json.loads(line) for line in gateway.child.stderr.splitlines() if "command_rejected" in line]
-    assert [line["message"] for line in told] == [malformed.detail, stopped.detail]
-    assert [line["key"] for line in told] == [leg_command(3), servo_command(11)]
-    assert [line["reason"] for line in told] == ["invalid", "servo_stopped"]
-    assert [line.get("source") for line in told][1] == "lap top"
-    assert all(line["kind"] == "command_rejected" and line["level"] == "warning" for line in told)
 
 
 def test_lines_for_the_journal_begin_with_their_priority() -> None:

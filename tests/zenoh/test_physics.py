@@ -1,8 +1,6 @@
 """`run --sim=physics`: a robot with a body, in a process of its own, as viewers and people meet it."""
 
-import json
 import os
-import signal
 from pathlib import Path
 from typing import Final
 
@@ -10,7 +8,6 @@ import pytest
 import zenoh
 
 from gateway.client import Client
-from gateway.geometry import ELKAPOD
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.child import Child
@@ -27,12 +24,6 @@ PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_00
 
 
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
-
-
-def physics_pid(gateway: Gateway) -> int:
-    """The gateway's only child."""
-    (pid,) = Path(f"/proc/{gateway.child.pid}/task/{gateway.child.pid}/children").read_text().split()
-    return int(pid)
 
 
 def walks_and_sinks(client: Client) -> None:
@@ -91,30 +82,3 @@ def test_what_another_program_publishes_there_is_reported_and_recognised(gateway
         assert [9.0, 9.0, 9.0] not in recorded
         recorder.close()
         assert client.state().physics is not None
-
-
-def test_people_read_what_its_process_has_to_say_and_the_gateway_waits_for_none_of_it(tmp_path: Path) -> None:
-    """Two legs in one place, a process that stands still for most of a window of its factor, and its end."""
-    geometry = json.loads(ELKAPOD.read_text())
-    geometry["leg_mounts"]["5"] = geometry["leg_mounts"]["3"]
-    (tmp_path / "both.json").write_text(json.dumps(geometry))
-    options = (*PHYSICS, "--geometry", str(tmp_path / "both.json"))
-    with Gateway(tmp_path, options=options, env={"TMPDIR": str(tmp_path)}) as running, running.client() as client:
-        running.child.wait_for_output("physics: leg 3 is in leg 5 25 mm deep: look at its geometry")
-        heard = bodies(client)
-        heard.wait(lambda _: True)
-        pid = physics_pid(running)
-        os.kill(pid, signal.SIGSTOP)
-        try:
-            assert client.start_leg(3, 90, 45, 120).accepted
-            for _ in range(70):  # 1.4 s of a stream, by the gateway's own pace
-                client.set_leg(3, 90, 45, 120)
-        finally:
-            os.kill(pid, signal.SIGCONT)
-        sentence = running.child.wait_for_output("of each second: the body moves more slowly")
-        assert "physics: this machine simulates 0." in sentence
-        heard.wait(lambda body: body.real_time_factor < 0.95, timeout_s=5)
-        os.kill(pid, signal.SIGKILL)
-        running.child.wait_for_output("the physics process was killed by signal 9: nobody simulates the body any more")
-        assert client.stop().accepted
-        assert not list(tmp_path.glob("hexapod-body-*")), "although the one that removes it was killed"

@@ -48,14 +48,6 @@ print(before > 1, slack(), *later)
 
 
 @root_only
-@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this kernel schedules no sessions as groups")
-def test_it_goes_ahead_of_other_sessions_if_it_leads_its_own() -> None:
-    program = "prefer_process(); print(open('/proc/self/autogroup').read().split()[-1:])"
-    before = Path("/proc/self/autogroup").read_text().split()[-1:]
-    assert [run(program, "setsid", "--wait"), run(program)] == [str([str(ZENOH_NICE)]), str(before)]
-
-
-@root_only
 def test_without_the_right_to_it_everything_stays_as_it_was() -> None:
     without = ("setpriv", "--bounding-set=-sys_nice", "--")
     program = "prefer_process(); print(prefer_thread(7), os.getpriority(os.PRIO_PROCESS, 0))"

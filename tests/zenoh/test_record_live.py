@@ -8,14 +8,12 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from pathlib import Path
 from typing import Any
 
-import pytest
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
-from gateway.people.recorder.drawing import DRAWN, LOG, SIM_JOINT_STATES
+from gateway.people.recorder.drawing import DRAWN, SIM_JOINT_STATES
 from gateway.people.recorder.recording import REPORTS
 from schemas.keys import SIM_BODY, STATE, TELEMETRY
 from tests.support.child import Child
@@ -101,33 +99,3 @@ def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> N
         assert taken.returncode == 5, str(taken)
         child.send_signal(signal.SIGINT)
         assert child.wait() == 0, str(child)
-
-
-@pytest.mark.full
-def test_a_gateway_that_ends_and_starts_again_is_reported_in_the_viewers_log(tmp_path: Path) -> None:
-    """Without a word, the robot in the viewer would just stand still."""
-    with Gateway(tmp_path) as first:
-        command = [*COMMAND, "record", "--live", "--port", "0", "--connect", first.endpoint]
-        with closing(Child(command, os.environ)) as child:
-            with viewing(child) as viewer:
-                known: dict[str, int] = {}
-                while not known.keys() >= {LOG, STATE}:
-                    known |= {each["topic"]: each["id"] for each in text(viewer, "advertise")["channels"]}
-                wanted = [{"id": 1, "channelId": known[LOG]}, {"id": 2, "channelId": known[STATE]}]
-                viewer.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-                while not isinstance(viewer.recv(PATIENCE_S), bytes):  # a state of the first gateway
-                    pass
-                first.child.kill()
-                first.child.wait(10)
-                wait_for_line(viewer, "the gateway is silent: this is the last")
-                with Gateway(tmp_path, {"zenoh": {"listen": [first.endpoint]}}):
-                    wait_for_line(viewer, "the gateway publishes again")
-            assert "the gateway publishes again" in child.stderr
-
-
-def wait_for_line(viewer: ClientConnection, sentence: str) -> None:
-    """States come, too."""
-    while True:
-        message = viewer.recv(PATIENCE_S)
-        if isinstance(message, bytes) and sentence.encode() in message:
-            return

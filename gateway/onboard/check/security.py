@@ -219,7 +219,7 @@ CERTIFICATES: Final = (
 ZENOH: Final = Probe("Zenoh", _zenoh, (
     failure(lambda r: DENIED in r.fault, "{fault}", LET_READ),
     failure(lambda r: r.fault, "{fault}", "fix it there"),
-    warning(lambda r: r.logged, "{logged}", "see docs/security.md for what each link needs"),
+    warning(lambda r: r.logged, "{logged}", "see docs/certificates.md for what each link needs"),
 ), "{well}")
 ACCESS: Final = Probe("access control", _access, (
     warning(lambda r: r.lost, "{file} drops messages without a word: {lost}", "make it anew: {anew}"),

@@ -446,5 +446,5 @@ def several_answer(count: int, key: str) -> str:
     """The sentence for a person if `Client.answerers` finds more than one."""
     return (
         f"{count} programs answer on {key}, and only one of them is the gateway; "
-        "certificates keep others out (docs/security.md)"
+        "certificates keep others out (docs/certificates.md)"
     )

@@ -134,8 +134,10 @@ class Stream:
         """Wait for the next tick, then send these legs' angles (degrees, 0 to 180, joints 1, 2, 3) in one message.
 
         The first setpoint of a leg starts it and is acknowledged; the others are fire and forget, so a later call
-        raises the error of an earlier one. If `limits.start_stagger_ms` spreads starts over more than the watchdog's
-        timeout, add one leg with each call. Raises, without sending:
+        raises the error of an earlier one. A servo that another source commanded before, or that was stopped
+        within 2 s, goes to its setpoints at no more than `limits.takeover_deg_s` until it has arrived.
+        If `limits.start_stagger_ms` spreads starts over more than the watchdog's timeout, add one leg with each call.
+        Raises, without sending:
 
         - LeaseLostError: somebody else drives now.
         - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent).

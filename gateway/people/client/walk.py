@@ -434,7 +434,7 @@ class Walk:
                     self._take(self._stream.answer)
                     self._stream.answer = None
                 with self._changed:
-                    ride.sent(step.pose)
+                    ride.sent(step.pose, arrived=self._newest.arrived)
                     self._ticks += ride.phase is Phase.RUNS
                     if ride.posture is self._awaited:
                         self._awaited = None

@@ -27,9 +27,12 @@ def console(options: Options) -> NoReturn:
     On systemd's socket; without one at `listen`; without both on a free port.
     """
     _need_extra()
-    from gateway.people.console.serve import serve  # noqa: PLC0415 (does not load without them)
+    from gateway.people.console import phone  # noqa: PLC0415 (does not load without them)
+    from gateway.people.console.serve import serve  # noqa: PLC0415 (likewise)
 
     passed = inherited()
+    if options.phone:
+        options = phone.prepared(options, sessions.folder())
     address = address_in(passed, options.listen) if passed else options.listen or free_address()
     place = site(address, options.cert, options.key)
     if not passed and options.listen is None and place.port != CONSOLE_PORT:

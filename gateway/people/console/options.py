@@ -20,5 +20,6 @@ class Options:
     geometry: Path | None = None
     adapt: bool = False
     open_browser: bool = False
+    phone: bool = False
     card: str = ""
     """Of the page, to which the first link leads; empty: to its beginning."""

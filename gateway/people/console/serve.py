@@ -14,12 +14,14 @@ from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
+from urllib.parse import urlsplit
 
 import segno
 
 from gateway import certs
 from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
+from gateway.people.console import phone
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.options import Options
@@ -30,7 +32,7 @@ from gateway.people.console.server import sessions
 from gateway.people.console.server.auth import Auth
 from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report, server_context
 from gateway.people.console.server.sessions import LINK_S, Sessions
-from gateway.people.console.server.site import Site
+from gateway.people.console.server.site import LOCALHOST, Site
 from gateway.people.console.server.sockets import listening
 from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config, get
@@ -61,29 +63,33 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()
     threading.stack_size(STACK_BYTES)
-    with listening(site, passed) as sockets:
+    door = phone.door(site) if options.phone else None
+    with listening(site, passed) as sockets, listening(door) if door else nullcontext(()) as doors:
         logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
         found = Sessions(sessions.folder(), site.port)
-        found.begin(site.url, owner.role, owner.common_name)
-        asyncio.run(_run(options, site, sockets, found, owner, geometry))
+        found.begin(site.url, owner.role, owner.common_name, phone.link(door, site) if door else "")
+        asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry))
 
 
 def show(link: str) -> None:
     """Print a link; for a browser on another machine with its QR code."""
     say(f"The console is at {link}")
     say(f"The link works once, within {LINK_S // 60} minutes, and until the console is started again.")
-    if link.startswith("https:") and os.isatty(1):
+    if urlsplit(link).hostname not in (*LOCALHOST, "localhost") and os.isatty(1):
         segno.make(link, error="l").terminal(compact=True)
+    if "/#" in link:
+        say("Point a phone's camera at it. Its browser warns once, and the page explains what to tap.")
 
 
 async def _run(
     options: Options,
     site: Site,
-    sockets: Sequence[socket.socket],
+    sockets: tuple[Sequence[socket.socket], Sequence[socket.socket]],
     found: Sessions,
     owner: Owner,
     geometry: Geometry,
 ) -> NoReturn:
+    """`sockets`: the console's, and those of the page without TLS that leads a phone to it."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(report)
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -99,7 +105,8 @@ async def _run(
     auth = Auth(site, found, owner.role)
     context = server_context(site.certificate, site.key) if site.certificate and site.key else None
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter
-    serving = asyncio.create_task(HttpListener(sockets, context, auth, console.serve).serve())
+    serving = asyncio.create_task(HttpListener(sockets[0], context, auth.answer, console.serve).serve())
+    explaining = asyncio.create_task(HttpListener(sockets[1], None, phone.Door().answer, console.serve).serve())
     watching = asyncio.create_task(gateway.run())
     for each in (serving, watching):
         each.add_done_callback(lambda _: ended.set())
@@ -110,6 +117,7 @@ async def _run(
         await console.close()
     failed = watching.exception() if watching.done() else None
     watching.cancel()
+    explaining.cancel()
     await gateway.close()
     if stops.unconfirmed:
         hint("STOP ALL was NOT confirmed: switch the servos' power off.")

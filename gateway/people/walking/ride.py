@@ -6,7 +6,7 @@ carries out the result, and reports the outcome: `sent`, `found`, `stopped`, `fa
 | phase | what runs | leaves it by |
 |---|---|---|
 | RESTS | nothing | a command: STARTS |
-| STARTS | legs that ran already, and one more each `START_PAUSE_S`; no leg that runs moves | the sixth is fed: RUNS |
+| STARTS | legs that ran already, and one more each `START_PAUSE_S`; none that runs moves | all fed and there: RUNS |
 | RUNS | all six, by the engine | silence, after it has sat down: ENDS |
 | HALTED | some; somebody stopped the others. Feet in the air are put down, and nothing moves | `start_again` |
 | FAILED | nothing is sent; the gateway's watchdog stops what runs | `start_again` |
@@ -151,6 +151,8 @@ class Ride:
         self._ours = False
         """Whether legs that it started may run."""
         self._running: frozenset[int] = frozenset()
+        self._arrived = True
+        """Whether servos that were started are where they were sent."""
         self._sent: dict[int, Angles] = {}
         """Where each leg was sent last."""
         self._started_s = -math.inf
@@ -293,8 +295,12 @@ class Ride:
             self.phase, self._found = Phase.RESTS, False
             self._goes_on(now_s)
 
-    def sent(self, pose: Pose) -> None:
-        """This pose was sent, and its starts were accepted."""
+    def sent(self, pose: Pose, *, arrived: bool = True) -> None:
+        """This pose was sent, and its starts were accepted. `arrived`: whether all servos are where they were sent.
+
+        A servo that was stopped a moment ago needs up to a second from there (`limits.takeover_deg_s`).
+        """
+        self._arrived = arrived
         self._running |= pose.keys()
         self._sent |= pose
         if not self.robot.limp_s:
@@ -438,7 +444,7 @@ class Ride:
         self.go(wish.velocity, now_s)
 
     def _run_if_started(self) -> None:
-        if self.phase is Phase.STARTS and self._running == _ALL:
+        if self.phase is Phase.STARTS and self._running == _ALL and self._arrived:
             self.phase = Phase.RUNS
             if self._engine.lost:
                 self._engine.resume()

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from gateway.people.walking.motion import DOWN, Posture, WalkState
+from gateway.people.walking.robot import arrived
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 
@@ -70,6 +71,12 @@ class Newest:
         late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s
         if not 0 < late_s < NEWS_S:  # by more than that: the gateway was started anew
             self._newest = state, now_s
+
+    @property
+    def arrived(self) -> bool:
+        """Whether no servo is still on its way to where it was commanded."""
+        state, _ = self._newest
+        return state is None or arrived(state)
 
     def sentence(self, now_s: float, walk: WalkState | None) -> str:
         """See `robot_now`."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_START, STOP_REPEAT_MS, STOP_REPEATS, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command
 from gateway.robot.core.pacing import NEVER, RateSlots
@@ -45,6 +46,10 @@ class Rules:
     """Wire angles that are never sent: from the first up to, not including, the second."""
     max_speed_cdeg_s: dict[int, int] = field(default_factory=dict)
     """Servos that go no faster than this from one frame to the next (Behaviour 11)."""
+    takeover_cdeg_s: int = 0
+    """The highest speed of a servo on its first way under another source, or behind a Stop (Behaviour 20); 0: off."""
+    takeover_known_ns: int = 2 * NS_PER_S
+    """For how long behind its Stop a servo counts as standing where it was; not a setting."""
     landing_ns: int = 0
     """How long a landing takes (Behaviour 12); 0: a silent leg is stopped at once."""
     landing_cdeg: dict[int, int] = field(default_factory=dict)
@@ -105,6 +110,12 @@ class Servo:
     """Which command set that target."""
     since_ns: int = 0
     """From when the time for its next step counts."""
+    source: str | None = None
+    """Who started or set it last."""
+    eases: bool = False
+    """Whether it goes to its target no faster than `Rules.takeover_cdeg_s`, until it is there."""
+    stopped: tuple[int, int, RobotCalibration] | None = None
+    """Its angle when it was stopped, when that was, and by which calibration the angle counts; None: it never ran."""
     passing_cdeg: int | None = None
     """Where it would be on its way through angles that are not sent, and at whose near end it waits."""
     repeats_left: int = 0
@@ -140,6 +151,8 @@ class Leg:
     expired: bool = False
     source: str | None = None
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
+    eases: bool = False
+    """Whether a servo of it may ease (`Servo.eases`), or is to be started."""
     landed_ns: int = 0
     """Which part of the way down its frames have said."""
     unfed_ns: int | None = None

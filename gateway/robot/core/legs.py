@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
+from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
@@ -235,7 +235,7 @@ class Legs:
         self._fed = fed
         if stops or fed:  # Stops may have ended what its own starts queued behind
             effects += self.take_slots(now_ns)
-        elif not self._rules.start_pause_ns and self._fed is None:  # else a leg that starts delays others
+        elif not self._queue.legs and self._fed is None:  # else a leg that starts delays others
             self._moved = moved
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
@@ -287,6 +287,7 @@ class Legs:
     def _move(self, leg: Leg, targets: Targets, command: Command, now_ns: int) -> list[Effect]:
         """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
         effects: list[Effect] = []
+        taken: list[Servo] = []
         for servo_id, op in targets:
             servo, newest = self.servos[servo_id], op
             if servo.waiting is not None:
@@ -295,6 +296,10 @@ class Legs:
             servo.waiting, servo.waiting_for, servo.target_cdeg = newest, command, None
             if op.op is OP_STOP:
                 servo.note_stop(command.channel, self.instant_ns)
+            elif servo.source != command.source or servo.angle_cdeg is None:
+                taken += [servo]
+        if taken:
+            self._speeds.take_over(leg, taken, command.source, now_ns)
         effects += self._send(leg, now_ns)
         for servo_id, _ in targets:
             servo = self.servos[servo_id]
@@ -315,11 +320,14 @@ class Legs:
         if held:
             return self._send_beside(leg, held, now_ns, cause)
         waiting: list[tuple[Servo, ServoOp]] = []
+        starts = False
         for servo in leg.servos:
             if servo.waiting is not None:
                 waiting += [(servo, servo.waiting)]
-        limited = self._rules.max_speed_cdeg_s
-        if self._rules.start_pause_ns and not self._passes_queue(leg, now_ns):
+                starts = starts or (servo.angle_cdeg is None and servo.waiting.op is OP_START)
+        limited = leg.eases or self._rules.max_speed_cdeg_s
+        queue = self._queue
+        if (queue.legs or (starts and queue.pause_ns)) and not queue.passes(leg.number, leg.slots, now_ns, starts):
             return []
         slot_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
         if not (waiting or (limited and leg.is_bound)) or now_ns < slot_ns:
@@ -363,17 +371,6 @@ class Legs:
             servo.waiting = start
         return effects
 
-    def _passes_queue(self, leg: Leg, now_ns: int) -> bool:
-        """Whether the queue of the legs that wait to be energised lets this one's frame go now."""
-        if not leg.waits_to_start:
-            self._queue.leave(leg.number)
-            return True
-        self._queue.join(leg.number)
-        if now_ns < leg.slots.next_ns or not self._queue.admits(leg.number, now_ns):
-            return False
-        self._queue.started(leg.number, now_ns)
-        return True
-
     # ---- landing
 
     def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
@@ -387,6 +384,8 @@ class Legs:
         self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
             leg.source, leg.landed_ns = None, 0
+            for servo in leg.servos:
+                servo.eases = False  # the landing has a pace of its own
         return self.drop(self.servos.values(), Reason.LANDING, "the robot lands, and is then stopped")
 
     def land(self, now_ns: int) -> list[Effect]:
@@ -425,6 +424,8 @@ class Legs:
         for servo in servos:
             servo.note_stop(cause, self.instant_ns)
             self._stopped(servo, now_ns)
+            if cause is Cause.STARTUP:
+                servo.stopped = None  # behind a fault of the bus nobody knows which frame was the last
         for number in deadlines_ns:
             self.by_number[number].expired = False
             self.by_number[number].source = None
@@ -433,11 +434,12 @@ class Legs:
     def _stopped(self, servo: Servo, now_ns: int) -> None:
         self._first_stops.add(servo.servo_id)
         self.given.add(servo.servo_id)
-        servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = None
+        if servo.angle_cdeg is not None:
+            servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self._reach.calibration), False
+        servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = servo.passing_cdeg = None
         if not servo.repeats_left:  # else the next one stays where it is
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
-        servo.passing_cdeg = None
 
     def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
         """A Stop anywhere ends what waits to be energised: who stops one leg does not want another to start now.

@@ -43,6 +43,8 @@ class RateSlots:
     """Since when there is the oldest slot that is kept, or from when there will be one."""
     next_ns: int = 0
     """When the next frame may go out."""
+    taken_ns: int = 0
+    """When the latest frame went out."""
 
     def wait_until(self, until_ns: int) -> None:
         """No frame goes out before this time."""
@@ -52,6 +54,7 @@ class RateSlots:
         """A frame goes out now and uses up the oldest slot that the bucket still holds."""
         kept_ns = now_ns - (BUCKET - 1) * self.period_ns
         self.oldest_ns = (self.oldest_ns if self.oldest_ns > kept_ns else kept_ns) + self.period_ns
+        self.taken_ns = now_ns
         soonest_ns = now_ns - (-self.period_ns // SPACING_SHARE)  # rounded up: never closer
         self.next_ns = self.oldest_ns if self.oldest_ns > soonest_ns else soonest_ns
 
@@ -67,19 +70,18 @@ class StartQueue:
     next_ns: int = 0
     legs: list[int] = field(default_factory=list)
 
-    def join(self, leg: int) -> None:
-        """`leg` wants to be energised; a leg that waits already keeps its place."""
-        if self.pause_ns and leg not in self.legs:
+    def passes(self, leg: int, slots: RateSlots, now_ns: int, starts: bool) -> bool:
+        """Whether a frame of `leg` may leave now; one that starts a servo waits in the queue, and for its rate slot."""
+        if not starts:
+            self.leave(leg)
+            return True
+        if leg not in self.legs:  # a leg that waits already keeps its place
             self.legs.append(leg)
-
-    def admits(self, leg: int, now_ns: int) -> bool:
-        """Whether `leg`, which has joined, may be energised now."""
-        return self.pause_ns == 0 or (self.legs[0] == leg and now_ns >= self.next_ns)
-
-    def started(self, leg: int, now_ns: int) -> None:
-        """`leg` is being energised now."""
+        if self.legs[0] != leg or now_ns < self.next_ns or now_ns < slots.next_ns:
+            return False
         self.leave(leg)
         self.next_ns = now_ns + self.pause_ns
+        return True
 
     def leave(self, leg: int) -> None:
         """`leg` waits no more to be energised."""

@@ -1,5 +1,11 @@
-"""How far a servo may go with one frame, where its speed is limited. Pure."""
+"""How far a servo may go with one frame, where its speed is limited. Pure.
 
+Two limits: a servo's own (`Rules.max_speed_cdeg_s`), and one for servos that *ease* (`Rules.takeover_cdeg_s`). A servo
+eases from a command of another source on, or from a start within `Rules.takeover_known_ns` of its Stop, until it has
+arrived. Where it stands is known then, and the first target of whoever comes may be far away.
+"""
+
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from gateway.allowance import NS_PER_S
@@ -41,6 +47,35 @@ class LimitedSpeeds:
         self._rules = rules
         self._reach = reach
 
+    def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
+        """A command of `source` starts or sets servos that do not run, or that another source commanded."""
+        takeover, supply_starts = self._rules.takeover_cdeg_s > 0, self._rules.angles_first
+        for servo in servos:
+            servo.source = source
+            if servo.angle_cdeg is not None:
+                if takeover and not servo.eases:
+                    leg.eases = servo.eases = True
+                    servo.since_ns = leg.slots.taken_ns
+            elif takeover and (supply_starts or servo.stopped is not None):
+                leg.eases = True  # its start's frame decides; but where supply starts it, that comes before
+                if supply_starts and servo.announced_cdeg is None:
+                    servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
+
+    def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
+        """Where a servo that does not run stands, if its Stop was not long ago and the calibration is the same."""
+        if servo.stopped is None or not self._rules.takeover_cdeg_s:
+            return None
+        angle_cdeg, stopped_ns, calibration = servo.stopped
+        known = calibration is self._reach.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns
+        return angle_cdeg if known else None
+
+    def _speed_cdeg_s(self, servo: Servo) -> int | None:
+        """The highest speed of a servo now; None: any."""
+        own, takeover = self._rules.max_speed_cdeg_s.get(servo.servo_id), self._rules.takeover_cdeg_s
+        if not servo.eases:
+            return own
+        return takeover if own is None else min(own, takeover)
+
     def in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
         said: list[tuple[Servo, ServoOp]] = []
@@ -49,12 +84,14 @@ class LimitedSpeeds:
                 servo.waiting, servo.waiting_for = SETS[servo.target_cdeg], NO_COMMAND
             if servo.waiting is None:
                 continue
-            speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
             if servo.waiting.op is not OP_STOP:
                 target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
                 stands_cdeg = servo.angle_cdeg
-                if stands_cdeg is None and self._rules.angles_first:
-                    stands_cdeg, servo.since_ns = servo.announced_cdeg, now_ns
+                if stands_cdeg is None:
+                    first = self._rules.angles_first
+                    stands_cdeg = servo.announced_cdeg if first else self._stood_cdeg(servo, now_ns)
+                    servo.eases, servo.since_ns = self._rules.takeover_cdeg_s > 0, now_ns
+                speed_cdeg_s = self._speed_cdeg_s(servo)
                 if speed_cdeg_s is None or stands_cdeg is None:
                     servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
                 else:
@@ -63,7 +100,9 @@ class LimitedSpeeds:
                     servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
                     if servo.waiting_for is not NO_COMMAND:
                         servo.target_for = servo.waiting_for
+                servo.eases = servo.eases and servo.target_cdeg is not None
             said.append((servo, servo.waiting))
+        leg.eases = any(servo.eases for servo in leg.servos)
         if len(said) > 1:
             for servo in leg.servos:
                 if servo.waiting is None:
@@ -71,7 +110,7 @@ class LimitedSpeeds:
         return said
 
     def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
-        """Where the next frame takes a running servo whose speed is limited."""
+        """Where the next frame takes a servo whose speed is limited."""
         crosses = self._reach.crosses(servo.servo_id, stands_cdeg, target_cdeg)
         from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
         at_cdeg, servo.since_ns = step(

@@ -42,6 +42,7 @@ The rules, by their numbers in docs/interface.md, *Behaviour*:
 17. With a power board, a start waits until its servo is fed, and its leg's watchdog with it (`power`); what the board
     feeds no longer is stopped, and all that runs is stopped, or lands, when it does not answer.
 19. A leg that does not run takes no start from a burst of messages without a time (`backlog`).
+20. Under another source, and soon behind its Stop, a servo goes to its first target at a limited speed (`speed`).
 
 `StoppedOutside` reports `stop-servos` at work on the same device. All legs count as stopped and get a Stop from here
 too, since one may have been started after its Stop from outside. Until that program is known to have ended, no Start or

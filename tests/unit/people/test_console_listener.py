@@ -39,7 +39,7 @@ class Stand:
         self.admitted: asyncio.Queue[SignedIn] = asyncio.Queue()
         self.address = listening.getsockname()
         auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions, "operator")
-        self.listener = HttpListener([listening], None, auth, self.serve_page)
+        self.listener = HttpListener([listening], None, auth.answer, self.serve_page)
 
     async def serve_page(self, request: web.BaseRequest, session: SignedIn) -> web.StreamResponse:
         """As the console does."""

@@ -5,7 +5,7 @@ from typing import Final
 import pytest
 
 from gateway.errors import RejectedError, StoppedError
-from gateway.people.walking import STILL, Phase, Posture, Ride, Silences, Velocity, Wish
+from gateway.people.walking import STILL, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from tests.support.ridden import ROBOT, standing
 
 AHEAD: Final = Velocity(0.06)
@@ -21,6 +21,20 @@ def test_its_silences_can_be_changed_at_any_time() -> None:
     ridden.ride.silences = Silences(rest_s=1.0)
     assert ridden.ride.silences == Silences(rest_s=1.0)
     ridden.until(lambda: ridden.posture is Posture.MOVING, 2.0)
+
+
+def test_a_servo_that_is_still_on_its_way_to_where_it_starts_keeps_the_robot_from_standing_up() -> None:
+    ride = Ride(ROBOT)
+    ride.stand(None, 0.0)
+    assert ride.next(0.0).do is RideTask.FIND
+    ride.found(ROBOT, {}, 0.0)
+    for tick in range(1, 60):
+        step = ride.next(tick / 50)
+        assert step.do is RideTask.SEND
+        ride.sent(step.pose, arrived=False)
+    assert (len(step.pose), ride.phase) == (6, Phase.STARTS)
+    ride.sent(step.pose)
+    assert ride.phase is Phase.RUNS
 
 
 # ---- the silences

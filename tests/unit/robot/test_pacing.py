@@ -63,8 +63,7 @@ def test_a_robot_that_has_just_booted_has_all_its_slots_too() -> None:
         slots.take(now_ns)
     assert slots.next_ns == NS_PER_S
     queue = StartQueue(pause_ns=1)
-    queue.join(3)
-    assert queue.admits(3, 0)
+    assert queue.passes(3, RateSlots(NS_PER_S), 0, True)
 
 
 def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
@@ -109,30 +108,19 @@ def test_in_the_long_run_more_than_the_rate_gets_exactly_the_rate(period_ns: int
     assert all(later - earlier == period_ns for earlier, later in pairwise(frames[empty:]))
 
 
-def test_a_queue_without_a_pause_lets_all_go() -> None:
-    queue = StartQueue(0)
-    for leg in (3, 1):
-        queue.join(leg)
-    assert queue.legs == []
-    for leg in (3, 1):
-        assert queue.admits(leg, 1000)
-        assert queue.due_ns(leg, 1234) == 1234
-        queue.started(leg, 1000)
-
-
 def test_a_queue_lets_one_leg_go_at_a_time_in_the_order_in_which_they_came() -> None:
-    queue = StartQueue(100)
-    for leg in (3, 1, 3, 2):
-        queue.join(leg)
+    queue, open_slots, late_slots = StartQueue(100), RateSlots(100), RateSlots(100, next_ns=2000)
+    assert not queue.passes(3, late_slots, 1000, True)
+    for leg in (1, 3, 2):
+        assert not queue.passes(leg, late_slots if leg == 3 else open_slots, 1000, True)
     assert queue.legs == [3, 1, 2]
-    assert not queue.admits(1, 1000)
+    assert queue.passes(4, open_slots, 1000, False), "a frame that starts nothing"
     assert queue.due_ns(1, 990) is None
-    assert queue.admits(3, 1000)
-    queue.started(3, 1000)
-    assert not queue.admits(1, 1099)
+    assert queue.passes(3, open_slots, 1000, True)
+    assert not queue.passes(1, open_slots, 1099, True)
     assert queue.due_ns(1, 990) == 1100
     assert queue.due_ns(1, 1150) == 1150
-    assert queue.admits(1, 1100)
-    queue.leave(1)
     queue.leave(6)
-    assert queue.admits(2, 1100)
+    assert queue.passes(1, open_slots, 1100, False), "it is not started any more"
+    assert queue.legs == [2]
+    assert queue.passes(2, open_slots, 1100, True)

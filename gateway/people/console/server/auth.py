@@ -75,7 +75,7 @@ class SignedIn:
 
 
 @dataclass(frozen=True)
-class _PageFile:
+class PageFile:
     content: bytes
     packed: bytes
     """By gzip."""
@@ -91,7 +91,7 @@ class Auth:
         self._site = site
         self._sessions = sessions
         self._role = role
-        self._files = _files()
+        self._files = read_files()
         self._nonces: dict[str, float] = {}
         """Issued and not used, and until when each is valid, monotonic."""
 
@@ -184,7 +184,7 @@ class Auth:
         return response
 
 
-def _files() -> Mapping[str, _PageFile]:
+def read_files() -> Mapping[str, PageFile]:
     """The page's files, 1 MB in memory: no request waits for a disk or takes a descriptor.
 
     A built package has them compressed; those of a repository are compressed here.
@@ -197,7 +197,7 @@ def _files() -> Mapping[str, _PageFile]:
             kind = mimetypes.guess_type(path.name)[0] or "text/plain"
             kind += "; charset=utf-8" if kind.startswith("text/") else ""
             tag = f'W/"{hashlib.sha256(content).hexdigest()[:32]}"'
-            found[f"/{path.relative_to(PAGE).as_posix()}"] = _PageFile(content, packed, kind, tag)
+            found[f"/{path.relative_to(PAGE).as_posix()}"] = PageFile(content, packed, kind, tag)
     return found
 
 

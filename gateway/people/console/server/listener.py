@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from aiohttp import web
+from multidict import MultiMapping
 
 from gateway.allowance import NS_PER_S, Allowance
-from gateway.people.console.server.auth import Auth, SignedIn
+from gateway.people.console.server.auth import SignedIn
 
 MAX_UNKNOWN: Final = 64
 """Connections without a session; each takes one descriptor, and some 100 kB with TLS."""
@@ -182,13 +183,13 @@ class HttpListener:
         self,
         listening: Sequence[socket.socket],
         context: ssl.SSLContext | None,
-        auth: Auth,
+        answer: Callable[[str, str, MultiMapping[str]], web.Response | SignedIn],
         serve_page: Callable[[web.BaseRequest, SignedIn], Awaitable[web.StreamResponse]],
     ) -> None:
-        """`serve_page` answers a page's WebSocket, and returns once that has ended."""
+        """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and returns once that has ended."""
         self._listening = listening
         self._context = context
-        self._auth = auth
+        self._find = answer
         self._serve_page = serve_page
         self._server = web.Server(self._answer)
         self._unknown = _Places(MAX_UNKNOWN)
@@ -225,7 +226,7 @@ class HttpListener:
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         connection = cast("Connection", request.protocol)
         try:
-            found = self._auth.answer(request.method, request.raw_path, request.headers)
+            found = self._find(request.method, request.raw_path, request.headers)
             if isinstance(found, SignedIn):
                 self._discard(connection)
                 connection.signed_in(until_s=None)

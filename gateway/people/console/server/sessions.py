@@ -97,6 +97,8 @@ class _Entries(BaseModel):
     model_config = ConfigDict(frozen=True)
     url: str = ""
     """Of the console that runs, or last ran, at this port."""
+    door: str = ""
+    """What its links begin with, before the token, where they lead to a page without TLS first."""
     role: Role = "observer"
     common_name: str = ""
     """Of its certificate; empty: it had none."""
@@ -114,7 +116,7 @@ class Sessions:
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """The file's inode, time and size, and its content: one tuple, since several threads read it."""
 
-    def begin(self, url: str, role: Role, common_name: str = "") -> None:
+    def begin(self, url: str, role: Role, common_name: str = "", door: str = "") -> None:
         """Begin a console at `url`: its links open pages of `role`, earlier links are void. Raises ConfigError.
 
         Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
@@ -123,7 +125,7 @@ class Sessions:
 
         def begun(now: _Entries) -> _Entries:
             sessions = now.sessions if now.common_name == common_name else ()
-            return _Entries(url=url, role=role, common_name=common_name, sessions=sessions)
+            return _Entries(url=url, door=door, role=role, common_name=common_name, sessions=sessions)
 
         self._change(begun)
 
@@ -145,7 +147,10 @@ class Sessions:
             entry = self._entry(token, now.role, LINK_S)
             return now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]})
 
-        return f"{self._change(add).url}/?token={token}{card and f'&card={card}'}"
+        made = self._change(add)
+        if made.door:
+            return f"{made.door}{token}{card and f',{card}'}"
+        return f"{made.url}/?token={token}{card and f'&card={card}'}"
 
     def exchange(self, token: str) -> SignIn | None:
         """A new session for a link's token, which is void from now on; None if no valid link has this token."""

@@ -123,15 +123,16 @@ def with_port(host: str, port: int) -> str:
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
-def free_address() -> str:
-    """The default address with the first free port; if none is free, with the default port."""
-    return f"{DEFAULT_ADDRESS}:{next(filter(_is_free, (CONSOLE_PORT, *_NEXT_PORTS)), CONSOLE_PORT)}"
+def free_address(address: str = DEFAULT_ADDRESS) -> str:
+    """This address with the first free port; if none is free, with the default port."""
+    ports = (port for port in (CONSOLE_PORT, *_NEXT_PORTS) if _is_free(address, port))
+    return with_port(address, next(ports, CONSOLE_PORT))
 
 
-def _is_free(port: int) -> bool:
-    with socket.socket() as probe, suppress(OSError):
+def _is_free(address: str, port: int) -> bool:
+    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe, suppress(OSError):
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the console itself
-        probe.bind((DEFAULT_ADDRESS, port))
+        probe.bind((address, port))
         probe.listen()
         return True
     return False

@@ -1,0 +1,15 @@
+// @ts-check
+/** Leads to the console, by its port and the link's token from behind the # of the address, which is never sent. */
+
+const [port, token, card] = location.hash.slice(1).split(",");
+const link = document.getElementById("open");
+if (link instanceof HTMLAnchorElement && port && token) {
+  const address = new URL("/", location.href);
+  address.protocol = "https:";
+  address.port = port;
+  address.searchParams.set("token", token);
+  if (card) address.searchParams.set("card", card);
+  link.href = address.href;
+  link.hidden = false;
+  document.getElementById("missing")?.remove();
+}
