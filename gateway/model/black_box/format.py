@@ -1,6 +1,6 @@
 """The black box's records: their content, their bytes, and how they are written.
 
-The readers are in `people/recorder/ring_decoding.py`.
+The readers are in `people/recorder/ring_reader.py`.
 
 A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
 
