@@ -229,7 +229,7 @@ class TelemetrySettings(Section):
     """Whether frames are published, and the metrics page."""
 
     frames: bool = _setting(False, "publish `hexapod/frame`")
-    metrics: str = _setting("", '`"127.0.0.1:9464"`: Prometheus [metrics](metrics.md) over HTTP; `""`: none', fault=_host_and_port)
+    metrics: str = _setting("", '`"127.0.0.1:9464"`: Prometheus [metrics](recordings.md#metrics) over HTTP; `""`: none', fault=_host_and_port)
 
 
 @dataclass(frozen=True)

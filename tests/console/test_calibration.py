@@ -109,9 +109,10 @@ def test_leaving_in_any_way_stops_the_servo(
 def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open()
     start_32(page)
+    page.expect_status(3, "runs")
     with gateway.client(source="a program") as robot:
         assert robot.stop(3).accepted
-        expect(page.said).to_contain_text("servo_stopped")
+        expect(page.said).to_contain_text("the servo is stopped")
         page["cal-start"].click()
         page["question-yes"].click()
         expect(page["cal-now"]).to_be_visible()

@@ -71,9 +71,9 @@ def test_stop_all_stops_and_says_what_is_known_and_who_else_stopped(visitor: Vis
             assert robot.state().mode == "estopped"
             assert robot.state().estop > before
             assert robot.reset().accepted
-            expect(page["stop-known"]).to_have_text("Escape or space, at any time")
+            expect(page["stop-line"]).to_have_text("Escape or space, at any time")
         robot.estop()
-        expect(page["stop-known"]).to_have_text("STOP ALL by bert: nothing runs until a reset")
+        expect(page["stop-line"]).to_have_text(re.compile(r"STOPPED by bert, \d\d:\d\d"))
 
 
 def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: Gateway) -> None:
@@ -164,7 +164,7 @@ def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_h
         Visitor(browser, console.url, console.sign_in()) as visitor,
     ):
         page = visitor.open()
-        expect(page["stop-known"]).to_have_text("View only: use the power switch")
+        expect(page["stop-line"]).to_have_text("View only: use the power switch")
         expect(page["stop-all"]).to_be_disabled()
         expect(page["controls"]).not_to_be_visible()
         expect(page["walk-controls"]).not_to_be_visible()

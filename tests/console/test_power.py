@@ -41,15 +41,15 @@ def test_a_stop_that_the_board_does_not_confirm_is_red_and_one_that_it_confirms_
     page["stop-all"].click()
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
     expect(page["stop-known"]).to_contain_text("ms, power confirmed off after 34 ms")
-    expect(page["stop"]).to_have_attribute("data-tone", "good")
+    expect(page["stop"]).to_have_attribute("data-tone", "stopped")
     page.page.evaluate("(said) => (window.board = said)", NOT_CONFIRMED)
-    expect(page["stop-known"]).to_have_text(UNCONFIRMED)
+    expect(page["stop-line"]).to_have_text(UNCONFIRMED)
     expect(page["stop"]).to_have_attribute("data-tone", "bad")
     expect(page["stop-aloud"]).to_have_text(UNCONFIRMED)
     expect(page["power"]).to_have_attribute("data-bad", "yes")
     expect_no_serious_violation(page)
     page.page.evaluate("(said) => (window.board = said)", FED)
-    expect(page["stop"]).to_have_attribute("data-tone", "good")
+    expect(page["stop"]).to_have_attribute("data-tone", "stopped")
 
 
 def test_the_button_of_a_robot_whose_stop_is_not_confirmed_is_red(visitor: Visitor) -> None:

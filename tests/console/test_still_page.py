@@ -10,7 +10,7 @@ from tests.console.browser import Opened, Visitor
 pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 HELD: Final = ((320, 568), (568, 320), (360, 640), (640, 360), (390, 844), (844, 390), (768, 1024), (1024, 768))
-DESK: Final = (1280, 800)
+DESKS: Final = ((1280, 800), (1440, 900))
 HEAR: Final = """
 const listen = WebSocket.prototype.addEventListener;
 WebSocket.prototype.addEventListener = function (name, heard, ...more) {
@@ -32,7 +32,8 @@ window.setInterval = (run, ms) => {
 """Lets a test say what the console says, and look at the page at once."""
 SHOW: Final = """([messages, state]) => {
   window.situation = true;
-  const LINES = ".facts div, dd, #robot, #said, #stop-known"; // as long as what they say; nothing stands behind them
+  // as long as what they say; nothing stands behind them
+  const LINES = ".facts div, dt, dd, #robot, #said, #stop-known, #stop-known *, #walk-known";
   const { newest } = window;
   for (const message of messages) hear(message);
   hear({ ...newest, now: state.now ?? newest.now, state: { ...newest.state, ...state } });
@@ -45,10 +46,6 @@ SHOW: Final = """([messages, state]) => {
     const name = each.id || `${each.closest("[id]")?.id} ${each.tagName} ${each.textContent.slice(0, 12)}`;
     boxes[name] = [left, top, width, height].map(Math.round).join(" ");
   }
-  const middle = (id) => {
-    const { left, top, width, height } = document.getElementById(id).getBoundingClientRect();
-    return document.elementFromPoint(left + width / 2, top + height / 2)?.closest("[id]")?.id;
-  };
   const cut = ["said", "stop-known", "walk-known", "mode", "age", "lease-hand-over", "measured"].filter((id) => {
     const each = document.getElementById(id);
     const { left, top, right, bottom } = each.getBoundingClientRect();
@@ -56,7 +53,28 @@ SHOW: Final = """([messages, state]) => {
     const fits = each.scrollWidth <= each.clientWidth && each.scrollHeight <= each.clientHeight;
     return each.checkVisibility() && !(inside && fits);
   });
-  const covered = ["pad", "turn", "stop-all", "stand", "sit"].filter((id) => middle(id) !== id);
+  const covered = [];
+  const over = (each, x, y) => {
+    const found = document.elementFromPoint(x, y);
+    return !each.contains(found) && !(found?.closest("#said") && each.closest(".see")) && (found ?? document.body);
+  };
+  const texts = "#stop-known *, #measured > *, #walk-known, .facts div, #quality";
+  for (const each of document.querySelectorAll(`button:not(.label), label, .stick, #picture, ${texts}`)) {
+    const { left, top, right, bottom, width, height } = each.getBoundingClientRect();
+    if (!width || !height || !each.checkVisibility() || each.closest(".rest, dialog, .aloud")) continue;
+    const corners = each.matches(".stick") ? [] : [[1, 1], [1, -1], [-1, 1], [-1, -1]];
+    for (const [x, y] of [[0, 0], ...corners.map(([x, y]) => [x * (width / 2 - 6), y * (height / 2 - 6)])]) {
+      const by = over(each, (left + right) / 2 + x, (top + bottom) / 2 + y);
+      if (by) covered.push(`${each.id || each.textContent} is covered by ${by.id || by.outerHTML.slice(0, 60)}`);
+    }
+  }
+  const picture = document.getElementById("picture").getBoundingClientRect();
+  for (const each of document.querySelectorAll(".label")) {
+    const { left, top, right, bottom } = each.getBoundingClientRect();
+    if (left < picture.left - 1 || right > picture.right + 1 || top < picture.top - 1 || bottom > picture.bottom + 1) {
+      if (each.checkVisibility()) covered.push(`label ${each.textContent} is not on the picture`);
+    }
+  }
   const { scrollWidth, scrollHeight } = document.documentElement;
   return { boxes, cut, covered, scrolls: scrollWidth > innerWidth || scrollHeight > innerHeight };
 }"""
@@ -97,6 +115,24 @@ HANDS: Final = """() => {
   return faults;
 }"""
 """What is too small for a finger, or not where the thumbs are; 320 pixels of a phone are some 5 cm."""
+ASKS: Final = """() => {
+  const box = (id) => document.getElementById(id).getBoundingClientRect();
+  const dialog = document.getElementById("question");
+  const [title, words, yes] = ["title", "text", "yes"].map((part) => document.getElementById(`question-${part}`));
+  title.textContent = "Take the lease from anna-katharina.oberhuber@robots.example (page 12)?";
+  words.textContent = "All six legs stop first, and servos that stop hold no weight.";
+  yes.textContent = "Stop all legs and take it";
+  dialog.show();
+  const [asks, answer] = [box("question"), box("question-yes")];
+  const across = (other) => other.left < asks.right && other.right > asks.left;
+  const hit = (other) => across(other) && other.top < asks.bottom && other.bottom > asks.top;
+  const under = ["pad", "turn", "stop-all", "stop-known"].filter((id) => hit(box(id)));
+  const faults = under.map((id) => `the question is over ${id}`);
+  if (asks.left < 0 || asks.right > innerWidth || answer.bottom > asks.bottom) faults.push("the question is cut off");
+  dialog.close("no");
+  return faults;
+}"""
+"""What the longest question covers."""
 ENDLESS: Final = """() => {
   const said = document.getElementById("said");
   said.textContent = "Nothing moves: this is a long story. ".repeat(300);
@@ -168,7 +204,7 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
         "stop buttons": ([], {**lease(source), "buttons": {"required": 2, "alive": 1, "names": [LONG]}}),
         "stopped by somebody": (
             [],
-            {**lease(source), "mode": "estopped", "now": f"Emergency stop by {LONG}: nothing runs until a reset"},
+            {**lease(source), "mode": "estopped", "estop_source": LONG, "estop_since": "2026-11-26T12:03:11Z"},
         ),
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
         "measured": ([MEASURED], lease(source)),
@@ -179,7 +215,7 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
     }
 
 
-@pytest.mark.parametrize("size", [*HELD, DESK], ids=lambda size: f"{size[0]}x{size[1]}")
+@pytest.mark.parametrize("size", [*HELD, *DESKS], ids=lambda size: f"{size[0]}x{size[1]}")
 def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumbs_reach(
     size: tuple[int, int], visitor: Visitor
 ) -> None:
@@ -187,6 +223,7 @@ def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumb
     held = size in HELD
     page = visitor.open(script=HEAR, viewport={"width": width, "height": height}, has_touch=held, is_mobile=held)
     found = faults(page)
+    found += page.page.evaluate(ASKS)
     if held:
         found += page.page.evaluate(HANDS)
         found += [] if page.page.evaluate(ENDLESS) else ["what was said covers more than the picture"]
@@ -203,7 +240,8 @@ def faults(page: Opened) -> list[str]:
             since, before = places.setdefault(element, (name, box))
             if box != before:
                 found.append(f"{name}: {element} is at {box}, and {since}: at {before}")
-        found += [f"{name}: {element} is {how}" for how in ("cut", "covered") for element in seen[how]]
+        found += [f"{name}: {element} is {how}" for how in ("cut",) for element in seen[how]]
+        found += [f"{name}: {element}" for element in dict.fromkeys(seen["covered"])]
         found += [f"{name}: the page scrolls"] if seen["scrolls"] else []
     return found
 

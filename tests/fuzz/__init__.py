@@ -1,1 +1,1 @@
-"""Coverage-guided fuzzing of what reads foreign bytes: `python -m tests.fuzz intake|decode|simulator --runs N`."""
+"""Coverage-guided fuzzing of what reads foreign bytes, and the model check of the supervisor."""

@@ -1,4 +1,4 @@
-"""The metrics page, and its list in docs/metrics.md: the name, kind and labels of each metric."""
+"""The metrics page, and its list in docs/recordings.md: the name, kind and labels of each metric."""
 
 import re
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 Described = set[tuple[str, str, frozenset[str]]]
-_DOCS: Final = Path(__file__).parents[2] / "docs" / "metrics.md"
+_DOCS: Final = Path(__file__).parents[2] / "docs" / "recordings.md"
 _OF: Final = re.compile(r"^Of a robot ", re.MULTILINE)
 
 

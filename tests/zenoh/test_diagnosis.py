@@ -1,6 +1,5 @@
 """Every way in which a laptop does not reach the robot: one line names the step."""
 
-import datetime as dt
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,41 +9,24 @@ import pytest
 
 from gateway import certs
 from tests.support.command import Ended, run_here
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import free_port
+from tests.support.secured import HOST, Secured
 
 pytestmark = pytest.mark.full
 
-HOST = "127.0.0.1"
-
-
-class Robot:
-    """A gateway over TLS, and the folder its certificates are made in."""
-
-    def __init__(self, folder: Path) -> None:
-        self.port = free_port()
-        self.folder = folder / "D"
-        self.endpoint = f"tls/{HOST}:{self.port}"
-        certs.folder.init(self.folder, [HOST], port=self.port)
-        self.settings = {"zenoh": {"config": str(self.folder / "gateway.json5"), "listen": [self.endpoint]}}
-
-    def file(self, name: str, role: str = "operator", now: dt.datetime | None = None) -> str:
-        """The Zenoh file of a new laptop."""
-        certs.folder.issue(self.folder, name, role, now=now)
-        return str(self.folder / f"{name}.json5")
-
-    def file_without_a_role(self) -> str:
-        """Of a laptop that shows the robot's own certificate."""
-        file = Path(self.file("nobody"))
-        file.write_text(file.read_text().replace("nobody.pem", "gateway.pem").replace("nobody.key", "gateway.key"))
-        return str(file)
-
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
-    folder = tmp_path_factory.mktemp("robot")
-    made = Robot(folder)
-    with Gateway(folder, made.settings):
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Secured]:
+    with Secured(tmp_path_factory.mktemp("robot")) as made:
         yield made
+
+
+def without_a_role(robot: Secured) -> str:
+    """The Zenoh file of a laptop that shows the robot's own certificate."""
+    text = (robot.folder / "anna.json5").read_text()
+    file = robot.folder / "nobody.json5"
+    file.write_text(text.replace("anna.pem", "gateway.pem").replace("anna.key", "gateway.key"))
+    return str(file)
 
 
 def said(*arguments: str) -> list[str]:
@@ -54,7 +36,7 @@ def said(*arguments: str) -> list[str]:
     return [line.removeprefix("hexapod-gateway: ") for line in done.stderr.splitlines()]
 
 
-STEPS: Final[dict[str, tuple[Callable[[Robot], list[str]], str]]] = {
+STEPS: Final[dict[str, tuple[Callable[[Secured], list[str]], str]]] = {
     "a name that nobody knows": (
         lambda _: ["--connect", "tcp/robot.invalid:7447"],
         "no gateway answers on tcp/robot.invalid:7447: name: robot.invalid is unknown … → check the name",
@@ -68,33 +50,33 @@ STEPS: Final[dict[str, tuple[Callable[[Robot], list[str]], str]]] = {
         "TLS: the port wants TLS, and you dial it without → dial tls/…, and give --zenoh-config",
     ),
     "no certificate": (
-        lambda robot: ["--connect", robot.endpoint],
+        lambda robot: ["--connect", robot.gateway.endpoint],
         "certificate: the robot wants a certificate, and you have none",
     ),
     "a host that the certificate does not name": (
-        lambda robot: ["--connect", f"tls/localhost:{robot.port}", "--zenoh-config", robot.file("misnamed")],
+        lambda robot: ["--connect", f"tls/localhost:{robot.port}", "--zenoh-config", str(robot.folder / "anna.json5")],
         "TLS: the robot's certificate does not name localhost → dial it by a name that it has",
     ),
     "an observer": (
-        lambda robot: ["--zenoh-config", robot.file("otto", "observer")],
+        lambda robot: ["--zenoh-config", str(robot.folder / "otto.json5")],
         "no gateway answered: role: you may not command, as observer → ",
     ),
     "a certificate without a role": (
-        lambda robot: ["--zenoh-config", robot.file_without_a_role()],
+        lambda robot: ["--zenoh-config", without_a_role(robot)],
         "role: the connection is open, but your certificate is of gateway, which is no role",
     ),
 }
 
 
 @pytest.mark.parametrize("step", STEPS)
-def test_one_line_names_the_step_and_what_to_do(robot: Robot, step: str) -> None:
+def test_one_line_names_the_step_and_what_to_do(robot: Secured, step: str) -> None:
     arguments, says = STEPS[step]
     (line,) = said(*arguments(robot))
     for part in says.split(" … "):
         assert part in line
 
 
-def test_another_ca(robot: Robot, tmp_path: Path) -> None:
+def test_another_ca(robot: Secured, tmp_path: Path) -> None:
     certs.folder.init(tmp_path / "E", [HOST], port=robot.port)
     certs.folder.issue(tmp_path / "E", "eve", "operator")
     (line,) = said("--zenoh-config", str(tmp_path / "E" / "eve.json5"))
@@ -112,8 +94,8 @@ def names(done: Ended, verdict: str) -> list[str]:
     return [line[9:24].strip() for line in done.stdout.splitlines() if line.startswith(f"{verdict} ")]
 
 
-def test_check_goes_the_whole_way(robot: Robot) -> None:
-    done = run_here("check", "--zenoh-config", robot.file("berta"))
+def test_check_goes_the_whole_way(robot: Secured) -> None:
+    done = run_here("check", "--zenoh-config", str(robot.folder / "anna.json5"))
     assert done.returncode == 0, done
     assert names(done, "failure") == []
     way = ["certificate", "certificate", "name", "TCP", "TLS", "certificate", "role", "gateway"]

@@ -3,7 +3,6 @@
 import json
 import threading
 import urllib.request
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ import pytest
 import zenoh
 
 from gateway import certs
-from gateway.client import Client
 from gateway.people.client.requests import Identity
 from schemas import keys
 from schemas.lease import LeaseAck
@@ -66,70 +64,49 @@ class Heard:
             return found()[0]
 
 
-class Running:
-    """A gateway, a session, and what it hears."""
+def test_a_lease_from_hand_to_hand_and_its_token_in_nothing_that_goes_out(tmp_path: Path) -> None:
+    metrics = f"127.0.0.1:{free_port()}"
+    settings: dict[str, dict[str, Any]] = {
+        "telemetry": {"frames": True, "metrics": metrics},
+        "state": {"path": str(tmp_path / "recorder")},
+    }
 
-    def __init__(self, folder: Path) -> None:
-        self.metrics = f"127.0.0.1:{free_port()}"
-        self.gateway = Gateway(
-            folder,
-            {
-                "telemetry": {"frames": True, "metrics": self.metrics},
-                "state": {"path": str(folder / "recorder")},
-            },
-        )
-        self.client = Client(self.gateway.endpoint, timeout_s=5)
-        self.session = self.client.session
-        self.heard = Heard(self.session)
-
-    def page(self) -> str:
-        with urllib.request.urlopen(f"http://{self.metrics}/metrics", timeout=5) as answer:
+    def read_page() -> str:
+        with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5) as answer:
             return str(answer.read().decode())
 
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    made = Running(tmp_path_factory.mktemp("lease"))
-    yield made
-    made.client.close()
-    made.gateway.child.close()
-
-
-def test_a_lease_from_hand_to_hand_and_its_token_in_nothing_that_goes_out(running: Running) -> None:
-    session, heard = running.session, running.heard
-    anna = ask(session, "acquire", "anna")
-    assert (anna.accepted, anna.verified) == (True, False)
-    assert command(session, START, anna.lease).accepted
-    rejected = command(session, START)
-    assert (rejected.reason, rejected.detail) == (Reason.NOT_HOLDER, "anna holds the lease")
-    assert 'hexapod_lease_info{holder="anna",verified="false"} 1.0' in running.page()
-    assert ask(session, "ask", "bert").holder == "anna"
-    heard.wait_for("lease_asked", "bert")
-    assert ask(session, "release", lease=anna.lease, to="bert").holder == "bert"
-    bert = ask(session, "acquire", "bert")
-    assert bert.accepted
-    carl = ask(session, "take", "carl")
-    heard.wait_for("lease_taken", "carl has stopped all legs and taken the lease from bert")
-    heard.wait_for('"mode"', '"holder":"carl"')
-    for former in (anna, bert):
-        assert command(session, START, former.lease).reason == Reason.NOT_HOLDER
-        assert ask(session, "renew", lease=former.lease).reason == Reason.NOT_HOLDER
-        assert command(session, STOP, former.lease).accepted
-    assert ask(session, "renew", lease=carl.lease).ttl_ms == 1000
-    page = running.page()
-    assert 'hexapod_lease_changes_total{kind="lease_taken"} 1.0' in page
-    heard.wait_for("lease_expired", "carl was silent for 1000 ms")
-    assert ask(session, "release", lease=carl.lease).reason == Reason.NOT_HOLDER
-    running.client.close()
-    running.gateway.child.terminate()
-    running.gateway.child.wait(10)
+    with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
+        session, heard = client.session, Heard(client.session)
+        anna = ask(session, "acquire", "anna")
+        assert (anna.accepted, anna.verified) == (True, False)
+        assert command(session, START, anna.lease).accepted
+        rejected = command(session, START)
+        assert (rejected.reason, rejected.detail) == (Reason.NOT_HOLDER, "anna holds the lease")
+        assert 'hexapod_lease_info{holder="anna",verified="false"} 1.0' in read_page()
+        assert ask(session, "ask", "bert").holder == "anna"
+        heard.wait_for("lease_asked", "bert")
+        assert ask(session, "release", lease=anna.lease, to="bert").holder == "bert"
+        bert = ask(session, "acquire", "bert")
+        assert bert.accepted
+        carl = ask(session, "take", "carl")
+        heard.wait_for("lease_taken", "carl has stopped all legs and taken the lease from bert")
+        heard.wait_for('"mode"', '"holder":"carl"')
+        for former in (anna, bert):
+            assert command(session, START, former.lease).reason == Reason.NOT_HOLDER
+            assert ask(session, "renew", lease=former.lease).reason == Reason.NOT_HOLDER
+            assert command(session, STOP, former.lease).accepted
+        assert ask(session, "renew", lease=carl.lease).ttl_ms == 1000
+        page = read_page()
+        assert 'hexapod_lease_changes_total{kind="lease_taken"} 1.0' in page
+        heard.wait_for("lease_expired", "carl was silent for 1000 ms")
+        assert ask(session, "release", lease=carl.lease).reason == Reason.NOT_HOLDER
+        gateway.child.terminate()
+        gateway.child.wait(10)
     out = {
         "published": "\n".join(heard.lines),
-        "log": running.gateway.child.stdout + running.gateway.child.stderr,
+        "log": gateway.child.stdout + gateway.child.stderr,
         "metrics": page,
-        "recorder": "".join(
-            path.read_bytes().decode("latin-1") for path in running.gateway.config.parent.rglob("*") if path.is_file()
-        ),
+        "recorder": "".join(path.read_bytes().decode("latin-1") for path in tmp_path.rglob("*") if path.is_file()),
     }
     for token in (anna.lease, bert.lease, carl.lease):
         assert token is not None

@@ -6,17 +6,16 @@ import time
 import urllib.error
 import urllib.request
 from pathlib import Path
-from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.samples import Sample
 
 from gateway import __version__, certs
-from gateway.client import Client
 from gateway.model.frames import PROTOCOL_VERSION
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.metrics_page import described, documented
+from tests.support.secured import Secured
 
 
 def read(address: str) -> list[Sample]:
@@ -31,21 +30,9 @@ def value(samples: list[Sample], name: str, **labels: str) -> float:
 
 
 def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
-    zenoh = tmp_path / "D"
-    certs.folder.init(zenoh, ["127.0.0.1"], port=free_port())
-    certs.folder.issue(zenoh, "anna", "operator")
-    listen = next(line for line in (zenoh / "anna.json5").read_text().splitlines() if "endpoints: [" in line)
     address = f"127.0.0.1:{free_port()}"
-    settings: dict[str, dict[str, Any]] = {
-        "telemetry": {"metrics": address},
-        "zenoh": {"config": str(zenoh / "gateway.json5"), "listen": [listen.split('"')[1]]},
-        "state": {"path": str(tmp_path / "box")},
-    }
-    with (
-        Gateway(tmp_path, settings),
-        Client(zenoh_config=zenoh / "anna.json5", source="anna", timeout_s=5) as client,
-        client.lease(),
-    ):
+    settings = {"telemetry": {"metrics": address}, "state": {"path": str(tmp_path / "box")}}
+    with Secured(tmp_path, settings) as secured, secured.client("anna") as client, client.lease():
         assert client.estop().accepted
         with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
             page = answer.read().decode()

@@ -1,33 +1,30 @@
 """Who is shut out at a running gateway, over TLS: a clock in 1970, a robot that was off, lists that cross."""
 
 import datetime as dt
-import json
 import os
 import shutil
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
-import zenoh
 
 from gateway import certs
 from gateway.client import Client
 from gateway.errors import GatewayError, ZenohError
 from gateway.people.client.requests import Identity
-from schemas.keys import LEASE
-from schemas.lease import LeaseAck
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import running, states
+from tests.zenoh.test_lease import ask
 
 HOST = "127.0.0.1"
 CLOCK = """
@@ -273,12 +270,6 @@ def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(rob
         gateway.child.wait_for_output("rejected connections with revoked certificates: operator-00")
 
 
-def ask(session: zenoh.Session, request: Mapping[str, Any]) -> LeaseAck:
-    reply = next(iter(session.get(LEASE, payload=json.dumps(request)))).ok
-    assert reply is not None
-    return LeaseAck.model_validate_json(reply.payload.to_bytes())
-
-
 def test_a_proof_of_somebody_who_is_revoked_is_rejected_even_where_the_link_is_anothers(robot: Robot) -> None:
     """The link is bert's, the proof anna's."""
     stolen = lost(robot)
@@ -287,10 +278,10 @@ def test_a_proof_of_somebody_who_is_revoked_is_rejected_even_where_the_link_is_a
     identity = Identity(stolen.with_suffix(".pem"), stolen.with_suffix(".key"))
     with robot.start(), robot.laptop("bert") as bert:
         for do in ("acquire", "ask", "take"):
-            nonce = ask(bert.session, {"do": "challenge"}).nonce
+            nonce = ask(bert.session, "challenge").nonce
             assert nonce is not None
             proof = identity.prove(do, "anna", nonce)
-            answer = ask(bert.session, {"do": do, "source": "anna", "proof": proof})
+            answer = ask(bert.session, do, "anna", proof=proof)
             assert (answer.accepted, answer.reason) == (False, Reason.LEASE_DENIED)
             assert "proof.certificate is revoked (operator-00)" in str(answer.detail)
         with bert.lease() as lease:

@@ -402,7 +402,7 @@ class Stream:
         names = ", ".join(f"leg {leg}" for leg in expired or sorted(legs))
         match state.mode:
             case Mode.ESTOPPED:
-                why = f"{state.estop_source or 'somebody'} engaged the emergency stop"
+                why = f"the emergency stop was engaged by {state.estop_source or 'somebody'}"
             case Mode.BUS_FAULT if state.controller.alive is False:
                 why = "the controller fell silent"
             case Mode.BUS_FAULT:
@@ -424,7 +424,7 @@ class Stream:
 def happened(event: Event) -> str:
     """The sentence of an event that stopped legs, in past tense: an error may be shown for long."""
     if event.kind == Kind.ESTOP_ENGAGED:
-        return f"{event.source or 'somebody'} engaged the emergency stop"
+        return f"the emergency stop was engaged by {event.source or 'somebody'}"
     return event.detail.partition("; ")[0] if event.kind in _AND_THEN else event.detail
 
 

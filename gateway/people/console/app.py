@@ -74,6 +74,7 @@ class Console:
             role=session.role,
             person=self._shared.person,
             source=page.source,
+            names=page.names,
             version=__version__,
             geometry=self._geometry,
             lying=self._lying,

@@ -102,10 +102,10 @@ class GatewayLink(Receiver):
         """Set a robot that is simulated with physics upright. Raises GatewayError."""
         return await asyncio.to_thread(partial(set_upright, self.client()))
 
-    async def estop(self, source: str | None) -> Ack:
+    async def estop(self, source: str) -> Ack:
         """Request the emergency stop by any way that reaches the gateway; waits for the session. Raises ZenohError.
 
-        `source`: the name to request it by; None: the console's.
+        `source`: the page or button that requests it.
         """
         await self._opened.wait()
         client = self.client()

@@ -159,9 +159,10 @@ def _owner(connect: str | None, zenoh_config: Path | None) -> Owner:
         holder = certs.folder.describe(Path(certificate))
         role: Role = next((each for each in ROLES if each == holder.role.partition(".")[0]), "observer")
         return Owner(holder.name, role, holder.common_name)
+    person = "root"
     with suppress(OSError, KeyError):
-        return Owner(getpass.getuser(), "operator", "")
-    return Owner("console", "operator", "")
+        person = os.environ.get("SUDO_USER") or getpass.getuser()
+    return Owner("console" if person == "root" else person, "operator", "")  # root is nobody to ask or to name
 
 
 def _open(site: Site, file: Path) -> None:

@@ -2,7 +2,7 @@
 
 It holds a copy of the file, never more than `header.file_bytes(MAX_SLOTS)`: a mapping would end the reader with
 SIGBUS where somebody makes the file shorter. Besides, it holds some 26 bytes for each record: all of them as objects
-would take eight times the file's size, beside a gateway that runs (docs/blackbox.md).
+would take eight times the file's size, beside a gateway that runs (docs/recordings.md).
 """
 
 import json

@@ -11,7 +11,7 @@ from gateway.people.walking.ride import HOLD_S, REST_S, USUAL_SILENCES, Phase, R
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
 from gateway.people.walking.tempo import Distance
 from gateway.people.walking.ways import LONGEST_S
-from gateway.people.walking.words import ground_now, lease_lost, robot_now
+from gateway.people.walking.words import ground_now, robot_now
 
 __all__ = [
     "DOWN",
@@ -40,6 +40,5 @@ __all__ = [
     "WalkState",
     "Wish",
     "ground_now",
-    "lease_lost",
     "robot_now",
 ]

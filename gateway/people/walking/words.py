@@ -84,15 +84,6 @@ class Newest:
         return robot_now(state, now_s - came_s, walk)
 
 
-def lease_lost(silent_s: float, ttl_s: float, holder: str | None) -> str:
-    """Why a page has lost its lease. `silent_s`: since it last prolonged it; `holder`: who has it now."""
-    if silent_s > ttl_s:
-        drives = "" if holder is None else f"; {holder} drives now"
-        silence = f"this page sent nothing for {silent_s:.0f} s (hidden, locked or without network)"
-        return f"{silence}, so its lease has ended{drives}"
-    return "the lease has ended" if holder is None else f"{holder} has taken the lease"
-
-
 def _of_mode(state: GatewayState) -> str:
     """Empty while the legs may run."""
     if state.mode == Mode.ESTOPPED:

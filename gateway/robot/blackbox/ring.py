@@ -4,7 +4,7 @@ The pages of a shared mapping belong to the file, not to the process, so they su
 it into memory: no system call, and no page fault, since all pages are mapped at opening.
 
 The file must be in memory (tmpfs). On a disk, the first write to a page after each write-back blocks while the disk is
-busy, which would delay a Stop (measured: docs/blackbox.md).
+busy, which would delay a Stop (measured: docs/recordings.md).
 """
 
 import mmap

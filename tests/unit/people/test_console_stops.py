@@ -23,9 +23,9 @@ class Robot:
 
     def __init__(self) -> None:
         self.requests: list[asyncio.Future[Ack]] = []
-        self.sources: list[str | None] = []
+        self.sources: list[str] = []
 
-    async def estop(self, source: str | None) -> Ack:
+    async def estop(self, source: str) -> Ack:
         self.sources.append(source)
         request: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
         self.requests.append(request)
@@ -72,7 +72,7 @@ async def robot() -> AsyncIterator[Robot]:
 
 async def test_a_press_is_asked_at_once_and_confirmed(robot: Robot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Page()
-    stops.press(page, 7, None)
+    stops.press(page, 7, "anna (page 1)")
     assert [(message.answered, message.attempts) for message in page.heard] == [(False, 0)]
     await turns()
     await robot.answer(0)
@@ -83,7 +83,7 @@ async def test_a_press_is_asked_at_once_and_confirmed(robot: Robot) -> None:
 
 async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Page()
-    stops.press(page, 7, None)
+    stops.press(page, 7, "anna (page 1)")
     for number in range(5):
         await turns()
         assert len(robot.requests) == number + 1
@@ -99,7 +99,7 @@ async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
 
 async def test_a_press_outlives_its_page(robot: Robot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Page()
-    stops.press(page, 1, None)
+    stops.press(page, 1, "anna (page 1)")
     stops.leave(page)
     await turns()
     await robot.fail(0)

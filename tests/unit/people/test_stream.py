@@ -255,7 +255,11 @@ def test_a_controller_that_fell_silent_is_named_where_its_event_was_lost(robot: 
 @pytest.mark.parametrize(
     ("kind", "detail", "sentence"),
     [
-        (Kind.ESTOP_ENGAGED, "emergency stop; all is rejected until a reset", "somebody engaged the emergency stop"),
+        (
+            Kind.ESTOP_ENGAGED,
+            "emergency stop; all is rejected until a reset",
+            "the emergency stop was engaged by somebody",
+        ),
         (Kind.WATCHDOG_EXPIRED, "leg 3 was not heard for 250 ms; it is stopped", "leg 3 was not heard for 250 ms"),
         (Kind.STOPPING, "the gateway ends; all servos are stopped", "the gateway ends"),
         (Kind.BUS_FAULT, "write failed; tried again", "write failed; tried again"),

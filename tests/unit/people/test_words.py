@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from gateway.people.walking import STILL, Odometry, Posture, WalkState, ground_now, lease_lost, robot_now
+from gateway.people.walking import STILL, Odometry, Posture, WalkState, ground_now, robot_now
 from gateway.people.walking.words import NEWS_S, Newest
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, GatewayState, Mode
@@ -13,7 +13,6 @@ from tests.support.published import servo, state
 
 ALL = frozenset(LEGS)
 LIMP = "All six legs are stopped, and hold no weight"
-SILENT = "this page sent nothing for 4 s (hidden, locked or without network)"
 
 
 def of(running: Collection[int], mode: Mode = Mode.ACTIVE, **changed: object) -> GatewayState:
@@ -106,19 +105,6 @@ def test_one_servo_of_each_leg_is_no_leg_that_stands() -> None:
     assert robot_now(partly, walk=walk(Posture.STANDING)) == "All six legs run"
     one = found.model_copy(update={"legs": (legs[0], *found.legs[1:])})
     assert robot_now(one, walk=walk(Posture.HALTED, 1)) == "Leg 1 is stopped, and the others stand still"
-
-
-@pytest.mark.parametrize(
-    ("silent_s", "holder", "sentence"),
-    [
-        (0.3, "bert", "bert has taken the lease"),
-        (1.0, None, "the lease has ended"),
-        (4.2, None, f"{SILENT}, so its lease has ended"),
-        (4.2, "bert", f"{SILENT}, so its lease has ended; bert drives now"),
-    ],
-)
-def test_why_a_page_has_lost_its_lease(silent_s: float, holder: str | None, sentence: str) -> None:
-    assert lease_lost(silent_s, 1.0, holder) == sentence
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,9 @@
  */
 
 import { attribute, byId, text } from "./dom.js";
-import { LOST, Link } from "./link.js";
+import { Link } from "./link.js";
 import { Awake, TAP_MS, fillScreen, shake } from "./phone.js";
+import { because, ended, sentence } from "./words.js";
 
 /** Check-ins within the time for which one counts. */
 const SHARE = 4;
@@ -31,7 +32,7 @@ const DEAF_MS = 1000;
 
 class StopButton {
   constructor() {
-    this.link = new Link({ opened: () => this.#opened(), closed: (why) => this.#closed(why), received: (message) => this.#received(message) });
+    this.link = new Link({ opened: () => this.#opened(), closed: (end) => this.#closed(end), received: (message) => this.#received(message) });
     this.watches = false;
     this.registered = false;
     this.timeoutMs = 1000;
@@ -134,11 +135,12 @@ class StopButton {
     if (this.watches) this.#register(); // the token belongs to the connection before
   }
 
-  /** @param {string} why */
-  #closed(why) {
+  /** @param {import("./words.js").End} end */
+  #closed(end) {
     this.registered = false;
     this.asked = null;
-    this.trouble = why || LOST;
+    const { line, next } = ended(end);
+    this.trouble = `${sentence(line)} ${next}`;
   }
 
   /** @param {any} message of the console */
@@ -179,7 +181,7 @@ class StopButton {
       } else this.trouble = `to register took ${(this.answerMs / 1000).toFixed(1)} s, which is too long`;
       return;
     }
-    this.trouble = answer.detail ?? answer.reason ?? "no answer";
+    this.trouble = sentence(because(answer) || "no answer");
     this.endsMs = Math.max(this.endsMs, performance.now() + (LIFE / 10) * this.timeoutMs); // the older one goes on
     // The gateway was started anew, or this device has slept: its clock stood still meanwhile.
     if (answer.accepted === false && (answer.reason === "unknown_button" || answer.reason === "stale")) this.registered = false;

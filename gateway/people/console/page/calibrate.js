@@ -10,7 +10,7 @@
 import { attribute, byId, confirmed, element, enable, show, text } from "./dom.js";
 import { obstacle, PERIOD_MS, Starts, whenLost, whyNot } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
-import { NETWORK_FULL } from "./link.js";
+import { ended } from "./words.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
 
@@ -205,7 +205,7 @@ export class Calibrate {
     const id = this.link.nextId();
     this.starts.waiting.set(id, [servo]);
     if (!this.#command("start", id)) {
-      this.stop(NETWORK_FULL);
+      this.stop(ended({ cause: "full" }).line);
       return;
     }
     this.timer = setInterval(() => this.#tick(), PERIOD_MS);

@@ -2,11 +2,11 @@
 /** A link for another device, which works once, as a QR code. */
 
 import { byId, show, text } from "./dom.js";
+import { LOOPBACK } from "./words.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 /** Light modules around the code, which a camera needs. */
 const QUIET = 4;
-const LOOPBACK = /^(127\.|localhost$|\[::1\]$)/;
 
 export class Device {
   /** @param {import("./link.js").Link} link @param {(line: string) => void} say */

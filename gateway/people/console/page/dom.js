@@ -70,14 +70,6 @@ export function legs(legs) {
 }
 
 /**
- * The gateway's sentence in this page's words: a button on a screen is no emergency stop device (ISO 13850).
- * @param {string} sentence
- */
-export function worded(sentence) {
-  return sentence.replace(/\b(?:an|the) emergency stop\b/gi, "STOP ALL").replace(/\bemergency stop\b/gi, "STOP ALL");
-}
-
-/**
  * Ask before something is done. Resolves to false where it is closed in any other way than by the button that says yes.
  * It is not modal: STOP ALL stays within reach.
  * @param {string} question @param {string} explanation @param {string} yes @param {string} no

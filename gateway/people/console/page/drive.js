@@ -2,6 +2,7 @@
 /** The controls of single legs: their choice, sliders and typed angles, hold to run, Stops, poses. */
 
 import { attribute, byId, element, enable, show, text, typesText } from "./dom.js";
+import { barred } from "./hold.js";
 import { JOINTS, LEGS } from "./kinematics.js";
 import { Poses } from "./targets.js";
 
@@ -55,8 +56,10 @@ export class Drive {
     this.#showTargets();
   }
 
-  refresh() {
+  refresh(nowMs = performance.now()) {
     const looks = this.model.looks;
+    const may = barred(this.hold, nowMs) === "";
+    for (const id of ["hold", "hold-leg"]) attribute(byId(id), "aria-disabled", may ? "false" : "true"); // pressed, it says why
     show(byId("controls"), !looks);
     show(byId("only-looks"), looks);
     const { whole } = this.model;

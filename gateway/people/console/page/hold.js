@@ -10,8 +10,7 @@
 
 import { legs as legsInWords } from "./dom.js";
 import { LEGS } from "./kinematics.js";
-import { GATEWAY_LOST, LOST, NETWORK_FULL } from "./link.js";
-import { because } from "./words.js";
+import { because, ended } from "./words.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").AckMessage} AckMessage */
 
@@ -28,15 +27,22 @@ const FROZEN_MS = 250;
  * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}, lastTickMs: number}} driver
  * @param {number} nowMs
  */
-export function obstacle({ link, model, callbacks, lastTickMs }, nowMs) {
-  const sinceTickMs = nowMs - lastTickMs;
+export function obstacle(driver, nowMs) {
+  const sinceTickMs = nowMs - driver.lastTickMs;
   if (sinceTickMs > FROZEN_MS) return `this page was frozen for ${(sinceTickMs / 1000).toFixed(1)} s`;
   if (document.visibilityState !== "visible") return "this page is hidden";
   if (!document.hasFocus()) return "this window has lost the focus";
-  if (!link.open) return LOST;
-  if (model.linkStatus === "gone") return GATEWAY_LOST;
-  const stateAgeMs = model.ageMs(nowMs);
-  if (stateAgeMs > FRESH_MS) return `the newest state is ${(stateAgeMs / 1000).toFixed(1)} s old`;
+  return barred(driver, nowMs, FRESH_MS);
+}
+
+/**
+ * Why the robot, or its link, lets this page move nothing, in words; "" if it may: then its controls look so.
+ * @param {{link: import("./link.js").Link, model: Model, callbacks: {mine: () => boolean}}} driver
+ * @param {number} nowMs @param {number} [oldMs] the age at which a state is too old
+ */
+export function barred({ link, model, callbacks }, nowMs, oldMs) {
+  const cut = link.open ? model.cut(nowMs, oldMs) : model.end;
+  if (cut) return ended(cut).line;
   if (!model.hello || model.looks) return "this page may only look";
   const mode = model.state?.mode ?? "unknown";
   if (mode === "estopped") return "STOP ALL is engaged; reset it first";
@@ -279,7 +285,7 @@ export class Hold {
       this.starts.waiting.set(id, legs);
       const sent = this.link.sendNow({ ...command, id });
       if (!sent) {
-        this.drop(NETWORK_FULL);
+        this.drop(ended({ cause: "full" }).line);
         return;
       }
     }

@@ -11,6 +11,7 @@ const NAME = "hexapod-console-key";
 const TAB = "hexapod-console-tab";
 const PREFIX = "proof.";
 const SUBPROTOCOL = "hexapod-console";
+const FORBIDDEN = 403;
 const bytes = new TextEncoder();
 
 /** Store the key of a new session. @param {string} key */
@@ -20,14 +21,14 @@ export function keep(key) {
 
 /**
  * The subprotocols that a WebSocket offers, once the console has proved that it knows the key. Throws an Error with the
- * reason if it has not.
+ * reason, and its cause (`words.js`), if it has not.
  * @param {number} timeoutMs
  */
 export async function subprotocols(timeoutMs) {
   const mine = hex(crypto.getRandomValues(new Uint8Array(16)));
   const answer = await asked(`session?nonce=${mine}`, timeoutMs);
   if (answer.proof !== (await proof(`console ${mine} ${answer.nonce}`))) {
-    throw new Error("You are not signed in: what answers does not know this page's key, so another program may listen here");
+    throw new Error("What answers does not know this page's key, so another program may listen here", { cause: "signed_out" });
   }
   return [SUBPROTOCOL, `${PREFIX}${answer.nonce}.${await proof(`page ${answer.nonce}`)}`];
 }
@@ -45,10 +46,10 @@ async function asked(address, timeoutMs) {
   try {
     answer = await fetch(address, { cache: "no-store", signal: AbortSignal.timeout(timeoutMs) });
   } catch {
-    throw new Error("the console does not answer");
+    throw new Error("The console does not answer", { cause: navigator.onLine ? "lost" : "offline" });
   }
   const text = await answer.text();
-  if (!answer.ok) throw new Error(text.trim());
+  if (!answer.ok) throw new Error(text.trim(), { cause: answer.status === FORBIDDEN ? "signed_out" : "rejected" });
   try {
     return JSON.parse(text);
   } catch {

@@ -2,6 +2,7 @@
 /** The lease: this page acquires it, asks for it, takes it after a question, hands it over, and releases it. */
 
 import { attribute, byId, confirmed, enable, show, text } from "./dom.js";
+import { UNDRIVEN, because, ended, sentence, short, undriven } from "./words.js";
 
 /** @typedef {import("./types.js").LeaseMessage} LeaseMessage */
 
@@ -11,6 +12,8 @@ const USUAL_TTL_MS = 1000;
 const LONGEST_NAME = 14;
 const HANDED = "The lease is handed over to you: press Drive.";
 const FREE = "The lease is free: press Drive.";
+/** So long after a lease was lost, a restart of the gateway is still its cause. */
+const RESTART_MS = 30_000;
 
 export class Lease {
   /**
@@ -27,6 +30,7 @@ export class Lease {
     /** @type {ReturnType<typeof setInterval> | undefined} */
     this.renewing = undefined;
     this.announced = "";
+    this.lostMs = -Infinity;
     /** Whether this page has asked the holder for it, and may still get it. */
     this.wanted = false;
     byId("lease-acquire").addEventListener("click", () => this.#ask("acquire"));
@@ -62,36 +66,47 @@ export class Lease {
       this.callbacks.say(this.wanted ? "You drive: the lease was handed over to you. Press to move." : "You drive: this page has the lease.");
       this.wanted = false;
     } else if (!message.mine && had) {
-      this.#lost(did === "release" ? "" : (message.detail ?? "the lease has ended"));
+      const { end: cause, holder: by, silent_s } = message;
+      this.#lost(cause ? ended({ cause, by, forMs: 1000 * (silent_s ?? 0) }) : null);
     } else if (message.accepted !== true && did && did !== "renew") {
-      this.callbacks.say(`No lease: ${message.detail ?? message.reason ?? "rejected"}`);
+      this.callbacks.say(`No lease: ${because(message)}.`);
     } else if (message.accepted && did === "ask") {
       this.wanted = true;
       this.callbacks.say(`Asked ${this.holder ?? "the driver"} for the lease.`);
     }
-    this.refresh();
+    this.refresh(performance.now());
   }
 
-  /** The connection ended, and with it the lease. */
-  closed() {
+  /** The connection ended, and with it the lease. @param {string} line */
+  closed(line) {
     this.asked.clear();
-    clearInterval(this.renewing);
-    this.mine = this.wanted = false;
+    this.wanted = false;
+    if (this.mine) this.#lost({ line, next: "" });
   }
 
-  refresh() {
+  /** The gateway was started again, and no longer knows any lease. */
+  restarted() {
+    const end = ended({ cause: "restarted" });
+    if (this.mine || performance.now() - this.lostMs < RESTART_MS) this.#lost(end);
+    else this.callbacks.say(sentence(end.line));
+  }
+
+  /** @param {number} nowMs */
+  refresh(nowMs) {
     const { holder, asker, mine } = this;
     const looks = this.model.looks;
-    const connected = this.link.open && this.model.linkStatus === "connected";
+    const connected = this.model.live(nowMs);
     const unverified = holder && this.model.state?.lease?.verified === false ? ", not verified" : "";
-    text(byId("driver"), mine ? "you" : holder ? `${holder}${unverified}` : "nobody");
-    attribute(byId("lease"), "data-mine", mine ? "yes" : "no");
+    const others = holder ? `${holder}${unverified}` : undriven(this.model.state?.legs ?? [], (source) => this.model.who(source));
+    const driver = !connected ? "unknown" : mine ? "you" : others;
+    if (driver.includes(UNDRIVEN) && driver !== byId("driver").textContent) this.callbacks.say(sentence(driver));
+    text(byId("driver"), driver);
+    attribute(byId("driver"), "title", driver);
     const handed = !mine && this.#handedToMe;
     for (const id of ["lease-ask", "lease-take"]) show(byId(id), !mine && holder !== null && !looks && !handed);
     show(byId("lease-release"), mine);
     show(byId("lease-hand-over"), mine && asker !== null);
-    const short = asker && asker.length > LONGEST_NAME ? `${asker.slice(0, LONGEST_NAME - 1)}…` : asker;
-    text(byId("lease-hand-over"), `Hand over to ${short ?? ""}`);
+    text(byId("lease-hand-over"), `Hand over to ${short(asker ?? "", LONGEST_NAME)}`);
     for (const id of ["lease-acquire", "lease-ask", "lease-take"]) {
       enable(byId(id, HTMLButtonElement), connected);
     }
@@ -107,11 +122,12 @@ export class Lease {
     this.announced = said;
   }
 
-  /** @param {string} why */
-  #lost(why) {
+  /** @param {{line: string, next: string} | null} end null: by this page's own wish */
+  #lost(end) {
     clearInterval(this.renewing);
     this.mine = false;
-    this.callbacks.lost(why ? `you do not drive any more: ${why}` : "you do not drive any more");
+    this.lostMs = performance.now();
+    this.callbacks.lost(`you do not drive any more${end ? `: ${end.line}` : ""}${end?.next ? `. ${end.next.slice(0, -1)}` : ""}`);
   }
 
   /** @param {number} everyMs */

@@ -3,19 +3,14 @@
 
 import { subprotocols, tab } from "./key.js";
 
-/** Why the page is cut off: the sentences for what ends a drive, and for what is shown. */
-export const LOST = "the connection to the console is lost";
-export const SILENT = "the console sends nothing";
-export const ENDED = "the console ended the connection";
-export const GATEWAY_LOST = "the console has lost the gateway";
-export const NETWORK_FULL = "the network takes nothing";
-
 const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 2000;
 const ALIVE_EVERY_MS = 1000;
 /** More unsent bytes than these show that the network is gone. */
 const MOST_UNSENT_BYTES = 4096;
-const REJECTED = 1008;
+/** What the codes of a connection's end mean (RFC 6455); by others it was lost. @type {Record<number, import("./words.js").Cause>} */
+const CODES = { 1001: "closed", 1008: "rejected", 1012: "closed", 1013: "rejected" };
+const SIGNED_OUT = "signed out";
 /** A connection that is silent for so long is closed: after a change of a phone's network it would stay open for minutes. */
 const DEAF_MS = 5000;
 
@@ -23,7 +18,7 @@ export class Link {
   /**
    * @param {{
    *   opened: () => void,
-   *   closed: (why: string) => void,
+   *   closed: (end: import("./words.js").End) => void,
    *   received: (message: any) => void,
    * }} callbacks
    */
@@ -73,7 +68,7 @@ export class Link {
     this.open = false;
     this.socket = null;
     socket.close(); // what it still sends is ignored
-    this.callbacks.closed(SILENT);
+    this.callbacks.closed({ cause: "deaf" });
     void this.#connect();
   }
 
@@ -83,7 +78,8 @@ export class Link {
     try {
       offered = await subprotocols(DEAF_MS);
     } catch (error) {
-      this.callbacks.closed(error instanceof Error ? error.message : "");
+      const { message, cause } = /** @type {Error} */ (error);
+      this.callbacks.closed({ cause: /** @type {import("./words.js").Cause} */ (cause ?? "lost"), detail: message });
       this.#again();
       return;
     }
@@ -114,7 +110,8 @@ export class Link {
   #ended(event) {
     this.open = false;
     this.socket = null;
-    this.callbacks.closed(event.reason || (event.code === REJECTED ? ENDED : ""));
+    const cause = event.reason === SIGNED_OUT ? "signed_out" : (CODES[event.code] ?? (navigator.onLine ? "lost" : "offline"));
+    this.callbacks.closed({ cause, detail: event.reason });
     this.#again();
   }
 

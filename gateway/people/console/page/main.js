@@ -8,7 +8,7 @@ import { Drive } from "./drive.js";
 import { Pad } from "./gamepad.js";
 import { Hold } from "./hold.js";
 import { Lease } from "./lease.js";
-import { LOST, Link } from "./link.js";
+import { Link } from "./link.js";
 import { Measured } from "./measured.js";
 import { Model } from "./model.js";
 import { Numbers } from "./numbers.js";
@@ -20,7 +20,7 @@ import { StopAll } from "./stop.js";
 import { Targets } from "./targets.js";
 import { Upright } from "./upright.js";
 import { Walk } from "./walk.js";
-import { news } from "./words.js";
+import { ended, news, sentence } from "./words.js";
 
 const REFRESH_MS = 100;
 
@@ -63,7 +63,7 @@ const hold = new Hold(link, model, {
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: (why) => (walk.active ? walk.end(why) : calibrate.active ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(`${why[0].toUpperCase()}${why.slice(1)}.`)),
+  lost: (why) => (walk.active ? walk.end(why) : calibrate.active ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(sentence(why))),
 });
 const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active || walk.active, say });
 const walk = new Walk(link, model, {
@@ -103,15 +103,17 @@ function opened() {
   refresh();
 }
 
-/** @param {string} why */
-function closed(why) {
+/** @param {import("./words.js").End} end */
+function closed(end) {
+  const known = !model.connected && end.cause === "lost" && ["closed", "deaf"].includes(model.end.cause); // and the next attempt failed
+  if (!known) model.end = end;
   model.connected = false;
-  model.linkStatus = "gone";
-  if (why || !model.trouble) model.trouble = why || LOST;
-  walk.end(LOST);
-  hold.drop(LOST);
-  calibrate.closed(LOST);
-  lease.closed();
+  model.gateway = { type: "link", status: "gone", detail: "" };
+  const { line } = ended(model.end);
+  walk.end(line);
+  hold.drop(line);
+  calibrate.closed(line);
+  lease.closed(line);
   refresh();
 }
 
@@ -125,7 +127,7 @@ function received(message) {
       model.forgetEvents(); // the newest ones come again
       break;
     case "state":
-      model.takeState(message.state, message.age_ms, performance.now());
+      if (model.takeState(message.state, message.age_ms, performance.now())) lease.restarted();
       model.now = message.now;
       model.whole = message.whole;
       model.power = message.power ?? "";
@@ -134,8 +136,7 @@ function received(message) {
       hold.receivedState();
       break;
     case "link":
-      model.linkStatus = message.status;
-      model.trouble = message.detail;
+      model.gateway = message;
       break;
     case "event":
       model.takeEvent({ ...message.event, tone: message.tone });
@@ -175,9 +176,9 @@ function received(message) {
 function refresh() {
   const nowMs = performance.now();
   stop.refresh(nowMs);
-  lease.refresh();
-  walk.refresh();
-  drive.refresh();
+  lease.refresh(nowMs);
+  walk.refresh(nowMs);
+  drive.refresh(nowMs);
   calibrate.refresh();
   awake.want(lease.mine);
   const { bars, known } = quality.take(nowMs, model.connected ? model.ageMs(nowMs) : Infinity, walk.active ? walk.answerMs : NaN);

@@ -59,13 +59,13 @@ export class Measured {
     const tilt = telemetry?.tilt_deg ?? null;
     const temperature = telemetry?.temperature_c ?? null;
     const { power, unconfirmed } = this.model;
-    show(byId("measured"), this.model.live(nowMs) && (power !== "" || alive === false || battery !== null || tilt !== null || temperature !== null || ground !== ""));
+    show(byId("measured"), this.model.live(nowMs) && (power !== "" || alive === false || battery !== null || tilt !== null || temperature !== null));
     show(byId("controller-silent"), alive === false);
     show(byId("battery"), battery !== null);
     if (battery) {
       const low = battery.percent < LOW_PERCENT;
       attribute(byId("battery"), "data-low", low ? "yes" : "no");
-      text(byId("volts"), `${battery.voltage_v.toFixed(1)} V, `);
+      text(byId("volts"), `${battery.voltage_v.toFixed(1)} V${this.model.runs ? " under load" : ""}, `);
       text(byId("battery-known"), `${Math.round(battery.percent)} %${low ? ", low" : ""}`);
     }
     show(byId("tilt"), tilt !== null);
@@ -79,7 +79,7 @@ export class Measured {
     text(byId("supply"), telemetry?.supply ? `, ${telemetry.supply.voltage_v.toFixed(1)} V` : "");
     show(byId("temperature"), temperature !== null);
     if (temperature !== null) text(byId("temperature"), `${Math.round(temperature)} °C`);
-    show(byId("ground"), ground !== "");
+    show(byId("ground"), this.model.live(nowMs) && ground !== "");
     text(byId("ground"), ground);
   }
 }

@@ -28,6 +28,8 @@ const WINDOW_MS = 30_000;
 
 /** Two states of one gateway agree on its start to within this. */
 const SAME_START_MS = 100;
+/** So late at most is a state behind a newer one. */
+const LATE_MS = 1000;
 
 /** When its gateway began, by that one's clock. @param {GatewayState} state */
 const beganMs = (state) => Date.parse(state.time) - state.uptime_s * 1000;
@@ -83,8 +85,10 @@ export class Model {
     /** When the state was true, by this page's clock. */
     this.stateAtMs = -Infinity;
     this.connected = false;
-    this.linkStatus = "gone";
-    this.trouble = "connecting …";
+    /** Why it is not. @type {import("./words.js").End} */
+    this.end = { cause: "connecting" };
+    /** The console's link to the gateway. @type {import("./types.js").LinkMessage} */
+    this.gateway = { type: "link", status: "gone", detail: "" };
     /** @type {GatewayEvent[]} newest first */
     this.events = [];
     /** @type {Map<string, {count: number, reason: string}>} */
@@ -143,9 +147,23 @@ export class Model {
     return nowMs - this.stateAtMs;
   }
 
+  /** What cuts this page off from the robot; null: nothing does. @param {number} nowMs @returns {import("./words.js").End | null} */
+  cut(nowMs, oldMs = SILENT_MS) {
+    if (!this.connected) return this.end;
+    const { status, detail } = this.gateway;
+    if (status !== "connected") return { cause: status, detail };
+    const forMs = this.ageMs(nowMs);
+    return forMs < oldMs ? null : this.state ? { cause: "old", forMs } : { cause: "connecting" };
+  }
+
   /** Whether what is shown is the present. @param {number} nowMs */
   live(nowMs) {
-    return this.connected && this.linkStatus === "connected" && this.ageMs(nowMs) < SILENT_MS;
+    return this.cut(nowMs) === null;
+  }
+
+  /** This page's own names are "you" to its viewer. @param {string} said a name, or a sentence with names */
+  who(said) {
+    return (this.hello?.names ?? []).reduce((all, name) => all.replaceAll(`${name} walks`, "you").replaceAll(name, "you"), said);
   }
 
   /** Whether a servo runs or waits to be started, as far as is known. */
@@ -172,9 +190,14 @@ export class Model {
     return [1, 2, 3].map((joint) => this.lastDeg.get(leg * 10 + joint) ?? NEUTRAL_DEG);
   }
 
-  /** @param {GatewayState} state @param {number} ageMs at the console @param {number} nowMs */
+  /**
+   * Returns whether the gateway was started again since the state before; a clock that is set is no such start.
+   * @param {GatewayState} state @param {number} ageMs at the console @param {number} nowMs
+   */
   takeState(state, ageMs, nowMs) {
-    if (this.state !== null && Math.abs(beganMs(state) - beganMs(this.state)) >= SAME_START_MS) this.frames = [];
+    const apart = this.state !== null && Math.abs(beganMs(state) - beganMs(this.state)) >= SAME_START_MS;
+    const restarted = apart && state.uptime_s * 1000 < nowMs - this.stateAtMs + LATE_MS;
+    if (apart) this.frames = [];
     this.state = state;
     this.stateAtMs = nowMs - ageMs - this.lateness.received(state.uptime_s * 1000, nowMs - ageMs);
     for (const leg of state.legs) {
@@ -188,6 +211,7 @@ export class Model {
     while (this.history.length > 1 && this.history[0].atMs < nowMs - HISTORY_MS) this.history.shift();
     this.frames.push({ atMs: this.stateAtMs, frames: state.spi.frames });
     while (this.frames.length > 2 && this.frames[1].atMs < nowMs - RATE_MS) this.frames.shift();
+    return restarted;
   }
 
   /** Forget what the console sends again on each connection. */

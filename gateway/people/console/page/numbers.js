@@ -1,10 +1,10 @@
 // @ts-check
 /** The legs' table, the numbers and the events: text nodes that change only with their values. */
 
-import { ago, attribute, byId, element, show, text, worded } from "./dom.js";
+import { ago, attribute, byId, element, show, text } from "./dom.js";
 import { LEGS } from "./kinematics.js";
 import { statusOf } from "./model.js";
-import { reasonInWords } from "./words.js";
+import { reasonInWords, worded } from "./words.js";
 
 /** @typedef {import("./model.js").Model} Model @typedef {import("./types.js").GatewayEvent} GatewayEvent
  * @typedef {import("./types.js").GatewayState} GatewayState */
@@ -76,7 +76,7 @@ export class Numbers {
     const { model } = this;
     if (model.events[0] === this.newest) return;
     this.newest = model.events[0];
-    byId("events").replaceChildren(...model.events.map(eventLine));
+    byId("events").replaceChildren(...model.events.map((event) => eventLine(event, (said) => model.who(said))));
     const rejectors = [...model.rejections].sort((a, b) => b[1].count - a[1].count).slice(0, MOST_REJECTORS);
     if (!rejectors.length) return;
     byId("rejections").replaceChildren(
@@ -97,7 +97,16 @@ export class Numbers {
     const counted = age !== null && live && leg.watchdog === "armed";
     text(row.age, age === null ? "never" : counted ? `${Math.round(age / 10) * 10} of ${timeoutMs} ms` : `${ago(age)} ago`);
     row.bar.style.width = `${counted ? Math.min(100, (100 * age) / timeoutMs).toFixed(0) : 0}%`;
-    text(row.by, leg.source ?? "–");
+    const by = this.#by(leg);
+    text(row.by, by);
+    attribute(row.by, "title", by);
+  }
+
+  /** Whose command the leg's last one was; the gateway itself may have stopped it since. @param {import("./types.js").Leg} leg */
+  #by({ source, watchdog, age_ms }) {
+    if (source !== null) return this.model.who(source);
+    if (age_ms === null) return "–";
+    return watchdog === "expired" ? "the watchdog" : this.model.state?.mode === "estopped" ? "STOP ALL" : "no name";
   }
 
   /** A bar for what each servo draws, and what draws most; nothing where nobody measures it. @param {number} nowMs */
@@ -167,11 +176,11 @@ function latency({ p50, p99, max }, none) {
   return [p50, p99, max].map((us) => (us / 1000).toFixed(1)).join(" · ") + " ms";
 }
 
-/** @param {GatewayEvent} event */
-function eventLine(event) {
+/** @param {GatewayEvent} event @param {(said: string) => string} who */
+function eventLine(event, who) {
   const kind = event.kind.replace("estop", "stop_all").replaceAll("_", " ");
   const time = element("time", { datetime: event.time }, new Date(event.time).toLocaleTimeString("en-GB"));
-  const who = event.source ? `${event.source}: ` : "";
+  const source = event.source ? `${event.source}: ` : "";
   const more = event.left_out ? ` (and ${event.left_out} more)` : "";
-  return element("li", { "data-tone": event.tone ?? "plain" }, time, element("b", {}, kind), element("span", {}, `${who}${worded(event.detail)}${more}`));
+  return element("li", { "data-tone": event.tone ?? "plain" }, time, element("b", {}, kind), element("span", {}, `${who(`${source}${worded(event.detail)}`)}${more}`));
 }

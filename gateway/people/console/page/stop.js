@@ -1,8 +1,8 @@
 // @ts-check
 /** STOP ALL: one tap, Escape or space, from any place of the page; and its progress in words. */
 
-import { attribute, byId, confirmed, enable, show, text, typesText, worded } from "./dom.js";
-import { because } from "./words.js";
+import { attribute, byId, confirmed, enable, show, text, typesText } from "./dom.js";
+import { because, clock, ended, sentence, short, worded } from "./words.js";
 
 /** @typedef {import("./types.js").StopMessage} StopMessage */
 
@@ -13,33 +13,37 @@ const SAME_TAP_MS = 1000;
 const DEAF_MS = 1000;
 
 /**
- * The progress of a STOP ALL, in one line.
- * @param {{looks: boolean, touch: boolean, connected: boolean, why: string, askedMsAgo: number | null, answer: StopMessage | null,
- *          latched: boolean, now: string, unconfirmed: string}} known   `now`: what the robot does, by the console;
- *          `unconfirmed`: its sentence while the power board does not confirm a Stop
- * @returns {{tone: "bad" | "good" | "asked" | "plain", line: string}}
+ * What the band beside STOP ALL shows: what is the case, and the one thing to do next; `reason` is shown by a tap.
+ * @param {{looks: boolean, touch: boolean, cut: import("./words.js").End | null, askedMsAgo: number | null, answer: StopMessage | null,
+ *          mode: string, by: string | null, since: string | null, now: string, unconfirmed: string}} known
+ *          `by`: who engaged STOP ALL, and `since` when; `now`: what the robot does, by the console; `unconfirmed`: its
+ *          sentence while the power board does not confirm a Stop
+ * @returns {{tone: "bad" | "stopped" | "asked" | "plain", line: string, next: string, reason: string}}
  */
-export function inWords({ looks, touch, connected, why, askedMsAgo, answer, latched, now, unconfirmed }) {
+export function inWords({ looks, touch, cut, askedMsAgo, answer, mode, by, since, now, unconfirmed }) {
   const asked = askedMsAgo === null ? "" : `asked ${(askedMsAgo / 1000).toFixed(1)} s ago, `;
-  if (!connected) {
-    const waits = asked ? `${asked}and asked again once connected` : why;
-    return { tone: "bad", line: `NOT CONNECTED: use the switch${waits ? ` (${waits})` : ""}` };
+  const error = answer?.error ?? "";
+  if (cut) {
+    const { line, next, reason } = ended(cut);
+    const waits = asked ? `: ${asked}and asked again once connected` : "";
+    return { tone: "bad", line: `NOT CONNECTED: use the switch${waits}`, next: waits ? "" : next, reason: [line, reason].filter(Boolean).join(": ") };
   }
-  if (askedMsAgo === null && unconfirmed) return { tone: "bad", line: unconfirmed };
-  if (looks) return { tone: "plain", line: "View only: use the power switch" };
-  if (askedMsAgo !== null) {
-    const error = answer?.error ? ` (${answer.error})` : "";
-    if (askedMsAgo > 500) return { tone: "bad", line: `${asked}no answer yet: use the switch${error}` };
-    return { tone: "asked", line: `${asked}no answer yet${error}` };
+  if (asked && askedMsAgo !== null) {
+    const late = askedMsAgo > 500;
+    return { tone: late ? "bad" : "asked", line: `${asked}no answer yet${late ? ": use the switch" : ""}`, next: "", reason: error };
   }
-  if (answer?.answered && latched) {
-    const frames = answer.stop_frames ?? 0;
-    if (frames < LEGS) return { tone: "bad", line: `only ${frames} of ${LEGS} Stops written: use the switch` };
-    const within = answer.latency_us === null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
-    return { tone: "good", line: `${frames} Stops written${within}${answer.power ?? ""}` };
+  if (unconfirmed) return { tone: "bad", line: unconfirmed, next: "", reason: worded(now) };
+  if (mode === "estopped" || answer?.answered) {
+    const frames = answer?.stop_frames ?? LEGS;
+    if (frames < LEGS) return { tone: "bad", line: `only ${frames} of ${LEGS} Stops written: use the switch`, next: "", reason: "" };
+    const within = answer?.latency_us == null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
+    const reason = answer?.answered ? `${frames} Stops written${within}${answer.power ?? ""}` : worded(now);
+    const line = `STOPPED${by ? ` by ${short(by)}` : ""}${since ? `, ${clock(since)}` : ""}`;
+    return { tone: "stopped", line, next: looks ? "Who may drive it resets it." : "When all are clear, reset.", reason };
   }
-  if (latched) return { tone: "good", line: worded(now) };
-  return { tone: "plain", line: touch ? "One tap, at any time" : "Escape or space, at any time" };
+  if (mode !== "idle" && mode !== "active") return { tone: "bad", line: now.split(":")[0], next: "If it moves, use the switch.", reason: now };
+  if (looks) return { tone: "plain", line: "View only: use the power switch", next: "", reason: "" };
+  return { tone: "plain", line: touch ? "One tap, at any time" : "Escape or space, at any time", next: "", reason: "" };
 }
 
 export class StopAll {
@@ -58,7 +62,7 @@ export class StopAll {
     this.answeredAtMs = Infinity;
     /** @type {number | null} */
     this.resetId = null;
-    this.spoken = "";
+    this.spoken = this.reason = "";
     let pointedMs = -Infinity;
     byId("stop-all").addEventListener("pointerdown", (event) => {
       pointedMs = event.timeStamp;
@@ -68,6 +72,7 @@ export class StopAll {
       if (event.timeStamp - pointedMs > SAME_TAP_MS) this.press(event); // of a keyboard, or of a screen reader
     });
     byId("reset").addEventListener("click", () => this.#reset());
+    byId("stop-known").addEventListener("click", () => this.reason && callbacks.say(sentence(this.reason)));
     window.addEventListener("keydown", (event) => this.#key(event), { capture: true });
   }
 
@@ -106,7 +111,7 @@ export class StopAll {
     this.resetId = null;
     const { ack } = message;
     if (ack?.accepted) this.callbacks.say("Reset. Nothing moves until it is started again.");
-    else this.callbacks.say(`No reset: ${ack ? because(ack) : message.error}`);
+    else this.callbacks.say(`No reset: ${ack ? because(ack) : message.error}.`);
   }
 
   /** @param {number} nowMs */
@@ -118,23 +123,33 @@ export class StopAll {
     const known = inWords({
       looks: this.#looks,
       touch: matchMedia("(pointer: coarse)").matches,
-      connected: model.live(nowMs),
-      why: model.trouble.split("\n")[0],
+      cut: model.cut(nowMs),
       askedMsAgo: this.asked ? nowMs - this.asked.atMs : null,
       answer: this.answer,
-      latched: latched || this.answer !== null,
-      now: model.now,
+      mode: model.state?.mode ?? "",
+      by: latched ? this.#by : "you",
+      since: latched ? (model.state?.estop_since ?? null) : null,
+      now: model.who(model.now),
       unconfirmed: model.unconfirmed,
     });
-    text(byId("stop-known"), known.line);
+    text(byId("stop-line"), known.line);
+    text(byId("stop-next"), known.next);
+    text(byId("stop-reason"), known.reason);
+    this.reason = known.reason;
+    enable(byId("stop-known", HTMLButtonElement), known.reason !== "");
     attribute(byId("stop"), "data-tone", known.tone);
     show(byId("reset"), latched && !model.looks && model.live(nowMs));
     enable(byId("stop-all", HTMLButtonElement), !this.#looks);
-    const aloud = known.tone === "plain" ? "" : known.line.replace(/asked [\d.]+ s ago/, "asked");
+    const aloud = known.tone === "plain" ? "" : [known.line.replace(/asked [\d.]+ s ago/, "asked"), known.next].filter(Boolean).join(". ");
     if (aloud !== this.spoken) {
       this.spoken = aloud;
       text(byId("stop-aloud"), aloud);
     }
+  }
+
+  get #by() {
+    const { estop_source: source } = this.model.state ?? {};
+    return source == null ? null : this.model.who(source);
   }
 
   /** An observer cannot stop the robot either. */

@@ -5,7 +5,7 @@
  * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg
  * @typedef {{holder: string | null, asked_by: string | null, verified: boolean, held_s: number | null}} LeaseState
  * @typedef {{
- *   mode: string, time: string, uptime_s: number, version: string, simulated: boolean, physics?: string | null, estop: number, estop_source: string | null,
+ *   mode: string, time: string, uptime_s: number, version: string, simulated: boolean, physics?: string | null, estop: number, estop_source: string | null, estop_since?: string | null,
  *   legs: Leg[], commands: {accepted: number, rejected: number, coalesced: number},
  *   spi: {device: string, framing: string, frames: number, errors: number},
  *   watchdog: {timeout_ms: number, expirations: number,
@@ -21,7 +21,7 @@
  *            feet?: (number | null)[], servos?: Record<string, {supplied: boolean, current_a?: number}>,
  *            supply?: {voltage_v: number, current_a: number}}} Telemetry
  *
- * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, version: string,
+ * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, names: string[], version: string,
  *            geometry: Geometry, lying: Record<string, number>, gaits: string[], last_id: number}} Hello
  * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, power: string, unconfirmed: string, state: GatewayState}} StateMessage
  * @typedef {{type: "telemetry", telemetry: Telemetry}} TelemetryMessage
@@ -34,7 +34,7 @@
  *            error: string | null}} StopMessage
  * @typedef {{type: "lease", mine: boolean, id?: number | null, accepted?: boolean | null, reason?: string | null,
  *            detail?: string | null, holder?: string | null, verified?: boolean | null,
- *            ttl_ms?: number | null}} LeaseMessage
+ *            ttl_ms?: number | null, end?: "page_silent" | "taken" | "gateway" | null, silent_s?: number | null}} LeaseMessage
  *
  * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, now: string, gait: string | null,
  *            height_m: number | null, commanded: number[], scaled: number[], limit: string, lost: number[],

@@ -6,12 +6,12 @@
  * Each wish carries the number of its press. What ends a walk uses up that press: then something has to be pressed anew.
  */
 
-import { attribute, byId, element, enable, show, text, worded } from "./dom.js";
-import { obstacle, PERIOD_MS, whenLost } from "./hold.js";
+import { attribute, byId, element, enable, show, text } from "./dom.js";
+import { barred, obstacle, PERIOD_MS, whenLost } from "./hold.js";
 import { Keys } from "./keys.js";
 import { LOST_MS, shake } from "./phone.js";
 import { Stick, Sticks } from "./stick.js";
-import { plain } from "./words.js";
+import { plain, sentence, worded } from "./words.js";
 
 /** @typedef {import("./types.js").WalkMessage} WalkMessage @typedef {{x: number, y: number, turn: number}} Deflection */
 
@@ -151,13 +151,12 @@ export class Walk {
       for (const id of this.sentMs.keys()) if (id <= message.id) this.sentMs.delete(id);
     }
     if (message.detail && message.detail !== before?.detail) {
-      const detail = plain(message.detail);
-      this.callbacks.say(worded(`${detail[0].toUpperCase()}${detail.slice(1)}.`));
+      this.callbacks.say(sentence(worded(this.model.who(plain(message.detail)))));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) {
       this.callbacks.say(`${message.scaled.some(Boolean) ? "Slower than that" : "It stands still"}: ${message.limit}.`);
     } else if (message.now && message.now !== before?.now && !(this.dropped && message.posture === "standing")) {
-      this.callbacks.say(`${worded(message.now)}.`);
+      this.callbacks.say(`${worded(this.model.who(message.now))}.`);
     }
     if (message.waits && message.press === this.press && message.posture !== null && !this.sits) {
       if (message.detail) this.#letGo();
@@ -172,14 +171,14 @@ export class Walk {
     this.refresh();
   }
 
-  refresh() {
+  refresh(nowMs = performance.now()) {
     const { report } = this;
     const { x, y, turn } = this.deflection;
-    const mine = this.callbacks.mine();
+    const may = barred(this, nowMs) === "";
     show(byId("walk-controls"), !this.model.looks);
-    attribute(byId("walk-controls"), "data-mine", mine ? "yes" : "no");
-    for (const id of ["stand", "sit", "lower", "higher"]) enable(byId(id, HTMLButtonElement), mine);
-    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", mine ? "false" : "true");
+    for (const id of ["stand", "sit", "lower", "higher"]) enable(byId(id, HTMLButtonElement), may);
+    for (const id of ["pad", "turn"]) attribute(byId(id), "aria-disabled", may ? "false" : "true");
+    for (const input of [...this.#choices("gait"), ...this.#choices("speed")]) enable(input, may);
     attribute(byId("pad"), "data-held", x || y ? "yes" : "no");
     attribute(byId("turn"), "data-held", turn ? "yes" : "no");
     text(byId("height"), `${Math.round((report?.height_m ?? this.heightM ?? USUAL_M) * 100)} cm`);
@@ -191,7 +190,7 @@ export class Walk {
   #known() {
     const { report } = this;
     if (!report) return this.active ? "It begins …" : "Nothing walks by this page.";
-    const known = `${worded(report.now)}, ${report.gait}`;
+    const known = `${worded(this.model.who(report.now))}, ${report.gait}`;
     if (report.posture !== "walking") return known;
     const [forward, left, turn] = report.scaled;
     const turns = Math.round((turn * 180) / Math.PI);

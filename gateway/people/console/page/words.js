@@ -1,12 +1,112 @@
 // @ts-check
-/** The gateway's names for what a robot that measures reports, in plain words. */
+/** Causes in this viewer's words: why a lease or a link ended, why something was rejected, who did it, what happened. */
 
-/** @type {Record<string, string>} */
+import { ago, legs as legsInWords } from "./dom.js";
+
+export const LOOPBACK = /^(127\.|localhost$|\[::1\]$)/;
+/** Whoever looks from the robot's own machine has a terminal there; a phone has none. */
+const HAS_TERMINAL = LOOPBACK.test(location.hostname) && !matchMedia("(pointer: coarse)").matches;
+/** Letters of a name where the place is narrow. */
+const LONGEST_NAME = 18;
+const LEGS = 6;
+export const UNDRIVEN = "nobody has the lease; ";
+const DAY_MS = 86_400_000;
+
+/**
+ * @typedef {"connecting" | "offline" | "lost" | "deaf" | "closed" | "rejected" | "signed_out" | "full" | "gone" | "silent" | "old"
+ *           | "page_silent" | "taken" | "gateway" | "restarted"} Cause
+ * @typedef {{cause: Cause, by?: string | null, forMs?: number, detail?: string | null}} End
+ *   `by`: who has the lease now; `forMs`: how long nothing came; `detail`: the technical reason, a line for each host
+ */
+
+const AGAIN = "Stay near the robot: this page connects again by itself.";
+const ASK = "Ask the person who runs the robot.";
+const DRIVE = "Press Drive to go on.";
+/** What happened, what to do next, and what a person with a terminal does. @type {Record<Cause, [(end: End) => string, string, string?]>} */
+const CAUSES = {
+  connecting: [() => "this page is connecting", ""],
+  offline: [() => "this device has no network", "Join the robot's Wi-Fi."],
+  lost: [() => "the connection to the console is lost", AGAIN, "Start the console again: hexapod-gateway console"],
+  deaf: [() => "the console sends nothing", AGAIN],
+  closed: [() => "the console was closed", ASK, "Start the console again: hexapod-gateway console"],
+  rejected: [() => "the console ended the connection", AGAIN],
+  signed_out: [() => "this page is not signed in", "Open a new link: ask the person who runs the console.", "Make a new link: hexapod-gateway console --link"],
+  full: [() => "the network takes nothing", AGAIN],
+  gone: [() => "the console has lost the gateway", ASK, "See why it ended: systemctl status hexapod-gateway"],
+  silent: [() => "the gateway sends nothing", ASK, "See its journal: journalctl -u hexapod-gateway"],
+  old: [({ forMs }) => `the newest state is ${ago(forMs ?? 0)} old`, AGAIN],
+  page_silent: [
+    ({ by, forMs }) => `this page was hidden, locked or frozen for ${ago(forMs ?? 0)}, so its lease ended${by ? `; ${by} drives now` : ""}`,
+    DRIVE,
+  ],
+  taken: [({ by }) => `${by} has taken the lease`, "Ask for it to go on."],
+  gateway: [({ forMs }) => `the gateway did not keep this page's lease, and last confirmed it ${ago(forMs ?? 0)} ago`, DRIVE],
+  restarted: [() => "the gateway was started again", DRIVE],
+};
+
+/**
+ * The end of a lease or of a link, by its cause, for this viewer. A remedy that needs a terminal is for a person who has one.
+ * @param {End} end @returns {{line: string, next: string, reason: string}} `line` neither begins nor ends a sentence
+ */
+export function ended(end, terminal = HAS_TERMINAL) {
+  const [line, next, typed] = CAUSES[end.cause];
+  const reasons = (end.detail ?? "").split("\n").map((each) => (terminal ? each : each.split(" → ")[0]));
+  return { line: line(end), next: (terminal && typed) || next, reason: reasons.join("; ") };
+}
+
+/** A sentence that begins so. @param {string} line */
+export function sentence(line) {
+  return `${line.slice(0, 1).toUpperCase()}${line.slice(1)}.`;
+}
+
+/** @param {string} name */
+export function short(name, longest = LONGEST_NAME) {
+  return name.length > longest ? `${name.slice(0, longest - 1)}…` : name;
+}
+
+/**
+ * Who moves which legs though nobody has the lease. @param {import("./types.js").Leg[]} legs @param {(source: string | null) => string} who
+ */
+export function undriven(legs, who) {
+  /** @type {Map<string, number[]>} */
+  const movers = new Map();
+  for (const { leg, source, servos } of legs) {
+    if (!servos.some((servo) => servo.running)) continue;
+    const name = source === null ? "a program without a name" : who(source);
+    movers.set(name, [...(movers.get(name) ?? []), leg]);
+  }
+  const moved = [...movers].map(([name, moving]) => `${name} ${name === "you" ? "move" : "moves"} ${moving.length === LEGS ? "all legs" : legsInWords(moving)}`);
+  return moved.length ? `${UNDRIVEN}${moved.join(", ")}` : "nobody";
+}
+
+/** `12:03`, and the day if it was another one. @param {string} time RFC 3339 */
+export function clock(time) {
+  const at = new Date(time);
+  const day = Math.abs(Date.now() - at.getTime()) < DAY_MS ? "" : `${at.toLocaleDateString("en-GB", { day: "numeric", month: "short" })}, `;
+  return `${day}${at.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" })}`;
+}
+
+/** The gateway's names for why it rejects a command. @type {Record<string, string>} */
 const REASONS = {
   battery_low: "the battery is low",
   whole_robot: "on this robot only all six legs start together",
   fallen: "it has fallen, or was lifted",
   no_power: "the power board does not feed it",
+  stale: "it came too late",
+  servo_stopped: "the servo is stopped, so it has to be started first",
+  joint_limit: "the servo may not go there",
+  estopped: "STOP ALL is engaged; reset it first",
+  bus_fault: "the controller does not answer",
+  stopping: "the gateway ends",
+  not_holder: "this page does not have the lease",
+  no_lease: "nobody has the lease",
+  lease_held: "somebody else has the lease",
+  lease_denied: "the gateway gives this page no lease",
+  landing: "the robot puts its legs down",
+  overflow: "too many commands came at once",
+  no_button: "a stop button that is needed is not there",
+  unknown_button: "the gateway does not know this button",
+  button_denied: "the gateway does not take this button",
 };
 
 /** @type {Record<string, string>} */
@@ -25,12 +125,12 @@ const NEWS = {
 
 /** Why something was rejected, with the gateway's own sentence. @param {{reason?: string | null, detail?: string | null}} answer */
 export function because({ reason, detail }) {
-  return `${REASONS[reason ?? ""] ?? reason}: ${detail ?? ""}`;
+  return [reason && reasonInWords(reason), detail].filter(Boolean).join(": ");
 }
 
 /** A rejection's reason without its sentence. @param {string} reason */
 export function reasonInWords(reason) {
-  return REASONS[reason] ?? reason;
+  return REASONS[reason] ?? reason.replaceAll("_", " ");
 }
 
 /** An error's sentence, which names the reason of a rejection. @param {string} sentence */
@@ -41,4 +141,12 @@ export function plain(sentence) {
 /** What an event means to the driver; "" for one that needs no sentence. @param {{kind: string}} event */
 export function news({ kind }) {
   return NEWS[kind] ?? "";
+}
+
+/**
+ * The gateway's sentence in this page's words: a button on a screen is no emergency stop device (ISO 13850).
+ * @param {string} sentence
+ */
+export function worded(sentence) {
+  return sentence.replace(/\b(?:an|the) emergency stop\b/gi, "STOP ALL").replace(/\bemergency stop\b/gi, "STOP ALL");
 }

@@ -10,14 +10,13 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from typing import Any, Final
 
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS, RELEASE_S
-from gateway.people.console.pages.page_messages import DriveRequest, LeaseMessage
+from gateway.people.console.pages.page_messages import DriveRequest, LeaseEnd, LeaseMessage
 from gateway.people.console.pages.page_tasks import PageTasks
-from gateway.people.walking import lease_lost
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
 
@@ -40,9 +39,11 @@ class PageLease:
         """Whether the page drives."""
         self.token: str | None = None
         """What the page's commands carry."""
-        self._kept_s = -math.inf
-        """When the page sent its latest request that was granted, monotonic."""
+        self._kept_s = self._asked_s = -math.inf
+        """When the page sent its latest request that was granted, and when its latest one was answered, monotonic."""
         self._ttl_s = math.inf
+        self._doubted = False
+        """Whether the gateway is asked about it, because it has rejected a command."""
 
     def go_on(self) -> None:
         """The page was opened anew: it learns that it still drives, or gets the lease again if nobody has it."""
@@ -56,28 +57,34 @@ class PageLease:
         self.tasks.start(self._run(request))
 
     def judge(self, ack: Ack) -> None:
-        """Take the answer to a command that carried the token: it may show that the lease is lost."""
-        if self.mine and not ack.accepted and ack.reason in NOT_OURS:
-            self.mine = False
-            silent = time.monotonic() - self._kept_s > self._ttl_s
-            detail = self._why_lost(time.monotonic(), None) if silent else ack.detail
-            self.send(LeaseMessage(mine=False, reason=str(ack.reason), detail=detail))
+        """Take the answer to a command that carried the token: if it was rejected for its lease, ask who has it."""
+        if self.mine and not self._doubted and not ack.accepted and ack.reason in NOT_OURS:
+            self._doubted = True
+            self.tasks.start(self._run(DriveRequest(type="lease", id=0, do="renew"), by_page=False))
 
     def close(self) -> None:
         """The page is gone: release the lease, if it has it."""
         self.tasks.start(self._release())
 
-    async def _run(self, request: DriveRequest) -> None:
-        asked_s = time.monotonic()
+    async def _run(self, request: DriveRequest, *, by_page: bool = True) -> None:
+        before_s, asked_s = self._asked_s, time.monotonic()
         try:
             ack = await self._asked(request)
         except GatewayError as error:
-            self.send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
+            if self.mine and time.monotonic() - self._kept_s > self._ttl_s + RENEW_S:
+                self._lost(asked_s, before_s, id=request.id, detail=str(error))
+            else:
+                self.send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
             return
+        finally:
+            self._doubted = False
+            if by_page:
+                self._asked_s = time.monotonic()  # and until now it has waited for the answer
         if ack.accepted:
             self._kept_s, self._ttl_s = asked_s, (ack.ttl_ms or math.inf) / 1000
         elif self.mine and request.do == "renew":
-            ack = ack.model_copy(update={"detail": self._why_lost(asked_s, ack.holder)})
+            self._lost(asked_s, before_s, **ack.model_dump(exclude={"nonce", "lease"}), id=request.id)
+            return
         self._answered(request, ack)
 
     async def _asked(self, request: DriveRequest) -> LeaseAck:
@@ -95,13 +102,16 @@ class PageLease:
             self.token, self.mine = ack.lease, ack.lease is not None
         elif request.do == "release":
             self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
-        elif request.do == "renew":
-            self.mine = ack.accepted
         # LeaseMessage ignores the token, which a page must not learn.
         self.send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
 
-    def _why_lost(self, now_s: float, holder: str | None) -> str:
-        return lease_lost(now_s - self._kept_s, self._ttl_s, holder)
+    def _lost(self, asked_s: float, before_s: float, **answer: Any) -> None:
+        """It is lost, by the `answer` to a request at `asked_s`; the one before it was answered at `before_s`."""
+        self.mine = False
+        end: LeaseEnd = "taken" if answer.get("holder") else "gateway"
+        if asked_s - before_s > self._ttl_s:
+            end = "page_silent"
+        self.send(LeaseMessage(mine=False, end=end, silent_s=asked_s - self._kept_s, **answer))
 
     async def _release(self) -> None:
         token, mine = self.token, self.mine

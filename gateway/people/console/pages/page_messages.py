@@ -42,6 +42,8 @@ def least(first: Role, second: Role) -> Role:
 
 
 LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
+LeaseEnd = Literal["page_silent", "taken", "gateway"]
+"""Why a page lost the lease: it asked for none in time; somebody has taken it; the gateway ended it or was silent."""
 ButtonVerb = Literal["register", "alive", "leave"]
 CalibrateVerb = Literal[
     "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
@@ -245,6 +247,8 @@ FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(
 class Hello(Report):
     """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
 
+    `names` are `source` and those of the pages before it in its tab, on which it drives on.
+
     `geometry` is the robot's, as in its geometry file. `lying`: each servo's angle when it lies on its belly, as in
     commands; empty where it cannot lie. `gaits` are the names that a walk may have.
     """
@@ -253,6 +257,7 @@ class Hello(Report):
     role: Role
     person: str
     source: str
+    names: tuple[str, ...] = ()
     version: str
     geometry: dict[str, Any]
     lying: dict[int, float] = Field(default_factory=dict)
@@ -344,7 +349,8 @@ class Stopping(Report):
 class LeaseMessage(Report):
     """Whether this WebSocket has the lease: the answer to `DriveRequest` (with its `id`), or sent when it is lost.
 
-    The state names any other holder. A page renews at a third of `ttl_ms`.
+    The state names any other holder. A page renews at a third of `ttl_ms`. `end`: why it was lost, `silent_s` after it
+    was last granted; the page words it.
     """
 
     type: Literal["lease"] = "lease"
@@ -356,6 +362,8 @@ class LeaseMessage(Report):
     holder: str | None = None
     verified: bool | None = None
     ttl_ms: float | None = None
+    end: LeaseEnd | None = None
+    silent_s: float | None = None
 
 
 class WalkMessage(Report):

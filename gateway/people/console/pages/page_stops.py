@@ -76,7 +76,7 @@ def now_ns() -> int:
     return round(asyncio.get_running_loop().time() * 1e9)
 
 
-def send_stopping(press: Press[Outgoing, str | None], ack: Ack | None, error: str | None) -> None:
+def send_stopping(press: Press[Outgoing, str], ack: Ack | None, error: str | None) -> None:
     """Send the progress of STOP ALL to the page that pressed it."""
     if press.page is None:
         return

@@ -52,6 +52,8 @@ PAST_EVENTS: Final = 50
 """What a page that opens receives of the past."""
 GOES_ON_S: Final = 10.0
 """How long after a page's end the next one in its tab goes on driving: a reload, which on a phone is one pull."""
+MAX_NAMES: Final = 50
+"""Of a page that is loaded anew again and again."""
 TELEMETRY_HZ: Final = 8.0
 TELEMETRY_AT_ONCE: Final = 2
 """So at most 10 messages in any second, while the gateway may publish 100: a phone draws each."""
@@ -67,7 +69,7 @@ class Shared:
 
     person: str
     link: GatewayLink
-    stops: Stops[str | None]
+    stops: Stops[str]
     geometry: Geometry
     terrain: str
     """Of every page's walk."""
@@ -186,6 +188,7 @@ class Page:
         person, link = shared.person[:40], shared.link
         self.source = f"{person} (page {number})"
         """Its name in states and events."""
+        self.names: tuple[str, ...] = (*(() if former is None else former.names), self.source)[-MAX_NAMES:]
         self.outgoing = Outgoing()
         self._role = role
         self._link = link
@@ -264,7 +267,7 @@ class Page:
     def _do(self, message: messages.FromPage) -> None:
         match message:
             case messages.StopAllRequest():
-                self._stops.press(self.outgoing, message.id, self._button.name if message.button else None)
+                self._stops.press(self.outgoing, message.id, self._button.name if message.button else self.source)
             case messages.CommandRequest():
                 self._command(message)
             case messages.ResetRequest():

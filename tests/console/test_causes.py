@@ -1,0 +1,170 @@
+"""The page tells the true cause, in its viewer's words, and what cannot work looks so."""
+
+import re
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from playwright.sync_api import Browser, expect
+
+from schemas.robot import LEGS
+from tests.console.browser import Opened, Visitor
+from tests.support.console_process import Console
+from tests.support.fixtures import patient
+from tests.support.gateway_process import Gateway, free_port
+
+pytestmark = pytest.mark.browser
+
+PHONE: Final[dict[str, Any]] = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
+WITHOUT_GATEWAY_MS: Final = 4000
+"""So long "You drive" once stood without a gateway."""
+TYPED: Final = re.compile("systemctl|journalctl|hexapod-gateway")
+CAUSES: Final = (
+    "connecting", "offline", "lost", "deaf", "closed", "rejected", "signed_out", "full", "gone", "silent", "old",
+    "page_silent", "taken", "gateway", "restarted",
+)  # fmt: skip
+
+
+class Robot:
+    """A gateway that can be started again at its port, and its console."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        settings = patient(lease={"ttl_ms": 1500}, zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
+        self._settings = settings
+        self.gateway = Gateway(folder, settings, options=("--sim",))
+        self.console = Console(folder, "--connect", self.gateway.endpoint)
+
+    def start_again(self) -> None:
+        self.gateway = Gateway(self._folder, self._settings, options=("--sim",))
+
+    def close(self) -> None:
+        self.console.close()
+        self.gateway.close()
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Robot]:
+    with ExitStack() as stack:
+        running = Robot(tmp_path)
+        stack.callback(running.close)
+        yield running
+
+
+def expect_grey(page: Opened, *, grey: bool) -> None:
+    """Whether what moves the robot looks as if it could not."""
+    for name in ("stand", "sit", "lower", "higher", "speed-slow", "speed-fast", "gait-tripod"):
+        expect(page[name]).to_be_disabled() if grey else expect(page[name]).to_be_enabled()
+    for name in ("pad", "turn", "hold"):
+        expect(page[name]).to_have_attribute("aria-disabled", "true" if grey else "false")
+
+
+def test_a_restarted_gateway_is_the_cause_and_a_phone_is_sent_to_a_person_and_not_to_a_terminal(
+    robot: Robot, browser: Browser
+) -> None:
+    with Visitor(browser, robot.console.url, robot.console.sign_in()) as visitor:
+        phone, desk = visitor.open(**PHONE), visitor.open()
+        phone.get_lease()
+        expect_grey(phone, grey=False)
+        robot.gateway.close()
+        expect(phone["driver"]).to_have_text("unknown", timeout=WITHOUT_GATEWAY_MS)
+        expect_grey(phone, grey=True)
+        expect(phone.said).to_contain_text("You do not drive any more: the gateway ", timeout=2 * WITHOUT_GATEWAY_MS)
+        for page, next_step, reason in (
+            (phone, "Ask the person who runs the robot.", "nothing listens there."),
+            (desk, "systemctl status hexapod-gateway", "→ does the gateway run"),
+        ):
+            expect(page["stop-line"]).to_have_text("NOT CONNECTED: use the switch")
+            expect(page["stop-next"]).to_contain_text(next_step)
+            expect(page["stop-reason"]).to_contain_text("nothing listens there")
+            page["stop-known"].click()
+            expect(page.said).to_contain_text(reason)
+        assert not TYPED.search(" ".join(phone.page.locator("#stop, #said").all_inner_texts()))
+        robot.start_again()
+        expect(phone.said).to_have_text(
+            "You do not drive any more: the gateway was started again. Press Drive to go on."
+        )
+        expect(phone["driver"]).to_have_text("nobody")
+
+
+def test_a_console_that_is_closed_or_lost_is_named_to_a_phone_without_commands(robot: Robot, browser: Browser) -> None:
+    with Visitor(browser, robot.console.url, robot.console.sign_in()) as visitor:
+        phone = visitor.open(**PHONE)
+        phone.get_lease()
+        robot.console.close()
+        expect(phone["stop-line"]).to_have_text("NOT CONNECTED: use the switch")
+        expect(phone.said).to_contain_text("You do not drive any more: the con")
+        expect(phone["driver"]).to_have_text("unknown")
+        assert not TYPED.search(phone["stop"].inner_text())
+
+
+def test_who_moves_the_legs_without_the_lease_is_named(visitor: Visitor, gateway: Gateway) -> None:
+    page = visitor.open()
+    with gateway.client(source="my tripod") as program:
+        for leg in LEGS:
+            assert program.start_leg(leg, 90, 90, 90).accepted
+        expect(page["driver"]).to_have_text("nobody has the lease; my tripod moves all legs")
+        expect(page.said).to_have_text("Nobody has the lease; my tripod moves all legs.")
+        expect(page["leg-row-3"].locator(".by")).to_have_text("my tripod")
+        for leg in LEGS[2:]:
+            program.stop(leg)
+        expect(page["driver"]).to_have_text("nobody has the lease; my tripod moves legs 1 and 2")
+        program.stop()
+    expect(page["driver"]).to_have_text("nobody")
+
+
+def test_the_person_who_pressed_stop_all_is_named_and_a_stopped_robot_looks_stopped(
+    visitor: Visitor, gateway: Gateway
+) -> None:
+    anna, bert = visitor.open(), visitor.open()
+    anna.get_lease()
+    expect_grey(anna, grey=False)
+    expect_grey(bert, grey=True)
+    name = bert["driver"].inner_text().removesuffix(", not verified")
+    bert["stop-all"].click()
+    expect(bert["stop-line"]).to_have_text(re.compile(r"STOPPED by you, \d\d:\d\d"))
+    expect(anna["stop-line"]).to_have_text(re.compile(r"STOPPED by \S+ \(page \d+\), \d\d:\d\d"))
+    with gateway.client() as robot:
+        stopper = robot.state().estop_source or ""
+    assert re.fullmatch(r"(?!root).+ \(page \d+\)", stopper)
+    assert stopper != name
+    expect(anna["stop-next"]).to_have_text("When all are clear, reset.")
+    expect(anna["stop"]).to_have_attribute("data-tone", "stopped")
+    expect_grey(anna, grey=True)
+    anna["stop-known"].click()
+    expect(anna.said).to_have_text(f"STOP ALL by {stopper}: nothing runs until a reset.")
+    bert["stop-known"].click()
+    expect(bert.said).to_contain_text("6 Stops written within")
+    anna["reset"].click()
+    anna["question-yes"].click()
+    expect_grey(anna, grey=False)
+
+
+def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(visitor: Visitor) -> None:
+    page = visitor.open()
+    worded = page.module(
+        "words",
+        "(m, causes) => causes.map((cause) => "
+        " m.ended({ cause, by: 'bert', forMs: 7000, detail: 'a: b → systemctl' }, false))",
+        CAUSES,
+    )
+    for cause, each in zip(CAUSES, worded, strict=True):
+        assert each["line"], cause
+        assert not TYPED.search(f"{each}"), cause
+    assert "bert" in worded[CAUSES.index("taken")]["line"]
+
+
+def test_a_driver_who_loads_the_page_anew_still_is_you_and_another_page_is_not(visitor: Visitor) -> None:
+    page = visitor.open()
+    for drives, stopper in ((False, r"by \S+ \(page \d+\), "), (True, "by you, ")):
+        if drives:
+            page["reset"].click()
+            page["question-yes"].click()
+            page.get_lease()
+        page["stop-all"].click()
+        expect(page["stop-line"]).to_have_text(re.compile("STOPPED by you, "))
+        page.page.reload()
+        page.expect_live()
+        expect(page["stop-line"]).to_have_text(re.compile(f"STOPPED {stopper}"))
