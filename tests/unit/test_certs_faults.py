@@ -40,13 +40,6 @@ def test_an_existing_ca_is_never_replaced(folder: Path) -> None:
     assert "has a CA already" in fault(lambda: certs.folder.init(folder, HOSTS))
 
 
-def test_a_name_is_given_once(folder: Path) -> None:
-    certs.folder.issue(folder, "alice", "operator")
-    before = contents(folder)
-    assert "taken" in fault(lambda: certs.folder.issue(folder, "alice", "observer"))
-    assert contents(folder) == before
-
-
 def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path, tmp_path: Path) -> None:
     before = contents(folder)
     (tmp_path / "there.zip").write_text("mine")
