@@ -219,15 +219,11 @@ def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
     for each in known.entries if known else ():
         if each.common_name not in listed:  # without a file its expiry is unknown
             role = access.role_of(each.common_name)
-            gone = Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", each.since, each.since)
-            found.append(gone)
+            span = each.since, each.since
+            found.append(Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", *span))
 
-    def state(each: Certificate) -> str:
-        if known and known.holds(each.common_name, int(each.serial, 16)):
-            return "revoked"
-        return "expired" if each.not_after <= now else "good"
-
-    return [(each, state(each)) for each in found]
+    gone = {each for each in found if known and known.holds(each.common_name, int(each.serial, 16))}
+    return [(each, "revoked" if each in gone else "expired" if each.not_after <= now else "good") for each in found]
 
 
 def expiries(directory: Path) -> list[Certificate]:
