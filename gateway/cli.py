@@ -71,7 +71,7 @@ app = typer.Typer(
     help="Moves a six-legged robot: takes commands over Zenoh, writes HexapodProtocol frames to SPI, and stops the "
     "robot when commands stop coming.",
     epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
-    "`hexapod-gateway send leg 3 start 90 45 120 --hold 5`.\n\n"
+    "`hexapod-gateway send legs start 90 45 120 --hold 5`.\n\n"
     "Exit codes: 0 done, or ended on request; 1 not done: rejected, failed, or not confirmed; 2 an argument, a file or "
     "the configuration is wrong; 3 the SPI device fails; 4 no gateway answers, or Zenoh cannot be opened; 5 the "
     "address is taken; 130 ended early by a signal.",
@@ -359,6 +359,25 @@ def send_leg(
 
     connection = send.connection(connect, zenoh_config, timeout)
     sys.exit(send.send_leg(connection, leg, op, angles or [], hold_s=hold))
+
+
+@send_app.command("legs")
+def send_legs(
+    op: OpArgument,
+    angles: Annotated[
+        list[float] | None,
+        typer.Argument(metavar="[A B C]", help="Degrees for joints 1, 2 and 3 of each leg, or 18 of legs 1 to 6"),
+    ] = None,
+    hold: HoldOption = 0,
+    connect: ConnectOption = None,
+    zenoh_config: ZenohConfigOption = None,
+    timeout: TimeoutOption = 2.0,
+) -> None:
+    """Start, set or stop all six legs: `send legs start 90 45 120 --hold 5`."""
+    from gateway.people.commands import send
+
+    connection = send.connection(connect, zenoh_config, timeout)
+    sys.exit(send.send_legs(connection, op, angles or [], hold_s=hold))
 
 
 @send_app.command("servo")

@@ -1,15 +1,15 @@
 """The Python client for programs on a laptop; needs neither SPI nor a compiler.
 
 >>> from gateway.client import Client
->>> with Client(endpoint) as robot:                 # such as "tcp/192.0.2.7:7447"
-...     bool(robot.start_leg(3, 90, 45, 120))       # acknowledged: the frame has been handed to SPI
-...     robot.set_leg(3, 91, 45, 120).or_raise().accepted  # only what runs can be set
-...     robot.set_leg(4, 91, 45, 120).detail        # leg 4 was never started
-...     robot.stop().accepted
+>>> with Client(endpoint) as robot:                       # such as "tcp/192.0.2.7:7447"
+...     robot.start_legs([(90, 45, 120)] * 6).accepted    # acknowledged: the frames have been handed to SPI
+...     robot.set_leg(3, 91, 45, 120).accepted            # only what runs can be set
+...     robot.stop(3).accepted
+...     robot.set_leg(3, 91, 45, 120, check=False).detail # without `check=False` it raises RejectedError
 True
 True
-'servo 41 does not run; start it before you set it'
 True
+'servo 31 does not run; start it before you set it'
 """
 
 from gateway.errors import (
@@ -17,6 +17,7 @@ from gateway.errors import (
     GatewayError,
     LeaseError,
     LeaseLostError,
+    OutOfRangeError,
     RejectedError,
     StoppedError,
     WalkError,
@@ -27,11 +28,12 @@ from gateway.people.client.aio import AsyncButton, AsyncClient, AsyncLease, Asyn
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.button import Button
 from gateway.people.client.lease import Lease
+from gateway.people.client.pace import Jitter
 from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Odometry, Posture, WalkState
-from schemas.telemetry import Ack, Battery, Event, GatewayState, Imu, Kind, Reason, Telemetry
+from schemas.telemetry import Ack, Battery, Event, FrameRecord, GatewayState, Imu, Kind, Reason, Telemetry
 
 __all__ = [
     "DEFAULT_ENDPOINT",
@@ -46,14 +48,17 @@ __all__ = [
     "Client",
     "DisconnectedError",
     "Event",
+    "FrameRecord",
     "GatewayError",
     "GatewayState",
     "Imu",
+    "Jitter",
     "Kind",
     "Lease",
     "LeaseError",
     "LeaseLostError",
     "Odometry",
+    "OutOfRangeError",
     "Posture",
     "Reason",
     "RejectedError",

@@ -8,6 +8,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
+_NONBLOCK, _NOFOLLOW, _CLOEXEC = (getattr(os, f"O_{name}", 0) for name in ("NONBLOCK", "NOFOLLOW", "CLOEXEC"))
+"""Windows has none of them, nor owners, modes and folders that can be synced."""
+
 
 def _nothing(_descriptor: int) -> None:
     pass
@@ -41,7 +44,7 @@ def read(path: Path, most_bytes: int) -> bytes | None:
     Raises OSError, and ValueError with a sentence for what is no file, or is larger than `most_bytes`.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | _NONBLOCK | _CLOEXEC)
     except FileNotFoundError:
         return None
     try:
@@ -85,10 +88,11 @@ def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]
 
     The mode is set before the content is written, so that a key is never readable by others.
     """
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NOFOLLOW | _CLOEXEC, 0o600)
     try:
         with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(descriptor, mode)
+            if hasattr(os, "fchmod"):
+                os.fchmod(descriptor, mode)
             _fill(file, data, prepare)
     except BaseException:
         with suppress(OSError):
@@ -98,13 +102,15 @@ def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]
 
 def like_the_folder(path: Path, descriptor: int) -> None:
     """As root, give the file to the folder's owner, so that the service can write it later."""
-    if os.geteuid() == 0:
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
         folder = path.parent.stat()
         os.fchown(descriptor, folder.st_uid, folder.st_gid)
 
 
 def sync(path: Path) -> None:
     """Sync a file's content, or a folder's entries, to the disk. Raises OSError."""
+    if not hasattr(os, "O_DIRECTORY") and path.is_dir():
+        return
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

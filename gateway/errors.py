@@ -1,5 +1,6 @@
 """The errors that end a command: each has an exit code, and one sentence with the remedy."""
 
+import time
 from collections.abc import Iterable
 from typing import ClassVar
 
@@ -9,6 +10,11 @@ class GatewayError(Exception):
 
     exit_code: ClassVar[int] = 1
     """Exit code of a command that ends with it. @private"""
+
+    @property
+    def lasting(self) -> str:
+        """The text, without what changes as time passes: for a page that shows it for long. @private"""
+        return str(self)
 
 
 class ConfigError(GatewayError):
@@ -63,6 +69,14 @@ class RejectedError(GatewayError):
         self.detail = detail
 
 
+class OutOfRangeError(RejectedError, ValueError):
+    """A leg, servo or angle that no robot has, rejected before anything was sent; `reason` is `invalid`."""
+
+    def __init__(self, detail: str) -> None:
+        """A sentence."""
+        super().__init__("invalid", detail)
+
+
 class LeaseError(RejectedError):
     """The gateway rejected a request for its lease; `holder` drives; None: unknown."""
 
@@ -77,12 +91,29 @@ class LeaseLostError(LeaseError):
 
 
 class StoppedError(GatewayError):
-    """`legs` that a program moved were stopped: by the watchdog, another client or a fault."""
+    """`legs` that a program moved were stopped, or the gateway accepts no commands.
 
-    def __init__(self, detail: str, legs: Iterable[int]) -> None:
-        """A sentence, and the legs' numbers."""
+    `cause`: `stop` (somebody's Stop), else the kind of the event (docs/interface.md), such as `watchdog_expired`.
+    `by`: who sent the Stop or the emergency stop; None: nobody, or somebody without a name.
+    """
+
+    def __init__(
+        self, detail: str, legs: Iterable[int], by: str | None = None, cause: str = "", at_s: float | None = None
+    ) -> None:
+        """A sentence, the legs' numbers, who, why, and when (monotonic; the text says how long ago)."""
         super().__init__(detail)
         self.legs = tuple(sorted(legs))
+        self.by = by
+        self.cause = cause
+        self.at_s = at_s
+
+    def __str__(self) -> str:
+        ago = "" if self.at_s is None else f", {max(0.0, time.monotonic() - self.at_s):.1f} s ago"
+        return f"{self.lasting}{ago}"
+
+    @property
+    def lasting(self) -> str:
+        return str(self.args[0])
 
 
 class AddressTakenError(GatewayError):

@@ -24,7 +24,7 @@ def plain(endpoints: Sequence[str]) -> str | None:
 def reach_by(**options: str | Path | None) -> None:
     """Add `--connect`, `--zenoh-config` (as `connect`, `zenoh_config`) to the commands of later messages; None: not."""
     for name, value in options.items():
-        option = f"--{name.replace('_', '-')}"
+        option = _option(name)
         _options.pop(option, None)
         if value is not None:
             _options[option] = shlex.quote(str(value))
@@ -39,8 +39,17 @@ def this_command() -> str:
     return called if here else "hexapod-gateway"
 
 
-def command(arguments: str) -> str:
-    """A command that reaches the gateway of this process: `hexapod-gateway reset --connect tcp/192.0.2.7:7447`."""
+def command(arguments: str, **given: str | Path | None) -> str:
+    """A command that reaches the gateway of this process: `hexapod-gateway reset --connect tcp/192.0.2.7:7447`.
+
+    `given`: in place of those of `reach_by`, for another gateway than the command line's.
+    """
     default = {} if CONNECT_VARIABLE in os.environ else {"--connect": DEFAULT_ENDPOINT}
     options = (f"{option} {value}" for option, value in _options.items() if default.get(option) != value)
+    if given:
+        options = (f"{_option(name)} {shlex.quote(str(value))}" for name, value in given.items() if value is not None)
     return " ".join((this_command(), arguments, *options))
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"

@@ -1,8 +1,11 @@
-"""Foreign text on one line: it must neither control a terminal nor look like further lines."""
+"""Text for people. Foreign text stays on one line: it must neither control a terminal nor look like further lines."""
 
 import json
 import re
+from collections.abc import Collection
 from typing import Final
+
+from schemas.robot import LEGS
 
 MAX_ECHO: Final = 80
 
@@ -27,3 +30,9 @@ def echo(value: object) -> str:
 def key_name(name: str) -> str:
     """The name, if it can be a bare key of TOML; else quoted."""
     return name if re.fullmatch(r"[\w-]{1,80}", name, re.ASCII) else echo(name)
+
+
+def legs_named(legs: Collection[int]) -> str:
+    """`leg 3`, `legs 1, 3 and 4`, `all legs`."""
+    *first, last = [str(leg) for leg in sorted(legs)]
+    return "all legs" if len(legs) == len(LEGS) else f"legs {', '.join(first)} and {last}" if first else f"leg {last}"

@@ -1,8 +1,9 @@
 """Payloads that go out: acknowledgements, state, events and frame records."""
 
+import math
 from collections.abc import Iterator
 from enum import StrEnum
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
@@ -199,6 +200,22 @@ class LegReport(Report):
     age_ms: float | None
     servos: tuple[ServoReport, ServoReport, ServoReport]
     source: str | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether one of its servos runs."""
+        return any(servo.running for servo in self.servos)
+
+    @property
+    def angles_deg(self) -> tuple[float | None, ...]:
+        """The commanded angles of joints 1, 2, 3; None for a servo that is stopped."""
+        return tuple(servo.angle_deg for servo in self.servos)
+
+    def __repr__(self) -> str:
+        doing = ("runs" if self.running else "is off", "" if self.source is None else f" by {self.source!r}")
+        return f"<leg {self.leg} {''.join(doing)}, {self.angles_deg}>"
+
+    __str__ = __repr__
 
 
 class CommandCounts(Report):
@@ -426,6 +443,26 @@ class GatewayState(Report):
     physics: Annotated[
         str | None, Field(description="Zenoh id of the process that simulates the robot's body; null: none does")
     ] = None
+
+    def leg(self, number: int) -> LegReport:
+        """The report of one leg, 1 to 6. Raises KeyError for a leg that the state has not."""
+        return {each.leg: each for each in self.legs}[number]
+
+    def angles(self, unit: Literal["deg", "rad"] = "deg") -> Any:
+        """The commanded angles, 6×3: a numpy array (NaN for a stopped servo); tuples where numpy is missing."""
+        turn = math.radians if unit == "rad" else float
+        rows = tuple(tuple(turn(math.nan if a is None else a) for a in leg.angles_deg) for leg in self.legs)
+        try:
+            import numpy  # noqa: PLC0415  # no dependency: notebooks have it
+        except ImportError:
+            return rows
+        return numpy.array(rows)
+
+    def __repr__(self) -> str:
+        running = [each.leg for each in self.legs if each.running]
+        return f"<GatewayState {self.mode}, legs that run: {running or 'none'}, up {self.uptime_s:.0f} s>"
+
+    __str__ = __repr__
 
 
 class Event(Report):

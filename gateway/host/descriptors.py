@@ -6,7 +6,6 @@ neither. Without a free descriptor, a failed SPI device could not be reopened, a
 
 import errno
 import os
-import resource
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -28,6 +27,10 @@ def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
 
     With too few, Zenoh would open, but reject clients.
     """
+    try:
+        import resource  # noqa: PLC0415
+    except ImportError:  # Windows has no such limit
+        return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _taken() + needed
     if soft < wanted <= hard:
@@ -66,7 +69,7 @@ class Spare:
         """Refill the reserve as far as possible. Call it after a device was opened or closed."""
         with suppress(OSError):
             while len(self._kept) < SPARES:
-                self._kept.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
+                self._kept.append(os.open(os.devnull, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)))
 
 
 def ran_out(error: BaseException) -> bool:

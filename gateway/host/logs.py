@@ -132,7 +132,7 @@ class LogStream(io.TextIOBase):
 
 
 FLUSH_S: Final = 0.3
-"""How long the end waits for unwritten lines, of the second that it may take (docs/interface.md, Behaviour 7)."""
+"""How long the end waits for unwritten lines, of the second that it may take (docs/interface.md, Behaviour *End*)."""
 
 _log_writers: list[LogWriter] = []
 

@@ -70,7 +70,7 @@ def prefer_process() -> None:
 
 def limit_malloc_arenas() -> None:
     """Make all threads allocate from the same few arenas. Call it before the first thread starts. Needs glibc."""
-    with suppress(OSError, AttributeError):
+    with suppress(OSError, AttributeError, TypeError):  # Windows wants a name
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, MALLOC_ARENAS)
 
 

@@ -156,7 +156,7 @@ class ControllerSettings(Section):
 
     uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_is_device("/dev/ttyAMA1"))
     # At least five cycles: one answer may be lost, and one late.
-    silent_ms: float = _setting(300.0, "with `elkapod-2025`: no heartbeat or no well-formed answer for so long is a fault, as a lost bus is (Behaviour 16)", (100, 2000))
+    silent_ms: float = _setting(300.0, "with `elkapod-2025`: no heartbeat or no well-formed answer for so long is a fault, as a lost bus is (Behaviour *The wire of elkapod-2025*)", (100, 2000))
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class LimitSettings(Section):
     # -1: START_STAGGER_MS, but not where the wire starts all legs at once, nor where a board feeds one servo after the other.
     start_stagger_ms: float = _setting(-1.0, "least pause between energising two legs, which no Stop waits for; 0: off", (0, 2000))
     # A third of a usual servo's own speed.
-    takeover_deg_s: float = _setting(180.0, "highest speed on the first way under another source, or behind a Stop (Behaviour 20); 0: off", (0, 1000))
+    takeover_deg_s: float = _setting(180.0, "highest speed on the first way under another source, or behind a Stop (Behaviour *Take-over and first frame*); 0: off", (0, 1000))
     servos: Mapping[str, ServoLimits] = _table("")
 
 
@@ -236,7 +236,7 @@ class TelemetrySettings(Section):
 class SafetySettings(Section):
     """Rules that need what the robot measures; 0: never."""
 
-    min_battery_v: float = _setting(0.0, "starts are rejected below this voltage of the battery (Behaviour 17); 0: never", (0, 100))
+    min_battery_v: float = _setting(0.0, "starts are rejected below this voltage of the battery (Behaviour *Measurements*); 0: never", (0, 100))
     max_tilt_deg: float = _setting(0.0, "beyond this tilt (10 at least) for 200 ms all six legs stop, or land; 0: never", (0, 90), _beyond_walking)
 
 
@@ -244,7 +244,7 @@ class SafetySettings(Section):
 class PowerSettings(Section):
     """The board on CAN that switches each servo's supply; none by default."""
 
-    interface: str = _setting("", 'the board that feeds the servos (Behaviour 18): `"sim"`, a simulated one, or an interface of python-can, such as `"socketcan"` (also for adapters with the driver gs_usb), `"slcan"`; `""`: none', fault=_interface)
+    interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"`, a simulated one, or an interface of python-can, such as `"socketcan"` (also for adapters with the driver gs_usb), `"slcan"`; `""`: none', fault=_interface)
     channel: str = _setting("can0", 'the interface\'s channel, such as `"can0"`, `"/dev/ttyACM0"`')
     servos: tuple[int, ...] = _setting((), "the servo on each of the board's outputs 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` shows for the servo that it moves whether that is right", fault=_each_once)
     # It answers within 55 ms; where a mask meets its counter one pass behind an answer, within 394 ms.

@@ -34,7 +34,7 @@ def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, key: str) -> N
     ):
         heard = events(watcher)
         for place in range(0, COUNT, 3):
-            assert any(watcher.start_leg(3, *POSE).accepted for _ in range(100))
+            assert any(watcher.start_leg(3, *POSE, check=False).accepted for _ in range(100))
             link.hold()
             for number in range(COUNT):
                 # Not `Client.publish`: which drops what its own full queue has no room for.
@@ -46,5 +46,5 @@ def test_no_stop_among_what_was_held_back_is_lost(tmp_path: Path, key: str) -> N
                 )
             link.fix()
             laptop.state()  # on the same link, behind all that was held back
-            assert not laptop.set_leg(3, *POSE).accepted, f"it runs, and the {place}th was a Stop"
+            assert not laptop.set_leg(3, *POSE, check=False).accepted, f"it runs, and the {place}th was a Stop"
         assert not [event for event in heard.all if event.kind == Kind.OVERFLOW]

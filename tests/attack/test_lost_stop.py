@@ -30,8 +30,8 @@ def test_a_stop_under_a_flood_of_its_own_key_stops(tmp_path: Path, flood: str) -
             ran = 0
             for _ in range(TRIES):
                 # In the instant of the last Stop it is rejected, and another tick is another instant.
-                assert any(client.start_leg(3, 90, 90, 90).accepted for _ in range(100))
+                assert any(client.start_leg(3, 90, 90, 90, check=False).accepted for _ in range(100))
                 client.publish(KEY, leg_payload("stop"))
                 # By another ring, after the Stop. Only a leg that runs takes it.
-                ran += client.set_leg(3, 90, 90, 91).accepted
+                ran += client.set_leg(3, 90, 90, 91, check=False).accepted
             assert ran == 0, f"in {ran} of {TRIES} tries the leg went on running"

@@ -133,7 +133,7 @@ def clients(endpoint: str) -> None:
     sessions = [zenoh.open(client_config(endpoint)) for _ in range(CLIENTS)]
     listeners = [session.declare_subscriber(key, RingChannel(1)) for session in sessions for key in (STATE, EVENT)]
     print("commanding", len(listeners), flush=True)
-    wrong = json.dumps(leg_payload("set", (1, 2, 181)))
+    wrong = json.dumps(leg_payload("set", (1, 2, 180))).replace("180", "181")
     for session in itertools.cycle(sessions):
         session.put(leg_command(6), wrong)
         time.sleep(0.2 / CLIENTS)

@@ -59,7 +59,7 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
     """The whole robot, as soon as its frames are clocked; returns once the controller has it."""
     robot.wait_for_count(1, LATE_S)
     begun = len(robot.events)
-    ack = client.start_legs(POSE)
+    ack = client.start_legs(POSE, check=False)
     assert ack.accepted, ack
     robot.wait_for_message(START, since=begun, timeout_s=LATE_S)
     robot.wait_until(lambda: robot.controller.energised == ALL, LATE_S)

@@ -43,7 +43,7 @@ def opening_of(framing: Framing, *frames: str) -> list[bytes]:
 class Wire:
     """Reads the transfers of one device one after the other: what is not expected fails the test that comes upon it.
 
-    Legs of which no servo runs may get Stops at any time (Behaviour 4). These are left out where they are not expected.
+    Legs of which no servo runs may get Stops at any time. These are left out where they are not expected.
     """
 
     def __init__(self, bed: SpiTestbed, framing: Framing = Framing.PLAIN) -> None:
@@ -103,7 +103,7 @@ class Wire:
         return units
 
     def expect_behind_rest(self, *frames: str) -> None:
-        """These frames at last, and before them nothing but Stops, as a robot at rest gets them (Behaviour 4)."""
+        """These frames at last, and before them nothing but Stops, as a robot at rest gets them (*Legs at rest*)."""
         expected, begin = transfers_of(self.framing, *frames), self._read
         self.bed.wait_for(
             lambda transfers: [each.data for each in transfers[begin:]][-len(expected) :] == expected, LATE_S
@@ -125,7 +125,7 @@ class Wire:
         return transfers
 
     def _is_by_itself(self, unit: list[Transfer]) -> bool:
-        """Whether the gateway writes it without a command: repeats of Stops, and what legs at rest get (Behaviour 4).
+        """Whether the gateway writes it without a command: repeats of Stops, and what legs at rest get.
         How long a test takes must not change what it expects.
         """
         data = unit[-1].data

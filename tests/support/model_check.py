@@ -42,16 +42,15 @@ from tests.support.model_parts import (
     buttons_key,
     calibrating_key,
     changes,
-    copied_buttons,
-    copied_lease,
+    copied_interlocks,
     copy_backlog,
-    copy_calibrating,
     core_backlog_key,
     lease_key,
     lease_requests,
     measurements,
     power_key,
     rest_key,
+    share_limits,
     takeover_key,
     tokens,
 )
@@ -77,21 +76,23 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power backlog calibrating _reach _opened _bus_ok _fault latch _ended",
+        "_rules legs lease buttons body power backlog calibrating _reach _opened _fault latch _ended outside watchdog",
     ),
-    (_ROBOT, "stopped_outside wants_measurements expirations mode due_ns"),
+    (_ROBOT, "_interlocks _timed _with_deadlines _own mode due_ns"),
+    (_ROBOT.outside, "_rules"),
+    (_ROBOT.watchdog, "_rules expirations"),
     (_ROBOT.latch, "_rules number since_ns unknown"),
-    (_ROBOT.lease, "_rules holder verified since_ns due_ns guards _token _askers"),
-    (_ROBOT.buttons, "required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
+    (_ROBOT.lease, "_rules holder verified since_ns due_ns closed _token _askers"),
+    (_ROBOT.buttons, "_rules required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
-    (_ROBOT.power, "alive closed _refused"),
+    (_ROBOT.power, "_rules alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
     (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
-    (_ROBOT.calibrating, "_reach fault guards _on_its_way"),
+    (_ROBOT.calibrating, "_rules _reach fault _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
     (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns"),
-    (_ROBOT.legs, "_speeds rest"),
+    (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "_moved given _silent _first_stops _fed"),  # these count within a step
@@ -171,11 +172,9 @@ def copied(supervisor: Supervisor) -> Supervisor:
         _, _, _, *rest = _leg_fields(leg)
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
-    lease, buttons = copied_lease(supervisor.lease), copied_buttons(supervisor.buttons)
-    body, power = cloned(supervisor.body), cloned(supervisor.power)
-    latch = cloned(supervisor.latch)
-    other = cloned(supervisor, legs=legs, latch=latch, lease=lease, buttons=buttons, body=body, power=power)
-    copy_calibrating(supervisor, other)
+    other = cloned(supervisor, legs=legs)
+    other.connect(copied_interlocks(supervisor))
+    share_limits(supervisor, other)
     copy_backlog(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
@@ -194,7 +193,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
     return (
         supervisor.mode,
         supervisor._opened,
-        supervisor._bus_ok,
+        legs.sends,
         supervisor._fault,
         supervisor._ended,
         supervisor.latch.unknown,
@@ -203,7 +202,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        supervisor._bus_ok and rest_key(legs.rest, now_ns),
+        legs.sends and rest_key(legs.rest, now_ns),
         lease_key(supervisor.lease, now_ns),
         buttons_key(supervisor.buttons, now_ns),
         body_key(supervisor, now_ns),
@@ -232,9 +231,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         legs._rules.takeover_cdeg_s and takeover_key(legs, servo, now_ns),
                         # A bus that opens again is told to stop everything anew.
-                        supervisor._bus_ok
-                        and servo.repeats_left
-                        and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
+                        legs.sends and servo.repeats_left and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
                     )
                     for servo in leg.servos

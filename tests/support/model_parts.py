@@ -3,6 +3,7 @@ of them, how they are copied, and what of them tells states apart."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
@@ -17,6 +18,7 @@ from gateway.robot.core.events import (
     Event,
     LeaseRequest,
 )
+from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Servo
 from gateway.robot.core.legs import Legs
@@ -27,6 +29,16 @@ from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import cloned
 from tests.support.lease_history import LeaseHistory
+
+
+def copied_interlocks(supervisor: Supervisor) -> Iterator[Interlock[Any]]:
+    """Copies that share nothing that changes."""
+    for each in supervisor._interlocks:
+        if isinstance(each, RobotLease):
+            yield copied_lease(each)
+        else:
+            yield copied_buttons(each) if isinstance(each, Buttons) else cloned(each)
+
 
 # ---- the lease
 
@@ -39,7 +51,7 @@ def copied_lease(lease: RobotLease) -> RobotLease:
 def lease_key(lease: RobotLease, now_ns: int) -> tuple[object, ...]:
     """What of it can still matter; one token is as good as another."""
     left_ns = None if lease.due_ns is None else lease.due_ns - now_ns
-    return lease.holder, lease._token is not None, left_ns, lease.guards, tuple(lease._askers)
+    return lease.holder, lease._token is not None, left_ns, lease.closed, tuple(lease._askers)
 
 
 def tokens(drivers: Sequence[str], lease: LeaseHistory) -> Iterator[tuple[str, str | None]]:
@@ -148,11 +160,10 @@ def takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
 # ---- the calibration
 
 
-def copy_calibrating(supervisor: Supervisor, other: Supervisor) -> None:
-    """Give `other` a calibration of its own, that of `supervisor`; to be called once it has its own legs."""
-    other._reach = other.legs._reach = cloned(supervisor._reach)
+def share_limits(supervisor: Supervisor, other: Supervisor) -> None:
+    """Give `other` angle limits of its own, those of `supervisor`; to be called once it has its own interlocks."""
+    other._reach = other.legs._reach = other.calibrating._reach = cloned(supervisor._reach)
     other.legs._speeds = cloned(supervisor.legs._speeds, _reach=other._reach)
-    other.calibrating = cloned(supervisor.calibrating, _reach=other._reach)
 
 
 def _key(calibration: RobotCalibration) -> tuple[object, ...]:
@@ -169,7 +180,7 @@ def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
         reach.wire is not None,
         reach.limited,
         calibrating.fault,
-        calibrating.guards,
+        calibrating.closed,
         way and (_key(way.calibration), way.servos, way.event.accept_default),
     )
 

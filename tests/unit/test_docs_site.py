@@ -19,7 +19,6 @@ OURS: Final = {
     "Lease.token",
     "Odometry.after",
     "Stream.send",
-    "Walk.close",
     "Walk.end_now",
     "Walk.use",
 }
@@ -30,6 +29,10 @@ PROGRAMS: Final = {
     "AsyncWalk.turn",
     "Ack.or_raise",
     "Client.walk",
+    "Client.calibrate",
+    "Stream.recover",
+    "Walk.close",
+    "AsyncWalk.close",
     "Event.kind",
     "GatewayState.limits",
     "Odometry.heading_rad",

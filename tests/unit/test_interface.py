@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from gateway import errors
 from gateway.cli import app
+from gateway.robot.core import supervisor
 from release import settings_page
 from schemas import keys
 from schemas.button import Alive, ButtonAck, Leave, Register
@@ -105,6 +106,24 @@ def test_these_are_all_keys() -> None:
     out = {value for name, value in vars(keys).items() if name.isupper() and isinstance(value, str)}
     out -= {keys.ROOT, keys.ALL_COMMANDS, *get_only, *keys.COMMAND_KEYS}
     assert {key for key, direction in found.items() if direction == "out"} == out
+
+
+def test_each_reference_to_a_rule_names_one() -> None:
+    """Rules have names: a number means another rule once one is added."""
+    behaviour = INTERFACE.partition("\n## Behaviour\n")[2].partition("\n## ")[0]
+    rules = {name.rstrip(".") for name in re.findall(r"^(?:- |   )\*\*([^*]+)\*\*", behaviour, re.MULTILINE)}
+    assert {"Start", "Legs at rest", "Power"} <= rules
+    root = Path(__file__).parents[2]
+    files = [path for room in ("gateway", "docs", "schemas") for path in (root / room).rglob("*.[mp][dy]")]
+    named, numbered = dict[str, Path](), list[Path]()
+    for path in files:
+        text = re.sub(r"\s+", " ", path.read_text(encoding="utf-8"))
+        named |= dict.fromkeys(re.findall(r"Behaviours? \*([^*]+)\*", text), path)
+        numbered += [path] if re.search(r"Behaviours?,? (?:rule )?\d", text) else []
+    named |= dict.fromkeys(re.findall(r"^\*([^*]+)\*: ", supervisor.__doc__ or "", re.MULTILINE), Path("supervisor.py"))
+    assert numbered == []
+    assert {name: path for name, path in named.items() if name not in rules} == {}
+    assert len(named) > len("Legs at rest")
 
 
 def test_settings_come_from_their_table(capsys: pytest.CaptureFixture[str]) -> None:

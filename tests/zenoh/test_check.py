@@ -106,9 +106,6 @@ def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
         assert line.sentence == f"{where} is in use {RUNS}"
 
 
-# ---- Zenoh's configuration and certificates
-
-
 # ---- the machine
 
 REALTIME = (

@@ -83,7 +83,7 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (("set", "1", "2", "3"), "rejected: servo_stopped: servo 41 does not run; start it before you set it\n"),
-        (("start", "1", "2", "200"), "servos[2].angle_deg is 200.0; it must be between 0 and 180"),
+        (("start", "1", "2", "200"), "rejected: invalid: joint 3: 200° is not between 0 and 180°\n"),
     ],
 )
 def test_a_rejection_is_printed_with_its_reason_and_exit_code_1(
@@ -91,7 +91,7 @@ def test_a_rejection_is_printed_with_its_reason_and_exit_code_1(
 ) -> None:
     end = run_here("send", "leg", "4", *arguments, "--connect", gateway.endpoint)
     assert end.returncode == 1
-    assert said in end.stdout
+    assert said in end.stdout + end.stderr
 
 
 def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: Gateway) -> None:

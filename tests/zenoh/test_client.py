@@ -1,24 +1,33 @@
 """The client that laptops use: its examples run, its errors are sentences, it finds its gateway and lets go of it."""
 
 import doctest
+import math
 import os
+import pydoc
+import re
+import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
 from types import FrameType, ModuleType
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 import pytest
 
 from gateway import client as client_module
-from gateway.client import Client, leg_payload
+from gateway.client import Client, RejectedError, StoppedError, leg_payload
 from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from schemas import keys
-from schemas.telemetry import Telemetry
+from schemas.telemetry import Ack, Cause, FrameRecord, Mode, Telemetry
 from tests.support.child import Child
-from tests.support.fixtures import client_fixture, gateway_fixture
+from tests.support.command import run_here
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
+from tests.support.heard import frames, is_stop, running
 from tests.support.measuring import MEASURED, measuring
 
 MOST_LOOKS = 500
@@ -33,13 +42,14 @@ print(robot.start_leg(3, 90, 45, 120).accepted)
 
 
 gateway = gateway_fixture()
+patient_gateway = gateway_fixture(patient(4000, telemetry={"frames": True}))
 robot = client_fixture("test", rests=True)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("module", "examples"),
-    [(client_module, 2), (blocking, 1), (stream, 2), (lease, 1)],
+    [(client_module, 2), (blocking, 2), (stream, 2), (lease, 1)],
 )
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
@@ -50,7 +60,7 @@ def test_what_the_robot_measures_is_asked_for_and_called_back() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     received: SimpleQueue[Telemetry] = SimpleQueue()
     with measuring(endpoint) as robot, Client(endpoint, timeout_s=10) as client:
-        subscriber = client.watch_telemetry(received.put)
+        subscriber = client.on_telemetry(received.put)
         assert client.telemetry() is None, "nothing has come yet"  # and it knows the subscription
         robot.publish_rubbish()
         robot.publish(MEASURED)
@@ -118,7 +128,7 @@ import threading
 def on():
     threading.main_thread().join()
     for _ in range(50):
-        answer = robot.set_leg(3, 90, 45, 120)
+        answer = robot.set_leg(3, 90, 45, 120, check=False)
     print("at last", answer.accepted)
 threading.Thread(target=on).start()
 """
@@ -126,3 +136,150 @@ threading.Thread(target=on).start()
     assert child.wait(20) == 0, child.stderr
     child.close()
     assert "at last" in child.stdout, "also where this machine was too slow for the watchdog"
+
+
+# ---- what is open is ended with its client
+
+
+OPENED = """
+from gateway.client import Client
+robot = Client({endpoint!r}, source="notebook")
+{opened}
+"""
+STREAM = """stream = robot.stream(20).open()
+for _ in range(3): stream.set([(90, 45, 120)] * 6)
+
+print(stream)"""
+WALK = """walk = robot.walk().open()
+walk.stand()
+print(walk)"""
+
+
+@pytest.mark.parametrize(
+    ("opened", "end", "interactive"),
+    [(STREAM, "", False), (STREAM, "1 / 0", True), (WALK, "raise SystemExit(3)", True), (WALK, "1 / 0", False)],
+    ids=["a stream in a script", "and interactively, after an error", "a walk interactively", "and after an error"],
+)
+def test_a_program_that_closes_nothing_leaves_nothing_to_the_watchdog(
+    patient_gateway: Gateway, opened: str, end: str, interactive: bool
+) -> None:
+    shown = "<Stream 20 Hz, open, all legs started, 0 missed>" if opened == STREAM else "<Walk tripod, standing>"
+    with patient_gateway.client() as watcher:
+        watcher.stop()
+        before, written = watcher.state(), frames(watcher)
+        code = OPENED.format(endpoint=patient_gateway.endpoint, opened=opened) + end + "\n"
+        command = [sys.executable, "-q", "-i", "-"] if interactive else [sys.executable, "-"]
+        done = subprocess.run(command, input=code, capture_output=True, text=True, check=False, timeout=60)
+        assert shown in done.stdout, done.stderr
+        after = watcher.state()
+        assert after.lease.holder is None
+        assert not any(leg.running for leg in after.legs)
+        assert after.watchdog.expirations == before.watchdog.expirations
+        stops = [record for record in written.all if record.cause is Cause.COMMAND and is_stop(record)]
+        assert len(stops) == 6
+
+
+def test_the_end_of_a_client_ends_its_streams_first(patient_gateway: Gateway) -> None:
+    with patient_gateway.client() as watcher:
+        watcher.stop()
+        with patient_gateway.client() as client:
+            stream = client.stream(20).open()
+            stream.set([(90, 45, 120)] * 6)
+            assert running(watcher) == [1, 2, 3, 4, 5, 6]
+        assert running(watcher) == []
+        assert client.open_parts == []
+
+
+# ---- what is rejected, and whether it is ready
+
+
+STARTS_AND_SETS: Final[list[Callable[[Client, bool], Ack]]] = [
+    lambda client, check: client.set_leg(3, 90, 45, 120, check=check),
+    lambda client, check: client.set_legs({3: (90, 45, 120)}, check=check),
+    lambda client, check: client.servo(32, "set", 90, check=check),
+    lambda client, check: client.start_leg(1, 90, 45, 200, check=check),
+    lambda client, check: client.start_leg(7, 90, 45, 120, check=check),
+    lambda client, check: client.start_leg(1, 90, 45, check=check),
+    lambda client, check: client.start_legs([(90, 45, 4)] * 6, unit="rad", check=check),
+    lambda client, check: client.servo(19, "start", 90, check=check),
+    lambda client, check: client.calibrate({}, {31: 181}, check=check),
+]
+
+
+@pytest.mark.parametrize("call", STARTS_AND_SETS)
+def test_what_is_rejected_raises_or_returns_its_answer(robot: Client, call: Callable[[Client, bool], Ack]) -> None:
+    with pytest.raises(RejectedError) as error:
+        call(robot, True)
+    ack = call(robot, False)
+    assert (ack.accepted, ack.reason, ack.detail) == (False, error.value.reason, error.value.detail)
+    assert isinstance(error.value, ValueError) == (ack.reason == "invalid")
+
+
+def test_stops_always_return_their_answer(robot: Client) -> None:
+    with robot.lease(), Client(robot.robot[1], source="another") as other:
+        answers = [other.stop(), other.stop(3), other.servo(32, "stop"), other.estop()]
+        assert all(answer.accepted for answer in answers)
+        answers = [other.stop(), other.stop(3), other.servo(32, "stop"), other.estop()]
+        assert [answer.accepted for answer in answers] == [False, False, False, True], "they change nothing more"
+        with pytest.raises(RejectedError):
+            robot.reset((answers[-1].estop or 0) - 1)
+    robot.reset()
+
+
+def test_wait_ready_says_at_once_who_engaged_the_emergency_stop_and_its_command_resets_it(
+    gateway: Gateway, robot: Client
+) -> None:
+    with Client(gateway.endpoint, source="bert") as bert:
+        bert.estop()
+    begun_s = time.monotonic()
+    with pytest.raises(StoppedError) as error:
+        robot.wait_ready(timeout_s=60)
+    assert time.monotonic() - begun_s < 30, "at once"
+    command = f"hexapod-gateway reset --connect {gateway.endpoint}"
+    sentence = (
+        f"emergency stop: nothing moves until a person runs `{command}`; the emergency stop was engaged by bert, "
+    )
+    assert re.fullmatch(re.escape(sentence) + r"\d+\.\d s ago", str(error.value))
+    assert (error.value.by, error.value.cause) == ("bert", "estop_engaged")
+    assert run_here(*command.split()[1:]).returncode == 0
+    assert robot.wait_ready().mode == Mode.IDLE
+
+
+# ---- what a person sees of it
+
+
+def test_the_help_of_a_client_fits_a_screen_and_shows_nothing_private() -> None:
+    shown = pydoc.plain(pydoc.render_doc(Client)).splitlines()
+    assert len(shown) <= 52
+    assert not [line for line in shown if "@private" in line or re.search(r"\b_\w+\(", line)]
+    public = {name for name, member in vars(Client).items() if name[0] != "_" and "@private" not in str(member.__doc__)}
+    assert {name for name in public if not re.search(rf"\b{name}\b", "\n".join(shown))} <= {"close"}
+
+
+def test_what_is_shown_of_objects_is_short(robot: Client) -> None:
+    state = robot.state()
+    assert repr(robot) == f"<Client 'test' of {robot.robot[1]}>"
+    assert re.fullmatch(r"<GatewayState idle, legs that run: none, up \d+ s>", repr(state))
+    assert re.fullmatch(r"<leg 3 is off( by 'test')?, \(.*\)>", str(state.leg(3)))
+
+
+def test_angles_are_an_array_with_nan_for_a_servo_that_is_stopped(robot: Client) -> None:
+    robot.start_legs([(90, 45, 120)] * 6)
+    assert robot.state().angles().tolist() == [[90.0, 45.0, 120.0]] * 6
+    assert robot.state().angles(unit="rad")[2][1] == pytest.approx(math.pi / 4)
+    assert robot.stop().accepted
+    assert np.isnan(robot.state().angles()).all()
+    assert robot.state().angles().shape == (6, 3)
+    with pytest.raises(KeyError):
+        robot.state().leg(7)
+
+
+def test_frames_are_called_back(patient_gateway: Gateway) -> None:
+    received: SimpleQueue[FrameRecord] = SimpleQueue()
+    with patient_gateway.client() as client:
+        subscriber = client.on_frame(received.put)
+        client.state()  # so the gateway knows of the subscription
+        client.start_leg(3, 90, 45, 120)
+        while received.get(timeout=10).cause is not Cause.COMMAND:
+            pass
+        subscriber.undeclare()

@@ -78,7 +78,7 @@ CALLS: Final[list[tuple[str, tuple[Any, ...], Callable[[Any], object]]]] = [
     ("start_leg", (3, *POSE), lambda ack: ack.accepted),
     ("set_leg", (3, *POSE), lambda ack: ack.accepted),
     ("start_legs", ({1: POSE, 2: POSE},), lambda ack: ack.accepted),
-    ("set_legs", ({1: POSE, 4: POSE},), lambda ack: ack.reason == Reason.SERVO_STOPPED),
+    ("set_legs", ({1: POSE, 2: POSE},), lambda ack: ack.accepted),
     ("servo", (51, "start", 9), lambda ack: ack.accepted),
     ("publish", (keys.leg_command(1), {"servos": [{"op": "stop"}] * 3}), lambda none: none is None),
     ("ask", (keys.leg_command(2), {"servos": [{"op": "stop"}] * 3}), lambda ack: ack.accepted),

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
@@ -34,7 +34,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Its patience with its program stays the same, for a machine that is busy.
     """
-    quick = SimpleNamespace(monotonic=lambda: QUICKER * time.monotonic())
+    quick = SimpleNamespace(monotonic=lambda: QUICKER * time.monotonic(), sleep=lambda s: time.sleep(s / QUICKER))
     monkeypatch.setattr("gateway.people.client.walk.time", quick)
 
 
@@ -81,7 +81,7 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
     assert after.commands.rejected == before.rejected
     servos = list(dict.fromkeys(servo for servo, _ in angles(written.all)))
     assert servos == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
-    with pytest.raises(RuntimeError, match="over after it"):
+    with pytest.raises(RuntimeError, match="between `open` and `close`"):
         walk.go(0.1)
 
 
@@ -94,7 +94,7 @@ def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_t
         walk.stand()
         walks(walk, 10)
         assert watcher.stop(3).accepted
-        with pytest.raises(StoppedError, match="somebody else stopped leg 3") as error:
+        with pytest.raises(StoppedError, match="watcher stopped leg 3, ") as error:
             walks(walk, 500)
         assert error.value.legs == (3,)
         assert running(watcher) == [1, 2, 4, 5, 6]
@@ -126,3 +126,33 @@ def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_t
         leaves()
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
+
+
+def test_a_walk_that_goes_on_after_each_error_keeps_its_ticks_and_asks_twice_a_second(
+    robot: Client, watcher: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    own = robot._get
+
+    def counted(key: str, *given: Any, **named: Any) -> Any:
+        asked.append(key)
+        return own(key, *given, **named)
+
+    with robot.walk() as walk:
+        walk.stand()
+        stopped, errors = watcher.estop(), list[str]()
+        with pytest.raises(StoppedError):
+            walks(walk, 500)
+        monkeypatch.setattr(robot, "_get", counted)
+        begun_s = time.monotonic()
+        while (took_s := time.monotonic() - begun_s) < 8 / QUICKER:
+            for call in (walk.go, walk.start_again):
+                with pytest.raises(StoppedError) as error:
+                    call()
+                errors.append(str(error.value))
+        assert len(asked) <= 2 * QUICKER * took_s + 2
+        assert "emergency stop: nothing moves until a person runs `hexapod-gateway reset --connect " in errors[-1]
+        assert robot.reset(stopped.estop).accepted
+        walk.start_again()
+        walk.stand()
+        assert running(watcher) == [1, 2, 3, 4, 5, 6]

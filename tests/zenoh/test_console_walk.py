@@ -171,7 +171,7 @@ def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: P
     halted = posture(page, "halted")
     assert halted["lost"] == [3]
     assert halted["now"] == "Leg 3 is stopped, and the others stand still"
-    assert walk(page, lambda message: message["detail"] != "")["detail"] == "somebody else stopped leg 3"
+    assert walk(page, lambda message: message["detail"] != "")["detail"] == "watcher stopped leg 3"
     assert not robot.state().legs[2].servos[0].running
     walks(page, pad)
     assert robot.stop(3).accepted

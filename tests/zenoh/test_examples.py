@@ -15,11 +15,14 @@ import pytest
 
 from gateway.client import Client
 from gateway.model.frames import OneLeg, Op, centidegrees, decode
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.child import Child
+from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, READY, Gateway, free_port
 from tests.support.heard import Heard, events, frames
+from tests.support.pages import blocks
 from tests.unit.people.test_recordings import recorded
 
 pytestmark = pytest.mark.full
@@ -78,9 +81,58 @@ def test_the_first_program(gateway: Gateway) -> None:
         heard = frames(client)
         said = run("first.py", gateway)
         assert "does not run; start it before you set it" in said
-        assert said.count("True") == 2
+        assert said.count("accepted=True") == 2
         heard.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
-        assert moved(heard).keys() == {31, 32, 33}
+        assert moved(heard).keys() == {*SERVO_IDS}
+
+
+def test_the_first_program_and_the_first_command_work_on_a_robot_that_starts_as_a_whole(tmp_path: Path) -> None:
+    help_text = run_here("--help").stdout
+    (command,) = re.findall(r"hexapod-gateway (send [a-z0-9 ]+--hold) 5", " ".join(help_text.replace("│", " ").split()))
+    with Gateway(tmp_path, {"spi": {"protocol": "elkapod-2025"}, "watchdog": {"timeout_ms": 2000}}) as whole:
+        assert run("first.py", whole).count("accepted=True") == 2
+        first = run_here(*command.split(), "0.2", "--connect", whole.endpoint)
+        assert (first.returncode, first.stdout) == (0, "accepted\n"), first
+        with whole.client() as client:
+            assert client.stop().accepted
+        (code,) = blocks((EXAMPLES.parent / "README.md").read_text(), "python")
+        code = code.replace("tcp/127.0.0.1:7447", whole.endpoint)
+        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=30)
+        assert (end.returncode, end.stderr) == (0, "")
+        assert "ticks missed" in end.stdout
+        with whole.client() as client:
+            assert client.state().watchdog.expirations == 0
+
+
+def test_a_gait_of_arrays(patient: Gateway) -> None:
+    with patient.client() as client:
+        heard = frames(client)
+        said = run("arrays.py", patient, "--seconds", "1")
+        assert "Jitter(" in said
+        assert all(len(moved(heard)[servo]) >= 10 for servo in (11, 62))
+
+
+def test_a_gait_that_recovers(patient: Gateway) -> None:
+    """From an emergency stop, once a person has reset it; not from somebody's Stop."""
+    arguments = ["--connect", patient.endpoint, "--seconds", "60"]
+    with patient.client() as client:
+        told, written = events(client), frames(client)
+        gait = Child([sys.executable, str(EXAMPLES / "recover.py"), *arguments], os.environ)
+        written.wait(moves)
+        stopped = client.estop()
+        gait.wait_for_output("ended: the emergency stop was engaged by test, ")
+        rejected = client.state().commands.rejected
+        again = frames(client)
+        assert client.reset(stopped.estop).accepted
+        gait.wait_for_output("goes on")
+        again.wait(moves)
+        assert client.state().commands.rejected - rejected <= 1, "it asks for the state, and starts nothing meanwhile"
+        client.stop()
+        assert gait.wait() == 1
+        gait.close()
+        assert "test stopped all legs, " in gait.stderr
+        assert not any(leg.running for leg in client.state().legs)
+        assert not [event for event in told.all if event.kind == "watchdog_expired"]
 
 
 @pytest.mark.parametrize("start_again", [False, True])
@@ -96,7 +148,7 @@ def test_the_tripod_gait_and_going_on_after_somebody_elses_stop_is_a_decision(
         assert [frame.leg for frame in first if isinstance(frame, OneLeg)][:2] in ([1, 2], [1, 1]), "leg after leg"
         assert client.state().commands.rejected == rejected
         client.stop(3)
-        said = "somebody else stopped leg 3"
+        said = "test stopped leg 3, "
         assert child.wait() == (0 if start_again else 1), child.stderr
         child.close()
         assert (f"starting again: {said}" in child.stdout) == start_again
@@ -176,7 +228,8 @@ def test_the_session(gateway: Gateway) -> None:
     assert "event: watchdog_expired leg 1 was not heard for 250 ms" in said
     assert "does not run; start it before you set it" in said
     assert "6 Stop frames within" in said
-    assert "estopped" in said
+    assert "; the emergency stop was engaged by session, " in said
+    assert "Jitter(" in said
 
 
 def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -> None:
@@ -213,6 +266,11 @@ def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -
         assert "Stop written to all six legs" in shown.stdout
     finally:
         gateway.close()
+
+
+def moves(record: FrameRecord) -> bool:
+    """Whether a program moves a servo by it."""
+    return record.cause is Cause.COMMAND and not decode(bytes.fromhex(record.bytes)).is_stop
 
 
 def swings(record: FrameRecord) -> bool:

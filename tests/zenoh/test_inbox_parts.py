@@ -81,9 +81,6 @@ async def held(session: zenoh.Session) -> AsyncIterator[Held]:
     await made.close()
 
 
-# ---- what is kept
-
-
 # ---- the emergency stop
 
 
@@ -240,6 +237,3 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
     monkeypatch.setattr(held.inbox, "_rings", rings)
     assert list(held.inbox.take()) == []
     await held.woken()
-
-
-# ---- what a message says

@@ -91,6 +91,3 @@ def test_what_a_vanished_device_does_not_say_is_not_known(device: Path, monkeypa
     os.close(notice._fd)
     notice._fd = os.open(device, os.O_PATH)  # takes no locks
     assert not notice.end(), "nobody is known to have seen it"
-
-
-# ---- what the gateway says

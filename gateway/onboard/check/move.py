@@ -88,7 +88,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
         if state.power is not None and state.controller.protocol == SpiProtocol.HEXAPOD_1_0:
             # Else supply is what starts a servo, so the one at that output moves, whichever it is.
             currents = ServoCurrents()
-            stack.callback(client.watch_telemetry(currents.take).undeclare)
+            stack.callback(client.on_telemetry(currents.take).undeclare)
             time.sleep(_REST_S)
             currents.moves = True
 

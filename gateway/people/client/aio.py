@@ -1,7 +1,6 @@
 """The client for asyncio: the names, arguments, rules and errors of the blocking one, whose calls wait on threads."""
 
 import asyncio
-import time
 from collections.abc import Callable, Coroutine, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
@@ -14,6 +13,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.button import Button
 from gateway.people.client.interrupts import Interrupts
 from gateway.people.client.lease import Lease
+from gateway.people.client.pace import Jitter
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
 from gateway.people.walking import Distance, WalkState
@@ -51,8 +51,7 @@ class Twin(Generic[H]):
 
     def __init__(self, own: H | None, calls: Calls) -> None:
         """Made by AsyncClient. @private"""
-        self._there = own
-        self._calls = calls
+        self._there, self._calls = own, calls
 
     @property
     def _own(self) -> H:
@@ -129,10 +128,14 @@ class AsyncStream(Twin[Stream]):
     """`Stream` for asyncio, for one task at a time."""
 
     missed: int = same("missed")
+    jitter: Jitter = same("jitter")
     is_over: bool = same("is_over")
     start_again: Callable[[], None] = same("start_again")
     go_on_without: Callable[[Iterable[int]], None] = same("go_on_without")
+    open = waits(Stream.open)
+    close = waits(Stream.close, stops=True)
     set = waits(Stream.set, stops=True)
+    recover = waits(Stream.recover)
 
 
 class AsyncLease(Twin[Lease]):
@@ -164,6 +167,8 @@ class AsyncWalk(Twin[Walk]):
     hold_s: float = same("hold_s")
     rest_s: float = same("rest_s")
     walk_as: Callable[[str], None] = same("walk_as")
+    open = waits(Walk.open)
+    close = waits(Walk.close, stops=True)
     go = waits(Walk.go)
     stand = waits(Walk.stand)
     sit = waits(Walk.sit)
@@ -188,7 +193,7 @@ class AsyncWalk(Twin[Walk]):
 
     async def _cover(self, distance: Distance) -> None:
         # Tick by tick on the loop: a cancelled call must leave no thread that walks on.
-        while (velocity := distance.next(self.state, time.monotonic())) is not None:
+        while (velocity := distance.next(self.state, asyncio.get_running_loop().time())) is not None:
             await self.go(*velocity)
         await self.stand()
 
@@ -212,22 +217,19 @@ class AsyncClient(Twin[Client]):
 
     async def close(self) -> None:
         """Disconnect after all pending Stops have their answers."""
-        client, self._there = self._there, None
-        if client is not None:
-            await self._calls.run(partial(self._calls.wait_for_stops, client.close))
-
-    @property
-    def connected(self) -> bool:
-        return self._there is not None and self._there.connected
+        if self._there is not None:
+            await self._calls.run(partial(self._calls.wait_for_stops, self._there.close))
 
     name: str = same("name")
+    connected: bool = same("connected")
     stream = makes(Client.stream, AsyncStream)
     walk = makes(Client.walk, AsyncWalk)
     lease = makes(Client.lease, AsyncLease)
     button = makes(Client.button, AsyncButton)
     on_state = makes(Client.on_state, lambda subscriber, _: subscriber)
     on_event = makes(Client.on_event, lambda subscriber, _: subscriber)
-    watch_telemetry = makes(Client.watch_telemetry, lambda subscriber, _: subscriber)
+    on_frame = makes(Client.on_frame, lambda subscriber, _: subscriber)
+    on_telemetry = makes(Client.on_telemetry, lambda subscriber, _: subscriber)
     wait_ready = waits(Client.wait_ready)
     ask_for_lease = waits(Client.ask_for_lease)
     start_leg = waits(Client.start_leg)

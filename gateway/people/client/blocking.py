@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 import zenoh
 from pydantic import BaseModel, Field
 
-from gateway.errors import ConfigError, LeaseLostError, StoppedError, UnansweredError, UnreachedError, ZenohError
+from gateway.errors import ConfigError, LeaseLostError, OutOfRangeError, UnansweredError, UnreachedError, ZenohError
+from gateway.own_command import command
+from gateway.people.client import stopped
 from gateway.people.client.button import Button
 from gateway.people.client.hosts import Hosts
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import (
-    Angle,
     calibration_payload,
     leg_number,
     leg_payload,
@@ -35,10 +36,11 @@ from gateway.people.client.subscriptions import reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, GatewayState, Mode, Telemetry
+from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind, Telemetry
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
+    from gateway.people.client.payloads import Angle, Array, Setpoints, Unit
     from gateway.people.client.walk import Walk
     from schemas.calibration import Calibration, ServoChange
     from schemas.lease import LeaseAck
@@ -48,23 +50,26 @@ R = TypeVar("R", bound=BaseModel)
 _POLL_S: Final = 0.1
 
 
-class Client:
+class _Brief(type):
+    """`help(Client)` shows what a first program needs; the class's text names the rest."""
+
+    def __dir__(cls) -> list[str]:
+        return ["state", "wait_ready", "stream", "walk", "start_legs", "set_legs", "stop", "estop", "reset"]
+
+
+class Client(metaclass=_Brief):
     """A connection to one gateway. For any thread; close it, or use it in a `with`.
 
-    Commands are acknowledged: the Ack states whether the frame has been written, or why not. The gateway stops a
-    running leg after 250 ms (its `watchdog.timeout_ms`) without a command; `stream` sends them in time. All commands
-    raise DisconnectedError if no gateway answers in time, ValueError for a leg or servo that does not exist or a wrong
-    count of angles, TypeError for a leg, servo or angle that is no number.
-
+    >>> POSE = dict.fromkeys(range(1, 7), (90, 45, 120))        # leg → degrees of its joints 1, 2, 3
     >>> with Client(endpoint, source="an example") as robot:
-    ...     robot.wait_ready().mode
-    ...     robot.start_legs({1: (90, 45, 120), 4: (90, 45, 120)}).accepted
-    ...     robot.set_legs({1: (90, 46, 120), 5: (90, 46, 120)}).detail
-    ...     robot.stop().accepted
-    <Mode.IDLE: 'idle'>
-    True
-    'servo 51 does not run; start it before you set it'
-    True
+    ...     robot.start_legs(POSE), robot.set_legs(POSE | {1: (90, 46, 120)}), robot.stop()
+    (Ack(accepted=True), Ack(accepted=True), Ack(accepted=True))
+
+    Starts and sets raise RejectedError (`check=False`: return the Ack), stops return their Ack. All raise
+    DisconnectedError without an answer, and OutOfRangeError, a RejectedError, for a leg or angle that no robot has.
+    The watchdog stops a leg after 250 ms without a command: `stream` and `walk` send in time.
+    More, by `help(Client.lease)`: lease, ask_for_lease, button, start_leg, set_leg, servo, calibration, calibrate,
+    revocation, telemetry, on_state, on_event, on_frame, on_telemetry, publish, ask, answerers, connected.
     """
 
     def __init__(
@@ -78,10 +83,9 @@ class Client:
     ) -> None:
         """Connect by the first host of the file that answers. `source` (1 to 64 characters) is your name in events.
 
-        `zenoh_config` is the file that came with your certificate, and has the robot's address. `endpoint` precedes the
-        file's; without either, it is this machine's gateway. `timeout_s`: how long an answer may take, in seconds.
-        Raises ConfigError, and ZenohError, which with `explain` has a line for each host: the step that fails, and
-        what to do. Finding that takes up to one second more.
+        `zenoh_config`: the file of your certificate, with the robot's address. `endpoint` precedes the file's; without
+        either, it is this machine's gateway. `timeout_s`: how long an answer may take. Raises ConfigError, and
+        ZenohError, which with `explain` (up to 1 s longer) has a line for each host: what fails, and what to do.
         """
         if source is not None and not 1 <= len(source) <= keys.MAX_SOURCE:  # the gateway would reject even a Stop
             raise ConfigError(f"a source has 1 to {keys.MAX_SOURCE} characters, and this one has {len(source)}")
@@ -111,23 +115,36 @@ class Client:
         self.button_requests = ButtonRequests(partial(self._get, again=False), Identity.of(config), self.name)
         """For buttons, and tools that are one. @private"""
         self._lease: Lease | None = None
-        self.walks = False
-        """Whether a walk is open; two would move the same legs. @private"""
+        self.open_parts: list[Any] = []
+        """Streams and walks to be closed before the client. @private"""
+        named = endpoint or (None if file is not None else next(iter(self._hosts.endpoints), None))
+        self.reset_command = command("reset", connect=named, zenoh_config=file)
+        """What a person runs to end an emergency stop. @private"""
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, *raised: Any) -> None:
+        with ExitStack() as last:
+            last.callback(self._disconnect)
+            if self._lease is not None:
+                last.callback(self._lease.release)
+            for part in reversed(self.open_parts):  # the first one ends first: a walk has a stream of its own
+                last.callback(self._end, part, *(raised or (None,) * 3))
+
+    def _end(self, part: Any, *raised: Any) -> None:
+        if part in self.open_parts:
+            part.__exit__(*raised)
+
+    def __repr__(self) -> str:
+        return f"<Client {self.name!r} of {', '.join(self._hosts.endpoints)}{', closed' * self._closed}>"
 
     def close(self) -> None:
-        """Disconnect, and release the lease. The gateway's watchdog stops legs that still run.
+        """End open streams and walks, release the lease, and disconnect. It is done at the program's end as well."""
+        self.__exit__()
 
-        A program that does not call it still ends.
-        """
-        if self._lease is not None:
-            self._lease.release()
+    def _disconnect(self) -> None:
         self._closed = True
         with suppress(zenoh.ZError):  # a frozen gateway has not closed the link within ten seconds
             self.session.close()
@@ -142,27 +159,22 @@ class Client:
             return False
 
     def wait_ready(self, timeout_s: float = 10.0) -> GatewayState:
-        """Wait until the gateway accepts commands; returns its state then.
+        """Wait until the gateway accepts commands, and return its state.
 
-        Raises DisconnectedError if it does not answer within `timeout_s`, StoppedError if it answers and accepts none
-        (after an emergency stop or a bus fault).
+        Raises StoppedError (in an emergency stop at once: who engaged it, and how to reset it), DisconnectedError.
         """
         end_s = time.monotonic() + timeout_s
         while True:
             state = self.state(max(0.01, end_s - time.monotonic()))
-            if state.mode in (Mode.IDLE, Mode.ACTIVE):
+            error = stopped.unready(state)
+            if error is None:
                 return state
-            if time.monotonic() + _POLL_S >= end_s:
-                raise StoppedError(
-                    f"the gateway accepts no commands after {timeout_s:g} s: its mode is {state.mode}", ()
-                )
+            if error.cause == Kind.ESTOP_ENGAGED or time.monotonic() + _POLL_S >= end_s:
+                raise stopped.until_reset(error, self.reset_command)
             time.sleep(_POLL_S)
 
     def stream(self, hz: float = 50) -> Stream:
-        """Setpoints of a gait, `hz` (above 0, at most 1000) times a second: `with robot.stream(50) as stream: …`.
-
-        The gateway leaves out what exceeds its `limits.leg_rate_hz`; the stream then warns.
-        """
+        """Setpoints of a gait, `hz` (at most 1000) times a second: `with robot.stream(50) as stream: stream.set(…)`."""
         return Stream(self, hz)
 
     def walk(
@@ -175,9 +187,7 @@ class Client:
     ) -> "Walk":
         """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
 
-        `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's, or its file; by default the Elkapod's.
-        `hz`: the stream's rate. `terrain`: `adapt` keeps the body level and feels for the ground, by the robot's
-        sensors where it has some; `level` needs none. Raises WalkError, ConfigError.
+        `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's file. `terrain`: `adapt` uses sensors.
         """
         from gateway.people.client.walk import Walk
 
@@ -229,50 +239,61 @@ class Client:
 
     # ---- commands, acknowledged
 
-    def start_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
-        """Energise a leg's three servos at these angles (degrees, 0 to 180, joints 1, 2, 3), or at one list of them."""
-        return self.ask(keys.leg_command(leg_number(leg)), leg_payload("start", row(angles_deg)))
+    def start_leg(
+        self, leg: int, *angles: "Angle | Sequence[Angle] | Array", unit: "Unit" = "deg", check: bool = True
+    ) -> Ack:
+        """Energise a leg's three servos at these angles of joints 1, 2, 3, or at one list of them."""
+        return self._move(check, lambda: (keys.leg_command(leg_number(leg)), leg_payload("start", row(angles), unit)))
 
-    def set_leg(self, leg: int, *angles_deg: Angle | Sequence[Angle]) -> Ack:
+    def set_leg(
+        self, leg: int, *angles: "Angle | Sequence[Angle] | Array", unit: "Unit" = "deg", check: bool = True
+    ) -> Ack:
         """Move a running leg's servos to these angles, or to one list of them."""
-        return self.ask(keys.leg_command(leg_number(leg)), leg_payload("set", row(angles_deg)))
+        return self._move(check, lambda: (keys.leg_command(leg_number(leg)), leg_payload("set", row(angles), unit)))
 
-    def start_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
-        """Energise several legs (1 to 6) at these angles, in one message: checked as a whole."""
-        return self.ask(keys.LEGS_COMMAND, legs_payload("start", angles_deg))
+    def start_legs(self, angles: "Setpoints", *, unit: "Unit" = "deg", check: bool = True) -> Ack:
+        """Energise legs at these angles: a dict as above, or an array of all six, (6, 3) or (18,). `unit`: deg, rad."""
+        return self._move(check, lambda: (keys.LEGS_COMMAND, legs_payload("start", angles, unit)))
 
-    def set_legs(self, angles_deg: Mapping[int, Sequence[Angle]]) -> Ack:
-        """Move several running legs to these angles, in one message: checked as a whole."""
-        return self.ask(keys.LEGS_COMMAND, legs_payload("set", angles_deg))
+    def set_legs(self, angles: "Setpoints", *, unit: "Unit" = "deg", check: bool = True) -> Ack:
+        """Move running legs to these angles, in one message: accepted or rejected as a whole."""
+        return self._move(check, lambda: (keys.LEGS_COMMAND, legs_payload("set", angles, unit)))
+
+    def servo(
+        self, servo_id: int, op: str, angle: "Angle | None" = None, *, unit: "Unit" = "deg", check: bool = True
+    ) -> Ack:
+        """`op`: start, set or stop one servo (11 to 63), at an angle."""
+        if op == "stop":
+            return self.ask(keys.servo_command(servo_number(servo_id)), servo_payload(op), again=True)
+        return self._move(check, lambda: (keys.servo_command(servo_number(servo_id)), servo_payload(op, angle, unit)))
+
+    def _move(self, check: bool, made: Callable[[], tuple[str, dict[str, Any]]]) -> Ack:
+        try:
+            ack = self.ask(*made())
+        except OutOfRangeError as error:
+            ack = Ack(accepted=False, reason=error.reason, detail=error.detail)
+            if check:
+                raise
+        return ack.or_raise() if check else ack
 
     def stop(self, leg: int | None = None) -> Ack:
-        """De-energise one leg (1 to 6), or all six."""
+        """De-energise one leg (1 to 6), or all six. Always returns the answer."""
         if leg is not None:
             return self.ask(keys.leg_command(leg_number(leg)), leg_payload("stop"), again=True)
         return self.ask(keys.LEGS_COMMAND, legs_payload("stop", dict.fromkeys(LEGS, ())), again=True)
 
-    def servo(self, servo_id: int, op: str, angle_deg: Angle | None = None) -> Ack:
-        """`op`: start, set or stop one servo (11 to 63); the angle is in degrees, 0 to 180."""
-        key = keys.servo_command(servo_number(servo_id))
-        return self.ask(key, servo_payload(op, angle_deg), again=op == "stop")
-
     def estop(self, source: str | None = None) -> Ack:
-        """Engage the emergency stop. The answer has its number, the count of Stop frames written, and the latency.
+        """Engage the emergency stop, and return the answer: its number, the Stop frames, the latency.
 
-        Of a robot with a power board it also has `confirmed`: whether the board has confirmed that the supply is off,
-        and after how many ms. If that is false, switch the power off by hand.
-        `source`: the name of the requester, by default this client's.
+        With a power board also `confirmed`: if false, switch the power off by hand. `source`: the requester.
         """
         payload = self._payload(keys.ESTOP, {} if source is None else {"source": source}, None)
         return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
 
-    def reset(self, estop: int | None = None) -> Ack:
-        """Leave the emergency stop; nothing moves until it is started again.
-
-        `estop` is the number of the emergency stop to leave (from its Ack or the state); by default the latest, for
-        which the gateway is asked first. If a newer one is requested meanwhile, the gateway rejects the reset.
-        """
-        return self.ask(keys.RESET, {"estop": self.state().estop if estop is None else estop})
+    def reset(self, estop: int | None = None, *, check: bool = True) -> Ack:
+        """Leave the emergency stop with this number (default: the latest). Raises RejectedError if there is a newer."""
+        payload = {"estop": self.state().estop if estop is None else estop}
+        return self._move(check, lambda: (keys.RESET, payload))
 
     # ---- calibration and revocation
 
@@ -295,10 +316,11 @@ class Client:
     def calibrate(
         self,
         servos: "Mapping[int, ServoChange]" = MappingProxyType({}),
-        landing: Mapping[int, Angle | None] = MappingProxyType({}),
+        landing: "Mapping[int, Angle | None]" = MappingProxyType({}),
         *,
         revision: int | None = None,
         accept_default: bool = False,
+        check: bool = True,
     ) -> Ack:
         """Change the calibration, completely or not at all. It is accepted once it is on the robot's disk.
 
@@ -306,10 +328,8 @@ class Client:
         With the `revision` of `calibration()`, it is rejected if somebody else has changed it since. `accept_default`
         accepts the calibration without trims as this robot's, if the file with its own cannot be read.
         """
-        return self.ask(
-            keys.CALIBRATION_CMD,
-            calibration_payload(servos, landing, revision=revision, accept_default=accept_default),
-        )
+        payload = partial(calibration_payload, servos, landing, revision=revision, accept_default=accept_default)
+        return self._move(check, lambda: (keys.CALIBRATION_CMD, payload()))
 
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
@@ -367,11 +387,15 @@ class Client:
         return self._subscribe(keys.STATE, GatewayState, callback)
 
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
-        """Call `callback` (on a Zenoh thread) for each event, until the returned subscriber is undeclared."""
+        """As `on_state`, for each event."""
         return self._subscribe(keys.EVENT, Event, callback)
 
-    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
-        """Call `callback` (on a Zenoh thread) with what the robot measures, until the subscriber is undeclared."""
+    def on_frame(self, callback: Callable[[FrameRecord], None]) -> "zenoh.Subscriber[None]":
+        """As `on_state`, for each frame written, if the gateway publishes them (its `telemetry.frames`)."""
+        return self._subscribe(keys.FRAME, FrameRecord, callback)
+
+    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
+        """As `on_state`, for what the robot measures."""
         return self._subscribe(keys.TELEMETRY, Telemetry, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":

@@ -58,7 +58,7 @@ class Lease:
     >>> with Client(endpoint, source="anna") as robot, robot.lease() as lease:
     ...     robot.start_leg(3, 90, 45, 120).accepted
     ...     with Client(endpoint, source="bert") as other:
-    ...         other.set_leg(3, 91, 45, 120).reason
+    ...         other.set_leg(3, 91, 45, 120, check=False).reason
     ...     lease.holder
     True
     <Reason.NOT_HOLDER: 'not_holder'>

@@ -1,8 +1,9 @@
 """When a stream sends, when it asks the gateway, and when it warns. Pure: `now_s` never goes back."""
 
 import math
+from collections import deque
 from collections.abc import Iterable
-from typing import Final
+from typing import Final, NamedTuple
 
 SILENCE_S: Final = 0.5
 """After this time without a report the gateway is asked: by default it publishes its state every 0.1 s."""
@@ -12,9 +13,13 @@ MOST_DEG: Final = 3.2
 """Half a turn in radians, rounded up."""
 RADIANS_S: Final = 1.0
 """A whole stride of most gaits: a leg in degrees stays between 0 and 3.2 for so long only on purpose."""
+MOST_QUESTIONS: Final = 2
+"""In each second, while the robot is stopped or the gateway does not answer."""
+_KEPT_TICKS: Final = 1000
+"""For the jitter: 20 s at 50 Hz."""
 LIKE_RADIANS: Final = (
     f"all angles of this stream were between 0 and {MOST_DEG:g} for {RADIANS_S:g} s; angles are degrees, and these "
-    "look like radians (math.degrees() converts them)"
+    'look like radians (`unit="rad"` takes them)'
 )
 
 
@@ -37,25 +42,91 @@ class SetpointPace:
         """Ticks for which no setpoint came in time."""
         self._begun_s: float | None = None
         self._tick: int
+        self._last_s = -math.inf
 
     def begin(self, now_s: float) -> None:
         """A setpoint is sent now; the grid begins with it."""
-        self._begun_s = now_s
+        self._begun_s = self._last_s = now_s
         self._tick = 0
 
     def pause(self) -> None:
         """Until the next `begin` no tick counts as missed."""
         self._begun_s = None
 
-    def next_s(self, now_s: float) -> float:
-        """When to send a setpoint that is ready now; to be called once for each."""
+    def next_s(self, now_s: float, least_s: float = -math.inf) -> float:
+        """When to send a setpoint that is ready now, not before `least_s`; to be called once for each."""
         if self._begun_s is None:
-            return now_s
-        late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
-        skipped = max(0, math.ceil(late - LATE_PART))
-        self.missed += skipped
-        self._tick += 1 + skipped
-        return self._begun_s + self._tick * self.period_s
+            self._last_s = max(now_s, self._last_s + self.period_s, least_s)
+        else:
+            late = (now_s - self._begun_s) / self.period_s - (self._tick + 1)
+            skipped = max(0, math.ceil(late - LATE_PART))
+            self.missed += skipped
+            self._tick += 1 + skipped
+            self._last_s = self._begun_s + self._tick * self.period_s
+        return self._last_s
+
+
+class Jitter(NamedTuple):
+    """How long after their ticks the newest 1000 setpoints were sent, in milliseconds."""
+
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
+class SetpointLateness:
+    """Collects how late setpoints were. Pure.
+
+    >>> late = SetpointLateness()
+    >>> for ms in range(101):
+    ...     late.add(ms / 1000)
+    >>> late.jitter
+    Jitter(p50_ms=50.0, p99_ms=99.0, max_ms=100.0)
+    """
+
+    def __init__(self) -> None:
+        self._late_s: deque[float] = deque(maxlen=_KEPT_TICKS)
+
+    def add(self, late_s: float) -> None:
+        self._late_s.append(late_s)
+
+    @property
+    def jitter(self) -> Jitter:
+        """All 0 before the first setpoint."""
+        late_s = sorted(self._late_s) or [0.0]
+        return Jitter(*(round(1000 * late_s[int(part * (len(late_s) - 1))], 3) for part in (0.5, 0.99, 1)))
+
+
+class Retries:
+    """When a program that was stopped, or not answered, may ask again: at most MOST_QUESTIONS in a second. Pure.
+
+    >>> retries = Retries()
+    >>> for now_s in (10.0, 10.1):     # the question that found it stopped, and a start: that one need not wait
+    ...     retries.next_s
+    ...     retries.asked(now_s)
+    -inf
+    -inf
+    >>> retries.next_s
+    11.0
+    """
+
+    def __init__(self) -> None:
+        self._asked_s: deque[float] = deque(maxlen=MOST_QUESTIONS)
+
+    def asked(self, now_s: float) -> None:
+        """A question has found the robot stopped, or had no answer."""
+        self._asked_s.append(now_s)
+
+    def succeeded(self) -> None:
+        """Legs have started."""
+        self._asked_s.clear()
+
+    @property
+    def next_s(self) -> float:
+        """When the next question may be asked."""
+        if len(self._asked_s) < MOST_QUESTIONS:
+            return -math.inf
+        return max(self._asked_s[0] + 1, self._asked_s[-1] + 1 / MOST_QUESTIONS)
 
 
 class Doubt:
@@ -70,7 +141,7 @@ class Doubt:
 
     def __init__(self, watchdog_s: float) -> None:
         """`watchdog_s`: the time without a setpoint after which the gateway stops a leg."""
-        self._watchdog_s = watchdog_s
+        self.watchdog_s = watchdog_s
         self._sent_s = self._received_s = -math.inf
         self._raised = False
 
@@ -91,7 +162,7 @@ class Doubt:
 
     def is_there(self, now_s: float) -> bool:
         """Whether to ask the gateway: a doubt was raised, this program stalled, or the gateway is silent."""
-        stalled = now_s - self._sent_s >= self._watchdog_s
+        stalled = now_s - self._sent_s >= self.watchdog_s
         return self._raised or stalled or now_s - self._received_s >= SILENCE_S
 
 

@@ -1,59 +1,79 @@
 """The payloads of commands, from any kind of number."""
 
+import math
 import operator
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, SupportsFloat, SupportsIndex, TypeGuard, cast
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, SupportsFloat, SupportsIndex, TypeGuard, cast
 
+from gateway.errors import OutOfRangeError
 from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 
 if TYPE_CHECKING:
     from schemas.calibration import ServoChange
 
 Angle = SupportsFloat | SupportsIndex
-"""Degrees: an int, a float, or a number such as numpy's `float32` and `int64`; no bool."""
-MIN_DEG: Final = 0.0
+"""An int, a float, or a number such as numpy's `float32` and `int64`; no bool."""
+Unit = Literal["deg", "rad"]
+"""Of angles: degrees (0 to 180), or radians (0 to π)."""
 ROUNDING_DEG: Final = 0.005
 """Half of the protocol's hundredth: an angle so close outside 0 to 180 is the limit, after inexact arithmetic."""
 
 LegAngles = dict[int, tuple[float, ...]]
-"""The three angles of each leg, by its number."""
+"""The three angles of each leg in degrees, by its number."""
 
 
-def leg_payload(op: str, angles_deg: Sequence[Angle] = ()) -> dict[str, Any]:
+class Array(Protocol):
+    """numpy's arrays; lists and tuples of this shape are accepted as well."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> Any: ...
+
+
+Setpoints = Mapping[int, Sequence[Angle] | Array] | Array
+"""Angles of joints 1, 2, 3 by the leg's number; or all six legs as an array of the shape (6, 3) or (18,)."""
+
+
+def leg_payload(op: str, angles: Sequence[Angle] | Array = (), unit: Unit = "deg") -> dict[str, Any]:
     """The payload of a leg's command: one operation for its three servos, with three angles unless it stops.
 
-    Raises ValueError unless there are three, TypeError if one is no number, or if they have no order.
+    Raises OutOfRangeError for other than three, and for an angle outside 0 to 180 degrees; TypeError if an angle is no
+    number, or if they have no order.
 
     >>> leg_payload("set", (90, 45.5, 120))["servos"][1]
     {'op': 'set', 'angle_deg': 45.5}
     """
-    return {"servos": [servo_payload(op)] * 3} if op == "stop" else _setpoint(op, _leg_angles(angles_deg))
+    return {"servos": [servo_payload(op)] * 3} if op == "stop" else _setpoint(op, _leg_angles(angles, unit))
 
 
-def _leg_angles(angles_deg: Sequence[Angle]) -> tuple[float, ...]:
-    if not _is_row(angles_deg):
-        raise TypeError(f"a leg's angles are a list, a tuple or an array of three, and not {angles_deg!r}")
-    if len(angles_deg) != len(JOINTS):
-        raise ValueError(f"{len(angles_deg)} angles; a leg has three joints")
-    return tuple([number(angle_deg) for angle_deg in angles_deg])
+def _leg_angles(angles: object, unit: Unit, leg: str = "") -> tuple[float, ...]:
+    if not _is_row(angles):
+        raise TypeError(f"a leg's angles are a list, a tuple or an array of three, and not {angles!r}")
+    if len(angles) != len(JOINTS):
+        raise OutOfRangeError(f"{leg}{len(angles)} angles; a leg has three joints")
+    try:
+        return tuple([number(angle, unit) for angle in angles])
+    except OutOfRangeError:
+        for joint, angle in enumerate(angles, start=1):
+            number(angle, unit, f"{leg}joint {joint}: ")
+        raise
 
 
 def _setpoint(op: str, angles: tuple[float, ...]) -> dict[str, Any]:
     return {"servos": [{"op": op, "angle_deg": angle} for angle in angles]}
 
 
-def row(angles_deg: tuple[Angle | Sequence[Angle], ...]) -> Sequence[Angle]:
+def row(angles: tuple[Angle | Sequence[Angle] | Array, ...]) -> Sequence[Angle] | Array:
     """A leg's angles, whether they are given one by one or as one list, tuple or array.
 
     >>> row((90, 45, 120)), row(([90, 45, 120],))
     ((90, 45, 120), [90, 45, 120])
     """
-    match angles_deg:
+    match angles:
         case [one] if _is_row(one):
             return one
         case _:
-            return cast(tuple[Angle, ...], angles_deg)  # `number` checks each
+            return cast(tuple[Angle, ...], angles)  # `number` checks each
 
 
 def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
@@ -64,21 +84,37 @@ def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
     return indexed and not isinstance(value, str | bytes | Mapping)
 
 
-def legs_payload(op: str, angles_deg: Mapping[int, Sequence[Angle]]) -> dict[str, Any]:
-    """The payload of one command for several legs (1 to 6): one operation, three angles (degrees) for each.
+def legs_payload(op: str, angles: Setpoints, unit: Unit = "deg") -> dict[str, Any]:
+    """The payload of one command for several legs (1 to 6): one operation, three angles for each.
 
     Raises as `leg_payload` and `leg_number`.
     """
     if op == "stop":
-        return {"legs": {str(leg_number(leg)): leg_payload(op) for leg in angles_deg}}
-    return {"legs": setpoints(op, legs_angles(angles_deg))}
+        return {"legs": {str(leg_number(leg)): leg_payload(op) for leg in cast(Mapping[int, Any], angles)}}
+    return {"legs": setpoints(op, legs_angles(angles, unit))}
 
 
-def legs_angles(angles_deg: Mapping[int, Sequence[Angle]]) -> LegAngles:
-    """The numbers of several legs (1 to 6). Raises as `leg_payload` and `leg_number`."""
-    if not isinstance(angles_deg, Mapping):
-        raise TypeError(f"legs and their angles are a dict, such as {{3: (90, 45, 120)}}, and not {angles_deg!r}")
-    return {leg_number(leg): _leg_angles(angles) for leg, angles in angles_deg.items()}
+def legs_angles(angles: Setpoints, unit: Unit = "deg") -> LegAngles:
+    """The degrees of several legs (1 to 6). Raises as `leg_payload` and `leg_number`.
+
+    >>> legs_angles([90, 45, 120] * 6) == legs_angles([(90, 45, 120)] * 6)
+    True
+    """
+    if not isinstance(angles, Mapping):
+        angles = dict(zip(LEGS, _rows(angles), strict=True))
+    return {(n := leg_number(leg)): _leg_angles(each, unit, f"leg {n}, ") for leg, each in angles.items()}
+
+
+def _rows(angles: object) -> Sequence[Any]:
+    """The six legs of an array. Raises TypeError for anything else, OutOfRangeError for another shape."""
+    if not _is_row(angles):
+        raise TypeError(f"legs and their angles are a dict, such as {{3: (90, 45, 120)}}, or an array, not {angles!r}")
+    count, shape = len(JOINTS), getattr(angles, "shape", None)
+    if len(angles) == len(SERVO_IDS) and shape in (None, (len(SERVO_IDS),)):
+        return [angles[at : at + count] for at in range(0, len(SERVO_IDS), count)]
+    if len(angles) != len(LEGS) or shape not in (None, (len(LEGS), count)):
+        raise OutOfRangeError(f"an array for all six legs has the shape (6, 3) or (18,), not {shape or len(angles)}")
+    return cast(Sequence[Any], angles)
 
 
 def setpoints(op: str, angles: LegAngles) -> dict[str, Any]:
@@ -86,9 +122,9 @@ def setpoints(op: str, angles: LegAngles) -> dict[str, Any]:
     return {str(leg): _setpoint(op, each) for leg, each in angles.items()}
 
 
-def servo_payload(op: str, angle_deg: Angle | None = None) -> dict[str, Any]:
-    """The payload of a servo's command. Raises TypeError if the angle is no number."""
-    return {"op": op} if angle_deg is None else {"op": op, "angle_deg": number(angle_deg)}
+def servo_payload(op: str, angle: Angle | None = None, unit: Unit = "deg") -> dict[str, Any]:
+    """The payload of a servo's command. Raises as `number`."""
+    return {"op": op} if angle is None else {"op": op, "angle_deg": number(angle, unit)}
 
 
 def calibration_payload(
@@ -98,7 +134,7 @@ def calibration_payload(
     revision: int | None = None,
     accept_default: bool = False,
 ) -> dict[str, Any]:
-    """The payload that changes the calibration; see `Client.calibrate`. Raises TypeError if an angle is no number."""
+    """The payload that changes the calibration; see `Client.calibrate`. Raises as `number`."""
     payload: dict[str, Any] = {
         "servos": {str(name): change.model_dump(exclude_none=True) for name, change in servos.items()},
         "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
@@ -111,12 +147,12 @@ def calibration_payload(
 
 
 def leg_number(leg: object) -> int:
-    """A leg's number, 1 to 6. Raises TypeError for no whole number, such as "3", ValueError for another one."""
+    """A leg's number, 1 to 6. Raises TypeError for no whole number, such as "3", OutOfRangeError for another one."""
     return _named("leg", leg, LEGS, "legs are 1 to 6")
 
 
 def servo_number(servo_id: object) -> int:
-    """A servo's id, 11 to 63. Raises TypeError for no whole number, ValueError for an id that does not exist."""
+    """A servo's id, 11 to 63. Raises TypeError for no whole number, OutOfRangeError for an id that does not exist."""
     return _named("servo", servo_id, SERVO_IDS, "an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
 
 
@@ -125,31 +161,37 @@ def _named(what: str, name: object, known: Collection[int], which: str) -> int:
         raise TypeError(f"a {what} is a whole number, and not {name!r}; {which}")
     number = operator.index(name)
     if number not in known:
-        raise ValueError(f"{what} {number} does not exist; {which}")
+        raise OutOfRangeError(f"{what} {number} does not exist; {which}")
     return number
 
 
-def number(angle_deg: object) -> float:
-    """An angle as a number for JSON. Raises TypeError for a bool, a string, and all else that is no number.
+def number(angle: object, unit: Unit = "deg", which: str = "") -> float:
+    """An angle in degrees, for JSON. Raises TypeError for a bool, a string, and all else that is no number.
 
-    One that is outside 0 to 180 degrees by no more than ROUNDING_DEG becomes that limit.
+    An angle that is outside 0 to 180 degrees by no more than ROUNDING_DEG becomes that limit; one that is farther
+    outside raises OutOfRangeError. `which` begins its sentence: `joint 3: `.
 
-    >>> number(180.0000000000001), number(-1e-15)
-    (180.0, 0.0)
+    >>> number(180.0000000000001), number(-1e-15), number(1.5707963267948966, "rad")
+    (180.0, 0.0, 90.0)
     """
-    if type(angle_deg) is float or type(angle_deg) is int:  # a stream's, usually
-        return _within_limits(angle_deg)
-    if type(angle_deg).__name__ not in ("bool", "bool_"):  # Python's, numpy's
-        if isinstance(angle_deg, SupportsFloat):
-            return _within_limits(float(angle_deg))
-        if isinstance(angle_deg, SupportsIndex):
-            return operator.index(angle_deg)
-    raise TypeError(f"an angle is a number of degrees, and not {angle_deg!r}")
+    degrees = _plain(angle)
+    if unit == "rad":
+        degrees = math.degrees(degrees)
+    elif unit != "deg":
+        raise ValueError(f'the unit of angles is "deg" or "rad", and not {unit!r}')
+    if 0 <= degrees <= MAX_DEG:
+        return degrees
+    if not -ROUNDING_DEG <= degrees <= MAX_DEG + ROUNDING_DEG:  # or it is no number (NaN)
+        raise OutOfRangeError(f"{which}{degrees:g}° is not between 0 and 180°")
+    return min(max(degrees, 0.0), MAX_DEG)
 
 
-def _within_limits(angle_deg: float) -> float:
-    if MAX_DEG < angle_deg <= MAX_DEG + ROUNDING_DEG:
-        return MAX_DEG
-    if MIN_DEG - ROUNDING_DEG <= angle_deg < MIN_DEG:
-        return MIN_DEG
-    return angle_deg
+def _plain(angle: object) -> float:
+    if type(angle) is float or type(angle) is int:  # a stream's, usually
+        return angle
+    if type(angle).__name__ not in ("bool", "bool_"):  # Python's, numpy's
+        if isinstance(angle, SupportsFloat):
+            return float(angle)
+        if isinstance(angle, SupportsIndex):
+            return operator.index(angle)
+    raise TypeError(f"an angle is a number of degrees, and not {angle!r}")

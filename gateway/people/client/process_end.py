@@ -7,12 +7,15 @@ At its end Python waits for Zenoh's callback threads, which end with their sessi
 after that wait. So another thread closes the clients.
 """
 
+import _thread
 import logging
 import os
 import signal
+import sys
 import threading
-from contextlib import suppress
-from typing import Final, Protocol
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import Any, Final, Protocol
 from weakref import WeakSet
 
 _SIGNALS: Final = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
@@ -32,7 +35,9 @@ def _is_no_signal(record: logging.LogRecord) -> bool:
     raised = record.exc_info[1] if record.exc_info else None
     for error, number in _SIGNALS.items():
         if isinstance(raised, error) and threading.current_thread() is threading.main_thread():
-            again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))  # to the process: it ends a wait, too
+            # To the process: it ends a wait, too. On Windows os.kill would end the process.
+            kill = partial(os.kill, os.getpid()) if os.name == "posix" else _thread.interrupt_main
+            again = threading.Timer(_AGAIN_S, kill, (number,))
             again.daemon = True
             again.start()
             return False
@@ -42,7 +47,7 @@ def _is_no_signal(record: logging.LogRecord) -> bool:
 class Closable(Protocol):
     """A client, as far as this module needs it."""
 
-    def close(self) -> None: ...
+    def __exit__(self, *raised: Any) -> None: ...
 
 
 _open: WeakSet[Closable] = WeakSet()
@@ -64,7 +69,7 @@ class _Closer(threading.Thread):
         for thread in threading.enumerate():
             if not thread.daemon and thread is not self and _CALLBACKS not in thread.name:
                 thread.join()
-        with _lock:
-            forgotten = list(_open)
-        for client in forgotten:
-            client.close()
+        error = getattr(sys, "last_value", None)  # what ended the program: a walk stops then, and does not sit down
+        with _lock, ExitStack() as last:
+            for client in list(_open):
+                last.callback(client.__exit__, None if error is None else type(error), error, None)

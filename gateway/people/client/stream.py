@@ -8,53 +8,51 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from datetime import datetime
 from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Any, Final, NoReturn, Protocol, Self
 
 import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
+from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, NOT_OURS, Lease, LeaseClient
-from gateway.people.client.pace import LIKE_RADIANS, Doubt, Radians, SetpointPace, thins
-from gateway.people.client.payloads import Angle, LegAngles, legs_angles, legs_payload, setpoints
+from gateway.people.client.pace import (
+    LIKE_RADIANS,
+    Doubt,
+    Jitter,
+    Radians,
+    Retries,
+    SetpointLateness,
+    SetpointPace,
+    thins,
+)
+from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
+from gateway.people.client.stopped import ReceivedEvent
+from gateway.text import legs_named
 from schemas import keys
-from schemas.telemetry import Ack, Event, GatewayState, Kind, Mode, Reason, WatchdogState
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, WatchdogState
 
 MAX_HZ: Final = 1000
 """The highest `limits.leg_rate_hz`."""
 _KEPT: Final = 64
 _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
-ALL_STOPPED: Final = (
-    Kind.ESTOP_ENGAGED,
-    Kind.BUS_FAULT,
-    Kind.CONTROLLER_SILENT,
-    Kind.CONTROLLER_RESTARTED,
-    Kind.FALLEN,
-    Kind.OFF_BUTTON,
-    Kind.STOPPED_OUTSIDE,
-    Kind.STOPPING,
-)
-"""Events of a gateway that has stopped all legs."""
-_ENDINGS: Final = (*ALL_STOPPED, Kind.STARTED)
+_ENDINGS: Final = (*stopped.ALL_STOPPED, Kind.STARTED)
 """Events after which no leg runs."""
-_STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
-"""Events of single legs that the gateway stopped by a rule of its own."""
 _EVENT_S: Final = 0.1
 """How much later than an answer the event about the same Stop may arrive."""
-AGAIN: Final = "start_again() goes on; after an emergency stop, once reset() has left it"
-"""A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
 WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
 """What to send in place of a start that this robot's controller does not know, as a note."""
-_AND_THEN: Final = (Kind.WATCHDOG_EXPIRED, Kind.STOPPED_OUTSIDE, Kind.STOPPING)
-"""Events whose detail continues, after a semicolon, with the state that followed."""
 _SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
 
 class StreamClient(LeaseClient, Protocol):
     """What a stream needs of its client."""
+
+    reset_command: str
+    open_parts: list[Any]
 
     @property
     def connected(self) -> bool: ...
@@ -71,9 +69,10 @@ class StreamClient(LeaseClient, Protocol):
 
 
 class Stream:
-    """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`, used in a `with`.
+    """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`.
 
-    The first setpoint of a leg starts it. The end of the `with` stops, also after an error, the legs whose start was
+    Use it in a `with`, or call `open` and `close`; the end of the client, or of the program, closes it as well.
+    The first setpoint of a leg starts it. The end of the stream stops, also after an error, the legs whose start was
     accepted or not answered. It does not stop a leg whose start was rejected, or that the gateway has since reported
     stopped: somebody else may have started it.
     Only `set` sends setpoints, so the gateway's watchdog stops the legs of a program that stalls, and a leg that is
@@ -83,10 +82,10 @@ class Stream:
 
     >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
     ...     for step in range(10):
-    ...         stream.set({1: (90, 45 + step, 120), 2: (90, 45 - step, 120)})
-    ...     running = [leg.leg for leg in robot.state().legs if leg.servos[0].running]
+    ...         stream.set({leg: (90, 45 + step, 120) for leg in range(1, 7)})
+    ...     running = [leg.leg for leg in robot.state().legs if leg.running]
     >>> running
-    [1, 2]
+    [1, 2, 3, 4, 5, 6]
     """
 
     def __init__(self, client: StreamClient, hz: float) -> None:
@@ -94,6 +93,8 @@ class Stream:
         self._client = client
         self._hz = checked_hz(hz)
         self._pace = SetpointPace(hz)
+        self._lateness = SetpointLateness()
+        self._retries = Retries()
         self._radians = Radians()
         self._started: frozenset[int] = frozenset()
         self._to_stop: frozenset[int] = frozenset()
@@ -101,7 +102,8 @@ class Stream:
         self._since: datetime | None = None  # by the gateway's clock: since then all started legs run
         self._over: GatewayError | None = None
         self._doubt = Doubt(0.0)
-        self._events: deque[Event] = deque(maxlen=_KEPT)
+        self._events: deque[ReceivedEvent] = deque(maxlen=_KEPT)
+        self._changes: dict[int, ReceivedEvent] = {}  # by leg: who commanded it last, other than we
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
         """The gateway's newest answer; the reader sets it to None."""
@@ -116,9 +118,17 @@ class Stream:
         """Ticks for which `set` was called too late, or not at all. They were skipped, never sent later."""
         return self._pace.missed
 
+    @property
+    def jitter(self) -> Jitter:
+        """How late the newest setpoints were sent after their ticks: `p50_ms`, `p99_ms`, `max_ms`."""
+        return self._lateness.jitter
+
+    def __repr__(self) -> str:
+        runs = legs_named(self._started) if self._started else "no leg"
+        return f"<Stream {self._hz:g} Hz, {'open' if self._open else 'closed'}, {runs} started, {self.missed} missed>"
+
     def __enter__(self) -> Self:
-        self.open()
-        return self
+        return self.open()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -130,31 +140,56 @@ class Stream:
                 raise
             error.add_note(f"and the Stop at the end of the stream: {failed}")
 
-    def set(self, angles_deg: Mapping[int, Sequence[Angle]]) -> None:
-        """Wait for the next tick, then send these legs' angles (degrees, 0 to 180, joints 1, 2, 3) in one message.
+    def set(self, angles: Setpoints, *, unit: Unit = "deg") -> None:
+        """Wait for the next tick, then send the legs' angles in one message. It waits also before it raises.
 
-        The first setpoint of a leg starts it and is acknowledged; the others are fire and forget, so a later call
-        raises the error of an earlier one. A servo that another source commanded before, or that was stopped
-        within 2 s, goes to its setpoints at no more than `limits.takeover_deg_s` until it has arrived.
-        If `limits.start_stagger_ms` spreads starts over more than the watchdog's timeout, add one leg with each call.
+        `angles`: joints 1, 2, 3 by leg, `{3: (90, 45, 120)}`, or an array of all legs, (6, 3) or (18,). `unit`: `deg`
+        (0 to 180) or `rad`. The first setpoint of a leg starts it and is acknowledged; the others are fire and forget,
+        so a later call raises the error of an earlier one. A servo that another source commanded before, or that was
+        stopped within 2 s, goes to its setpoints at no more than `limits.takeover_deg_s` until it has arrived. If
+        `limits.start_stagger_ms` spreads starts over more than the watchdog's timeout, add one leg with each call.
         Raises, without sending:
 
         - LeaseLostError: somebody else drives now.
-        - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent).
+        - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent); or a leg
+          or angle does not exist.
         - StoppedError: the watchdog (this program stalled, or left a leg out), another's Stop, an emergency stop, a bus
           fault or the gateway's end has stopped legs of this stream.
         - DisconnectedError: the link is lost, or the gateway does not answer.
-        - ValueError, TypeError: a leg, or its angles, are invalid.
+        - TypeError: a leg, or an angle, is no number.
 
         After LeaseLostError, StoppedError, DisconnectedError and a rejected start each call raises the same again,
-        until `start_again`.
+        until `recover` or `start_again`. Then starts that fail are sent at most twice a second.
         """
-        angles = self.read(angles_deg)
-        self.check_open()
-        due_s = self.due_s()
+        starts = self._over is None and not self._started
+        due_s = self._pace.next_s(time.monotonic(), self._retries.next_s if starts else 0.0)
         while (pause_s := due_s - time.monotonic()) > 0:
             time.sleep(pause_s)
-        self.send(angles)
+        late_s = time.monotonic() - due_s
+        self.send(self._read(angles, unit))
+        self._lateness.add(late_s)
+
+    def recover(self, timeout_s: float = 60.0) -> None:
+        """Wait until the cause of the error is over; the next `set` starts its legs anew, from wherever they are.
+
+        It waits for the link and the gateway, the bus, a stop button, the lease of somebody else, and for a person who
+        resets the emergency stop. It asks at most twice a second. Raises the error at once if no time ends its cause:
+        somebody's Stop, which a person undoes by `start_again`, a fall, or a command that is always rejected. Raises
+        after `timeout_s` what is still the cause. Without an error it does nothing.
+        """
+        error, end_s = self._over, time.monotonic() + timeout_s
+        if error is None:
+            return
+        if not stopped.passes(error):
+            raise error.with_traceback(None)
+        while True:
+            time.sleep(max(0.0, min(self._retries.next_s, end_s) - time.monotonic()))
+            if (cause := self._still()) is None:
+                break
+            if time.monotonic() >= end_s:
+                raise cause from error
+            self._retries.asked(time.monotonic())
+        self.start_again()
 
     def start_again(self) -> None:
         """Go on after an error: the next `set` starts its legs anew, from wherever they are."""
@@ -167,10 +202,8 @@ class Stream:
         self._over = None
         self._started -= frozenset(legs)
 
-    # ---- the parts of `with` and of `set`
-
-    def open(self) -> None:
-        """Subscribe. Raises DisconnectedError, and ValueError for a rate below the watchdog's. @private
+    def open(self) -> Self:
+        """Begin; moves nothing. Raises DisconnectedError, and ValueError for a rate below the watchdog's.
 
         Warns if the gateway takes fewer setpoints.
         """
@@ -184,10 +217,14 @@ class Stream:
         self._doubt = Doubt(watchdog_s)
         self._subscribers = [client.on_state(self._receive_state), client.on_event(self._receive_event)]
         self._open = True
+        client.open_parts.append(self)
+        return self
 
     def close(self) -> None:
-        """Stop the started legs, acknowledged. Raises DisconnectedError, RejectedError. @private"""
+        """Stop the started legs, acknowledged. Raises DisconnectedError, RejectedError."""
         self._open = False
+        if self in self._client.open_parts:
+            self._client.open_parts.remove(self)
         if not self._sending.acquire(blocking=False):
             # Another thread may be starting legs: a Stop now, and one more after that start.
             self._stop()
@@ -201,15 +238,18 @@ class Stream:
                 for each in subscribers:
                     each.undeclare()
 
-    def read(self, angles_deg: Mapping[int, Sequence[Angle]]) -> LegAngles:
-        """The angles as numbers. Raises ValueError, TypeError. Warns once if they look like radians. @private"""
-        if not angles_deg:
+    @property
+    def is_over(self) -> bool:
+        """Whether each `set` raises the same error again, until `recover` or `start_again`."""
+        return self._over is not None
+
+    # ---- the parts of `set`
+
+    def _read(self, angles: Setpoints, unit: Unit) -> LegAngles:
+        """The angles in degrees. Raises as `set`. Warns once if they look like radians."""
+        read = legs_angles(angles, unit)
+        if not read:
             raise ValueError("no leg is given")
-        read = legs_angles(angles_deg)
-        for leg, angles in read.items():
-            for joint, angle in enumerate(angles, start=1):
-                if not 0 <= angle <= 180:
-                    raise ValueError(f"leg {leg}, joint {joint}: {angle} is not between 0 and 180 degrees")
         if self._radians.suspected(read.values(), time.monotonic()):
             warnings.warn(LIKE_RADIANS, stacklevel=3)
         if self._rival is not None and not self._warned:
@@ -217,26 +257,14 @@ class Stream:
             warnings.warn(f"{self._rival}; both may move it, as there is no lease: see Client.lease", stacklevel=3)
         return read
 
-    def check_open(self) -> None:
-        """Raise RuntimeError outside the `with`, and the error that has ended the stream. @private"""
+    def send(self, angles: LegAngles) -> None:
+        """Check and send at once, with the errors of `set`. @private"""
+        self._client.check_open()
         if not self._open:
-            raise RuntimeError("a stream is used in a `with`, and is over after it")
+            raise RuntimeError("a stream is used in a `with`, or between `open` and `close`")
         if self._over is not None:
             raise self._over.with_traceback(None)
-
-    @property
-    def is_over(self) -> bool:
-        """Whether each `set` raises the same error again, until `start_again`."""
-        return self._over is not None
-
-    def due_s(self) -> float:
-        """When (monotonic) to send the setpoint; to be called once for each. @private"""
-        return self._pace.next_s(time.monotonic())
-
-    def send(self, angles: LegAngles) -> None:
-        """Check and send, with the errors of `set`. @private"""
         with self._sending:
-            self.check_open()
             try:
                 if self._started:
                     if self._lease is not None:
@@ -247,14 +275,32 @@ class Stream:
                 else:
                     self._start(angles)
             except (StoppedError, RejectedError, DisconnectedError) as error:
-                lost = self._lost_lease(error)
-                if lost is not None:
-                    self._over = lost
-                    raise lost from (None if lost is error else error)
-                if not isinstance(error, RejectedError):
-                    self._over = error
-                    error.add_note(AGAIN)
-                raise
+                self._raise(error)
+
+    def _raise(self, error: StoppedError | RejectedError | DisconnectedError) -> NoReturn:
+        lost = self._lost_lease(error)
+        if lost is not None:
+            self._over = lost
+            raise lost from (None if lost is error else error)
+        if not isinstance(error, RejectedError):
+            self._over = error
+        if self._over is error:
+            self._retries.asked(time.monotonic())
+            if stopped.passes(error):
+                error.add_note(stopped.AGAIN)
+            elif isinstance(error, StoppedError):
+                error.add_note(stopped.DECIDES)
+        raise error
+
+    def _still(self) -> GatewayError | None:
+        """Why the legs cannot be started now."""
+        try:
+            state = self._client.state(CONFIRM_S)
+        except ZenohError as error:
+            return error
+        if (why := stopped.unready(state)) is not None:
+            return stopped.until_reset(why, self._client.reset_command)
+        return None if self._client.carried_lease else stopped.not_free(state)
 
     def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
         """The loss of the lease, if it caused the error: a forced take stops all legs and rejects later commands."""
@@ -284,6 +330,7 @@ class Stream:
             self._to_stop = before
             self._over = _rejected(ack)
             raise self._over
+        self._retries.succeeded()
         first = not self._started
         sent_s = time.monotonic()
         self._doubt.sent(sent_s)
@@ -308,22 +355,25 @@ class Stream:
             self._doubt.raise_it()
 
     def _receive_event(self, event: Event) -> None:
-        self._doubt.received(time.monotonic())
+        received = ReceivedEvent(event, time.monotonic())
+        self._doubt.received(received.received_s)
         if event.kind == Kind.COMMAND_REJECTED:
             # A command with a leg that is not ours is another stream's, of the same client.
             named_ours = self._started.issuperset(event.legs)
             if event.source == self._client.name and event.key == keys.LEGS_COMMAND and named_ours:
-                self._events.append(event)
-        elif event.kind in _STOPPED_LEGS:
+                self._events.append(received)
+        elif event.kind in stopped.STOPPED_LEGS:
             if self._started.intersection(event.legs):
-                self._events.append(event)
+                self._events.append(received)
                 self._received_stop.set()
             elif not event.legs:  # an older gateway omits them
                 self._doubt.raise_it()
         elif event.kind in _ENDINGS:
-            self._events.append(event)
-        elif event.kind == Kind.SOURCE_CHANGED and self._takes(event):
-            self._rival = event.detail
+            self._events.append(received)
+        elif event.kind == Kind.SOURCE_CHANGED:
+            self._changes |= dict.fromkeys(event.legs, received)
+            if self._takes(event):
+                self._rival = event.detail
 
     def _takes(self, event: Event) -> bool:
         """Whether we took a leg from another source. A leg that a source takes from us it may also stop."""
@@ -342,25 +392,22 @@ class Stream:
             raise error
         if fresh:
             self._ask()  # whose answer states better why legs do not run
-            raise RejectedError(fresh[0].reason or "", fresh[0].detail)
+            rejected, _ = fresh[0]
+            raise RejectedError(rejected.reason or "", rejected.detail)
         if self._in_doubt():
             self._ask()
 
-    def _fresh_events(self) -> list[Event]:
+    def _fresh_events(self) -> list[ReceivedEvent]:
         """The events since the latest call. Those before the start concern earlier motion."""
         events = []
         while self._events:
             events.append(self._events.popleft())
-        return [event for event in events if self._since is not None and event.time > self._since]
+        return [each for each in events if self._since is not None and each.event.time > self._since]
 
-    def _reported_stop(self, events: Iterable[Event]) -> StoppedError | None:
+    def _reported_stop(self, events: Iterable[ReceivedEvent]) -> StoppedError | None:
         """The error for all events that stopped this stream's legs; None: there are none."""
-        stops = [event for event in events if event.kind != Kind.COMMAND_REJECTED]
-        if not stops:
-            return None
-        details = "; ".join(dict.fromkeys(map(happened, stops)))
-        legs = [self._started.intersection(event.legs) or self._started for event in stops]
-        return StoppedError(details, frozenset().union(*legs))
+        stops = [each for each in events if each.event.kind != Kind.COMMAND_REJECTED]
+        return stopped.reported(stops, self._started, self._doubt.watchdog_s * 1000) if stops else None
 
     def _ask(self) -> GatewayState:
         """Ask for the state. Raises unless all started legs run."""
@@ -397,35 +444,16 @@ class Stream:
         return self._started & stopped
 
     def _stopped(self, state: GatewayState) -> StoppedError:
-        legs = self._stopped_legs(state)
-        expired = [each.leg for each in state.legs if each.leg in legs and each.watchdog == WatchdogState.EXPIRED]
-        names = ", ".join(f"leg {leg}" for leg in expired or sorted(legs))
-        match state.mode:
-            case Mode.ESTOPPED:
-                why = f"the emergency stop was engaged by {state.estop_source or 'somebody'}"
-            case Mode.BUS_FAULT if state.controller.alive is False:
-                why = "the controller fell silent"
-            case Mode.BUS_FAULT:
-                why = "the SPI bus did not answer"
-            case Mode.STOPPING | Mode.STARTING:
-                why = "the gateway ended, or was started anew"
-            case _ if expired:
-                why = f"the watchdog stopped {names}: no command in {state.watchdog.timeout_ms:g} ms"
-            case _ if any(each.source is not None for each in state.legs if each.leg in legs):
-                why = f"somebody else stopped {names}"
-            case _:
-                self._received_stop.wait(_EVENT_S)
-                if (error := self._reported_stop(self._fresh_events())) is not None:
-                    return error
-                why = f"the gateway stopped {names} by itself (its events say why), or a Stop without a name did"
-        return StoppedError(why, legs)
-
-
-def happened(event: Event) -> str:
-    """The sentence of an event that stopped legs, in past tense: an error may be shown for long."""
-    if event.kind == Kind.ESTOP_ENGAGED:
-        return f"the emergency stop was engaged by {event.source or 'somebody'}"
-    return event.detail.partition("; ")[0] if event.kind in _AND_THEN else event.detail
+        legs, own = self._stopped_legs(state), self._client.name
+        if (why := stopped.unready(state, legs)) is not None:
+            return why
+        if silent := [each.leg for each in state.legs if each.leg in legs and each.watchdog == WatchdogState.EXPIRED]:
+            return stopped.expired(silent, state.watchdog.timeout_ms)
+        for who in {each.source for each in state.legs if each.leg in legs} - {None}:
+            sent = [at_s for leg, (event, at_s) in self._changes.items() if leg in legs and event.source == who]
+            return stopped.stopped_by(who, own, legs, max(sent, default=None))
+        self._received_stop.wait(_EVENT_S)
+        return self._reported_stop(self._fresh_events()) or stopped.stopped_by(None, own, legs)
 
 
 def checked_hz(hz: float) -> float:

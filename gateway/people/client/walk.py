@@ -7,14 +7,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Final, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, TypeVar
 
 import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.model.telemetry import fed_singly, starts_whole
+from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, Lease
+from gateway.people.client.pace import Retries
 from gateway.people.client.stream import Stream, StreamClient, checked_hz
 from gateway.people.walking import (
     LONGEST_S,
@@ -57,10 +59,14 @@ class Terminated(SystemExit):
 class WalkClient(StreamClient, Protocol):
     """What a walk needs of its client."""
 
-    walks: bool
-
     def calibration(self) -> "Calibration": ...
-    def watch_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
+    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
+
+
+def _silence(name: str, text: str) -> Any:
+    return property(
+        lambda walk: getattr(walk._silences, name), lambda walk, seconds: walk._set_silence(name, seconds), doc=text
+    )
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:
@@ -68,7 +74,7 @@ def _terminate(_number: int, _frame: FrameType | None) -> None:
 
 
 class Walk:
-    """Walks, stands and sits; made by `Client.walk`, used in a `with`.
+    """Walks, stands and sits; made by `Client.walk`. Use it in a `with`, or call `open` and `close`.
 
     It drives under the client's lease, or acquires it for its own time. Each call raises what a stream's does
     (StoppedError, RejectedError, LeaseLostError, DisconnectedError), and WalkError for what these legs cannot do.
@@ -76,7 +82,8 @@ class Walk:
     A velocity holds for `hold_s`; then the robot finishes its step and stands, so a program that hangs does not walk
     on. After `rest_s` without a call it sits down, and its servos are stopped. At the end of the `with` it sits down
     and is stopped; after an error it is stopped at once. Ctrl-C, or SIGTERM if the main thread has no handler for it,
-    is no error: it sits down, and a second one stops it at once. If the process dies, the gateway's watchdog stops it.
+    is no error: it sits down, and a second one stops it at once. The end of the client, or of the program, closes an
+    open walk. If the process dies, the gateway's watchdog stops it.
 
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
@@ -123,6 +130,7 @@ class Walk:
         self._revision = 0
         self._lease: Lease | None = None
         self._stream: Stream | None = None
+        self._retries = Retries()
         self._ride: Ride | None = None
         self._thread: threading.Thread | None = None
         self._changed = threading.Condition()  # notified after each change; its lock guards the ride
@@ -145,10 +153,14 @@ class Walk:
         A robot that does not stand yet stands up first. `state.scaled` is the velocity that the legs can reach.
         """
         velocity = Velocity.checked(forward_m_s, left_m_s, turn_rad_s)
-        self.use(lambda ride, now_s: ride.go(velocity, now_s))
-        ticks = self._ticks
-        if wait:
-            self._wait_for(lambda: self._ticks > ticks)
+        try:
+            self.use(lambda ride, now_s: ride.go(velocity, now_s))
+            ticks = self._ticks
+            if wait:
+                self._wait_for(lambda: self._ticks > ticks)
+        except GatewayError:
+            time.sleep(1 / self._rate_hz if wait else 0)  # a loop that goes on after errors keeps its ticks, too
+            raise
 
     def ahead(self, metres: float) -> None:
         """Walk this far by `state.odometry` (below 0: backward); returns when the robot stands.
@@ -184,10 +196,11 @@ class Walk:
 
     def start_again(self) -> None:
         """Go on after an error, which a person decides. If the other legs carry the robot, lost legs start where they
-        were; else all are stopped, and the next call begins anew, from lying.
-
-        A lost lease of its own is acquired again. Raises LeaseError if somebody else drives.
+        were; else all are stopped, and the next call begins anew, from lying. Acquires a lost lease of its own again.
+        Raises LeaseError if somebody else drives, StoppedError while the gateway accepts no commands.
         """
+        time.sleep(max(0.0, self._retries.next_s - time.monotonic()))
+        self._retries.asked(time.monotonic())
         with self._changed:
             self._not_again = None
             self.use(lambda ride, _: ride.start_again())
@@ -230,25 +243,14 @@ class Walk:
 
         return self.use(look)
 
-    @property
-    def hold_s(self) -> float:
-        """How long a velocity holds, in seconds; 0.5 by default."""
-        return self._silences.hold_s
-
-    @hold_s.setter
-    def hold_s(self, seconds: float) -> None:
-        self._set_silences(self._silences._replace(hold_s=_seconds(seconds)))
-
-    @property
-    def rest_s(self) -> float:
-        """After how many seconds without a call it sits down and is stopped; 10 by default."""
-        return self._silences.rest_s
-
-    @rest_s.setter
-    def rest_s(self, seconds: float) -> None:
-        self._set_silences(self._silences._replace(rest_s=_seconds(seconds)))
+    hold_s: float = _silence("hold_s", "How long a velocity holds, in seconds; 0.5 by default.")
+    rest_s: float = _silence("rest_s", "After how many seconds without a call it sits and is stopped; 10 by default.")
 
     # ---- begin and end
+
+    def __repr__(self) -> str:
+        doing = "closed" if self._ride is None or self._closing else str(self._ride.posture)
+        return f"<Walk {self._gait}, {doing}>"
 
     def __enter__(self) -> Self:
         self.open()
@@ -272,11 +274,11 @@ class Walk:
             if self._sits_at_sigterm:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
-    def open(self) -> None:
-        """Acquire the lease, read limits and calibration; moves nothing. Raises as calls do, or LeaseError. @private"""
+    def open(self) -> Self:
+        """Acquire the lease, read limits and calibration; moves nothing. Raises as calls do, or LeaseError."""
         if self._thread is not None:
             raise RuntimeError("a walk is used once; make a new one with `walk()`")
-        if self._client.walks:
+        if any(isinstance(each, Walk) for each in self._client.open_parts):
             raise RuntimeError("this client walks already")
         if self._client.carried_lease is None:
             lease = Lease(self._client)
@@ -286,7 +288,7 @@ class Walk:
         try:
             self._reports = self._client.on_state(self._take)
             if self._terrain == "adapt":
-                self._sensors = self._client.watch_telemetry(lambda new: self._measured.take(new, time.monotonic()))
+                self._sensors = self._client.on_telemetry(lambda new: self._measured.take(new, time.monotonic()))
             state = self._ask(None)
             self._ride = Ride(
                 self._robot(state),
@@ -300,12 +302,13 @@ class Walk:
         except BaseException:
             self._release()
             raise
-        self._client.walks = True
+        self._client.open_parts.append(self)
         self._thread = threading.Thread(target=self._run, name="walk", daemon=True)
         self._thread.start()
+        return self
 
     def close(self, *, sits: bool = True) -> None:
-        """Sit down, if it can, and stop the legs. Raises the errors of both. @private"""
+        """Sit down, if it can and `sits`, and stop the legs. Raises the errors of both."""
         try:
             with self._changed:
                 sits = sits and not self._closing and self.error is None and self._stream is not None
@@ -317,7 +320,8 @@ class Walk:
             self.end_now()
             if self._thread is not None:
                 self._thread.join()
-                self._client.walks = False
+            if self in self._client.open_parts:
+                self._client.open_parts.remove(self)
             try:
                 self._end_stream()
             finally:
@@ -343,9 +347,11 @@ class Walk:
             self.go(*velocity)
         self.stand()
 
-    def _set_silences(self, silences: Silences) -> None:
+    def _set_silence(self, name: str, seconds: float) -> None:
+        if not 0 < seconds < float("inf"):
+            raise ValueError(f"{seconds} s; a time above 0 is needed")
         with self._changed:
-            self._silences = silences
+            self._silences = silences = self._silences._replace(**{name: float(seconds)})
             if self._ride is not None:
                 self._ride.silences = silences
 
@@ -380,7 +386,7 @@ class Walk:
 
     def _using(self) -> Ride:
         if self._ride is None or self._closing:
-            raise RuntimeError("a walk is used in a `with`, and is over after it")
+            raise RuntimeError("a walk is used in a `with`, or between `open` and `close`")
         return self._ride
 
     def _wait_for(self, condition: Callable[[], bool]) -> None:
@@ -447,6 +453,8 @@ class Walk:
             lease.acquire()
             self._lease = lease
         state = self._ask(None)
+        if again and (why := stopped.unready(state)) is not None:
+            raise stopped.until_reset(why, self._client.reset_command)
         running = running_deg(state)
         changed = state.calibration.revision != self._revision
         if again and ride.phase is Phase.HALTED:
@@ -490,9 +498,3 @@ def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Rob
     check_mirrored_once(geometry, calibration)
     limits = ranges(state.limits, calibration)
     return Robot(geometry, limits, starts_whole=starts_whole(state), fed_singly=fed_singly(state))
-
-
-def _seconds(seconds: float) -> float:
-    if not 0 < seconds < float("inf"):
-        raise ValueError(f"{seconds} s; a time above 0 is needed")
-    return float(seconds)

@@ -31,7 +31,7 @@ def me() -> str:
     """Return `user@host`, 64 characters at most: the driver's name where no certificate has one."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a container's user without a name
+    except (KeyError, OSError, ImportError):  # a container's user without a name; Windows
         user = "somebody"
     return f"{user}@{socket.gethostname()}"[:_MAX_SOURCE]
 

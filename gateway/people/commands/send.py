@@ -4,20 +4,20 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
 from gateway.own_command import command
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm, confirmed_off
-from gateway.people.client.payloads import leg_payload, servo_payload
+from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
 from gateway.people.client.requests import Identity
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection, me
 from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config
 from schemas import keys
-from schemas.robot import JOINTS, LEGS
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Ack, GatewayState
 
 HOLD_PERIOD_S = 0.05
@@ -57,6 +57,17 @@ def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float]
             f"for example: {command(f'send leg {leg} {op}' + ' 90 45 120' * bool(wanted))}"
         )
     return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
+
+
+def send_legs(connect: Connection, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
+    """Send all six legs' command: three angles for each of them, or 18; see `_send`."""
+    if len(angles_deg) not in ((0,) if op == "stop" else (len(JOINTS), len(SERVO_IDS))):
+        raise ConfigError(
+            f"{op} takes {'no angles' if op == 'stop' else '3 angles, or 18'}, and there are {len(angles_deg)}; "
+            f"for example: {command(f'send legs {op}' + ' 90 45 120' * (op != 'stop'))}"
+        )
+    pose = dict.fromkeys(LEGS, tuple(angles_deg)) if len(angles_deg) <= len(JOINTS) else list(angles_deg)
+    return _send(connect, keys.LEGS_COMMAND, legs_payload(op, pose), moves=op != "stop", hold_s=hold_s)
 
 
 def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
@@ -112,12 +123,13 @@ def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bo
     return code
 
 
-def _set_instead_of_start(payload: dict[str, object]) -> dict[str, object]:
+def _set_instead_of_start(payload: Any) -> Any:
     """What keeps running what a command started: a start, sent again, would undo somebody else's Stop."""
-    servos = payload.get("servos")
-    if isinstance(servos, list | tuple):
-        return {**payload, "servos": [_set_instead_of_start(servo) for servo in servos]}
-    return {**payload, "op": "set"} if payload.get("op") == "start" else payload
+    if isinstance(payload, list):
+        return [_set_instead_of_start(each) for each in payload]
+    if isinstance(payload, dict):
+        return {name: _set_instead_of_start(each) for name, each in payload.items()}
+    return "set" if payload == "start" else payload
 
 
 def estop(connect: Connection) -> int:

@@ -3,7 +3,6 @@
 import asyncio
 import getpass
 import os
-import signal
 import socket
 import sys
 import threading
@@ -34,7 +33,7 @@ from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN, H
 from gateway.people.console.server.sessions import LINK_S, Sessions
 from gateway.people.console.server.site import LOCALHOST, Site
 from gateway.people.console.server.sockets import listening
-from gateway.people.terminal import hint, say
+from gateway.people.terminal import hint, on_end_signals, say
 from gateway.zenoh_config import client_config, get
 
 OWN_DESCRIPTORS: Final = 96
@@ -92,8 +91,6 @@ async def _run(
     """`sockets`: the console's, and those of the page without TLS that leads a phone to it."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(report)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
     pages = Pages(owner.common_name, found.revoke)
     gateway = GatewayLink(options.connect, options.zenoh_config, owner.person, options.timeout_s, pages)
     stops = Stops(gateway.estop, send_stopping)
@@ -112,7 +109,9 @@ async def _run(
         each.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
     _say_where(site, found, options.card)
-    with _opened(site, found, options.card) if options.open_browser else nullcontext():
+    shown = _opened(site, found, options.card) if options.open_browser else nullcontext()
+    # Not by the loop's own handlers of signals, which Windows does not have.
+    with on_end_signals(lambda: loop.call_soon_threadsafe(ended.set)), shown:
         await ended.wait()
         await console.close()
     failed = watching.exception() if watching.done() else None
@@ -160,7 +159,7 @@ def _owner(connect: str | None, zenoh_config: Path | None) -> Owner:
         role: Role = next((each for each in ROLES if each == holder.role.partition(".")[0]), "observer")
         return Owner(holder.name, role, holder.common_name)
     person = "root"
-    with suppress(OSError, KeyError):
+    with suppress(OSError, KeyError, ImportError):  # no user of that number, or Windows
         person = os.environ.get("SUDO_USER") or getpass.getuser()
     return Owner("console" if person == "root" else person, "operator", "")  # root is nobody to ask or to name
 

@@ -281,7 +281,7 @@ class Driving:
         self._show(f"{error}: call drive to go on")
         with suppress(GatewayError):  # what cannot be stopped from here is stopped by the gateway's watchdog
             self._end_motion(sits=False)
-        self._give_back(f"{error}; after that {NOBODY_DRIVES}")
+        self._give_back(f"{error.lasting}; after that {NOBODY_DRIVES}")
 
     def _give_back(self, why_not: str) -> None:
         lease, self._lease, self._why_not = self._lease, None, why_not

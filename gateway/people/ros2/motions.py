@@ -241,7 +241,7 @@ class Following:
     def progress(self, plan: Trajectory) -> GoalProgress:
         with self._changed:
             if self._error is not None:
-                return GoalProgress({}, {}, str(self._error))
+                return GoalProgress({}, {}, self._error.lasting)
             return self._course.progress(plan, time.monotonic())
 
     def hold(self, plan: Trajectory) -> None:

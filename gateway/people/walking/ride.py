@@ -335,7 +335,7 @@ class Ride:
     def not_again(self, error: Exception) -> None:
         """`start_again` has failed; the ride stays as it was."""
         self._wants_again = False
-        self._spend(str(error))
+        self._spend(error.lasting if isinstance(error, GatewayError) else str(error))
 
     def ended(self) -> None:
         """Its legs are stopped. A command that came meanwhile starts it again."""
@@ -482,7 +482,7 @@ class Ride:
 
     def _ends_by(self, error: GatewayError) -> None:
         self.error, self._obeyed = error, None
-        self._spend(str(error))
+        self._spend(error.lasting)
 
     def _goes_on(self, now_s: float) -> None:
         self.error, self._wants_again = None, False

@@ -5,11 +5,11 @@ more than the posture. What has ended a drive is an error's sentence, in the pas
 is shown.
 """
 
-from collections.abc import Iterable
 from typing import Final
 
 from gateway.people.walking.motion import DOWN, Posture, WalkState
 from gateway.people.walking.robot import arrived
+from gateway.text import legs_named
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 
@@ -51,9 +51,11 @@ def ground_now(walk: WalkState) -> str:
     said = [f"Leans by {walk.tilt_deg:.1f}°, {walk.corrected_deg:.1f}° corrected"] if walk.tilt_deg is not None else []
     if walk.carrying is not None:
         legs = [leg for leg, carries in zip(LEGS, walk.carrying, strict=True) if carries]
-        said.append(f"{_named(legs)} carr{'ies' if len(legs) == 1 else 'y'}" if legs else "No leg carries")
+        said.append(
+            f"{legs_named(legs).capitalize()} carr{'ies' if len(legs) == 1 else 'y'}" if legs else "No leg carries"
+        )
     if walk.hanging:
-        said.append(f"{_named(walk.hanging)} hang{'s' if len(walk.hanging) == 1 else ''} over an edge")
+        said.append(f"{legs_named(walk.hanging).capitalize()} hang{'s' if len(walk.hanging) == 1 else ''} over an edge")
     first, *more = said
     return "; ".join([first, *(each[0].lower() + each[1:] for each in more)])
 
@@ -106,16 +108,14 @@ def _of_legs(state: GatewayState, walk: WalkState | None) -> str:
     stopped = frozenset(LEGS) - whole
     stand = walk.posture is Posture.HALTED and stopped == frozenset(walk.lost)
     are = "is" if len(stopped) == 1 else "are"
-    return f"{_named(stopped)} {are} stopped, and the others {'stand still' if stand else 'run'}"
+    return f"{legs_named(stopped).capitalize()} {are} stopped, and the others {'stand still' if stand else 'run'}"
 
 
 def _running(legs: list[int]) -> str:
     if not legs:
         return "No servo runs"
-    return "All six legs run" if len(legs) == len(LEGS) else f"{_named(legs)} run{'s' if len(legs) == 1 else ''}"
-
-
-def _named(legs: Iterable[int]) -> str:
-    """`Leg 3`, `Legs 1, 3 and 4`."""
-    *first, last = [str(leg) for leg in sorted(legs)]
-    return f"Legs {', '.join(first)} and {last}" if first else f"Leg {last}"
+    return (
+        "All six legs run"
+        if len(legs) == len(LEGS)
+        else f"{legs_named(legs).capitalize()} run{'s' if len(legs) == 1 else ''}"
+    )

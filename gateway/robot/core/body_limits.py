@@ -9,12 +9,13 @@
 Only measurements bring time here. That they stop coming is a fault of the link, which the bus reports (`BusFailed`).
 """
 
-from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, BodyMeasured, Effect, Targets
-from gateway.robot.core.leg import Rules, Servo
+from gateway.robot.core.events import Announce, BodyMeasured, Effect
+from gateway.robot.core.interlock import Down, Interlock, Why, how_it_comes_down
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
@@ -24,11 +25,13 @@ announced once. An assumption, measured on no robot."""
 _ALL: Final = tuple(LEGS)
 
 
-class BodyLimits:
-    """What the latest measurements allow. One owner, one thread."""
+class BodyLimits(Interlock[BodyMeasured]):
+    """What the latest measurements allow."""
+
+    takes = (BodyMeasured,)
 
     def __init__(self, rules: Rules) -> None:
-        self._rules = rules
+        super().__init__(rules)
         self.watches = rules.min_battery_mv > 0 or rules.max_tilt_cdeg > 0
         """Whether any measurement matters."""
         self.low = False
@@ -42,23 +45,23 @@ class BodyLimits:
         """When the body that has fallen had been tilted for long enough."""
         return (self.beyond_ns or 0) + self._rules.tilt_ns
 
-    def rejection(self, moves: Targets, servos: Mapping[int, Servo]) -> tuple[Reason, str] | None:
-        """Why these starts and sets take no effect; None: they may."""
+    def why_not(self, request: Any, legs: Legs) -> Why | None:
         if self.fallen:
-            return self.has_fallen()
-        if self.low and any(not servos[servo_id].will_run for servo_id, _ in moves):
+            return self._has_fallen()
+        if self.low and any(not legs.servos[servo_id].will_run for servo_id, _ in request.moves):
             limit_v = self._rules.min_battery_mv / 1000
             return Reason.BATTERY_LOW, f"the battery is below {limit_v:g} V; nothing starts until it is charged"
         return None
 
-    def has_fallen(self) -> tuple[Reason, str]:
-        """Why nothing moves on a body that has fallen."""
+    def _has_fallen(self) -> Why:
         limit_deg = self._rules.max_tilt_cdeg / 100
         return Reason.FALLEN, f"the body is tilted beyond {limit_deg:g} degrees; put it upright, and start it again"
 
-    def note(self, measured: BodyMeasured, now_ns: int, then: str) -> list[Effect]:
-        """Take a measurement. `then`: what the supervisor does if the body has fallen; "": nothing runs."""
-        return [*self._battery(measured.battery_mv), *self._tilt(measured.tilt_cdeg, now_ns, then)]
+    def take(self, event: BodyMeasured, now_ns: int, legs: Legs) -> list[Effect]:
+        effects = [*self._battery(event.battery_mv), *self._tilt(event.tilt_cdeg, now_ns, legs)]
+        self.closed = self.low or self.fallen
+        self.down = Down("the body is tilted", self.fell_ns, *self._has_fallen()) if self.fallen else None
+        return effects
 
     def _battery(self, battery_mv: int) -> list[Effect]:
         limit_mv = self._rules.min_battery_mv
@@ -68,7 +71,7 @@ class BodyLimits:
         detail = f"the battery is at {battery_mv / 1000:g} V, below {limit_mv / 1000:g} V; nothing starts any more"
         return [Announce(Kind.BATTERY_LOW, detail)]
 
-    def _tilt(self, tilt_cdeg: int | None, now_ns: int, then: str) -> list[Effect]:
+    def _tilt(self, tilt_cdeg: int | None, now_ns: int, legs: Legs) -> list[Effect]:
         limit_cdeg = self._rules.max_tilt_cdeg
         if not limit_cdeg:
             return []
@@ -80,6 +83,7 @@ class BodyLimits:
         if self.fallen or self.beyond_ns is None or now_ns < self.fell_ns:
             return []
         self.fallen = True
+        then = how_it_comes_down(legs, self._rules)
         held_ms = self._rules.tilt_ns / NS_PER_MS
         detail = f"the body has been tilted beyond {limit_cdeg / 100:g} degrees for {held_ms:g} ms"
         return [Announce(Kind.FALLEN, f"{detail}; {then}" if then else detail, legs=_ALL if then else ())]

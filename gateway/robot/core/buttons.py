@@ -1,6 +1,6 @@
 """Stop buttons, which are enabling devices: servos run only while enough of them check in. Pure: time is an argument.
 
-The rules (docs/interface.md, *Behaviour 14*), for each button:
+The rules (docs/interface.md, Behaviour *Buttons*), for each button:
 
 - Registered: it has a token that nobody else has. It does not count yet.
 - Alive: from its first check-in on, until `timeout_ns` after its latest one was sent. Deadlines come before a check-in
@@ -21,11 +21,13 @@ While fewer are alive than `buttons_required`, the supervisor starts and sets no
 
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Final
+from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Decision, Effect, RequestAnswer
+from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Command, Effect, RequestAnswer, Reset
+from gateway.robot.core.interlock import Down, Interlock, Why, how_it_comes_down
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
@@ -81,10 +83,14 @@ class Registration:
         return received_ns - (offset_ns - self.offset_ns)
 
 
-class Buttons:
-    """The buttons of one robot. One owner, one thread."""
+class Buttons(Interlock[ButtonRequest]):
+    """The buttons of one robot."""
+
+    takes = (ButtonRequest,)
+    bars = (Command, Reset)
 
     def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
         self.required = rules.buttons_required
         """How many must be alive."""
         self._timeout_ns = rules.buttons_timeout_ns
@@ -108,18 +114,16 @@ class Buttons:
         """Whether this is the token of a registration. From any thread."""
         return token in self._by_token
 
-    def bar(self) -> tuple[Reason, str] | None:
-        """Why too few watch for a start, a set or a reset; None: enough do."""
-        return self.rejection() if self.closed else None
+    def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
+        return self._too_few()
 
-    def rejection(self) -> tuple[Reason, str]:
-        """Why nothing starts while they are too few."""
+    def _too_few(self) -> Why:
         return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (a page's /button)"
 
     # ---- time
 
-    def expire(self, now_ns: int, then: str = "") -> list[Effect]:
-        """Those whose time has come are silent. `then`: what the supervisor does once they are too few."""
+    def expire(self, now_ns: int, legs: Legs) -> list[Effect]:
+        """Those whose time has come are silent."""
         late = [
             (button.until_ns, button)
             for button in self._by_token.values()
@@ -129,22 +133,22 @@ class Buttons:
         for at_ns, button in sorted(late, key=itemgetter(0)):
             button.until_ns, button.silent = None, True
             what = f"the button {button.name} was not heard for {self._timeout_ns / NS_PER_MS:g} ms"
-            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, then, key=None)
+            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, legs, key=None)
         return effects
 
     # ---- requests
 
-    def grant(self, request: ButtonRequest, now_ns: int, then: str = "") -> Decision:
-        """The events of one request, and its answer."""
-        match request.do:
+    def take(self, event: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
+        """The events of one request, and its answer, which is the last."""
+        match event.do:
             case ButtonDo.REGISTER:
-                return self._register(request, now_ns)
+                return self._register(event, now_ns, legs)
             case ButtonDo.ALIVE:
-                return self._check_in(request, now_ns)
+                return self._check_in(event, now_ns, legs)
             case ButtonDo.LEAVE:
-                return self._leave(request, now_ns, then)
+                return self._leave(event, now_ns, legs)
 
-    def _register(self, request: ButtonRequest, now_ns: int) -> Decision:
+    def _register(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
         name = request.source or ""
         mine = {token: button for token, button in self._by_token.items() if button.holder == request.holder}
         same = next((token for token, button in mine.items() if button.name == name), None)
@@ -153,9 +157,8 @@ class Buttons:
             gives_way = next((token for token, button in mine.items() if button.until_ns is None), None)
             if gives_way is None:
                 whose = "" if request.holder is None else " of this certificate"
-                return [], RequestAnswer(
-                    Reason.BUTTON_DENIED, f"{len(mine)} buttons{whose} are alive, and no more are taken"
-                )
+                detail = f"{len(mine)} buttons{whose} are alive, and no more are taken"
+                return [RequestAnswer(Reason.BUTTON_DENIED, detail)]
         until_ns = None if same is None else mine[same].until_ns
         if gives_way is not None:
             del self._by_token[gives_way]
@@ -163,47 +166,47 @@ class Buttons:
         self._by_token[request.fresh_token] = button
         button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns)
         what = f"{name} is registered as a button" + ("" if same is None else ", in place of the one of that name")
-        effects = self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns)
-        return effects, RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
+        answer = RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
+        return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns, legs), answer]
 
-    def _check_in(self, request: ButtonRequest, now_ns: int) -> Decision:
+    def _check_in(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
         button = self._by_token.get(request.token)
         if button is None:
-            return [], RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+            return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
         if request.count <= button.count:
             detail = f"count is {request.count}, and {button.count} has come: a check-in counts once"
-            return [], RequestAnswer(Reason.STALE, detail)
+            return [RequestAnswer(Reason.STALE, detail)]
         button.count = request.count
         until_ns = button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns) + self._timeout_ns
         if now_ns >= until_ns:
             delay_ms = (now_ns - until_ns + self._timeout_ns) / NS_PER_MS
             detail = f"the check-in is {delay_ms:.0f} ms old; it counts for {self._timeout_ns / NS_PER_MS:g} ms"
-            return [], RequestAnswer(Reason.STALE, detail)
+            return [RequestAnswer(Reason.STALE, detail)]
         answer = RequestAnswer(detail="" if button.counts else _UNCOUNTED)
         silent, button.silent = button.silent, False
         button.until_ns = until_ns if button.until_ns is None else max(until_ns, button.until_ns)
         if not silent:
             self._look(now_ns)
-            return [], answer
+            return [answer]
         what = f"the button {button.name} is back"
-        return self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), answer
+        return [*self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns, legs), answer]
 
-    def _leave(self, request: ButtonRequest, now_ns: int, then: str) -> Decision:
+    def _leave(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
         button = self._by_token.pop(request.token, None)
         if button is None:
-            return [], RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)
+            return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
         what = f"the button {button.name} has left on purpose"
-        return self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, then), RequestAnswer()
+        return [*self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, legs), RequestAnswer()]
 
     # ----
 
     def _changed(
-        self, kind: Kind, what: str, name: str, at_ns: int, then: str = "", key: str | None = keys.BUTTON
+        self, kind: Kind, what: str, name: str, at_ns: int, legs: Legs, key: str | None = keys.BUTTON
     ) -> list[Effect]:
-        """Something has happened to one of them; the legs are those that stop for it."""
-        fell = self._look(at_ns) and bool(then)
-        detail = f"{what}; {self._count()}{f'; {then}' if fell else ''}"
-        return [Announce(kind, detail, name, key, _ALL if fell else ())]
+        """Something has happened to one of them; the event names the legs that stop for it."""
+        then = how_it_comes_down(legs, self._rules) if self._look(at_ns) else ""
+        detail = f"{what}; {self._count()}{f'; {then}' if then else ''}"
+        return [Announce(kind, detail, name, key, _ALL if then else ())]
 
     def _look(self, at_ns: int) -> bool:
         """Count those that are alive. Whether they have become too few by this."""
@@ -212,10 +215,11 @@ class Buttons:
         self.alive = len({(each.holder, each.name if each.holder is None else "") for each in alive if each.counts})
         closed, self.closed = self.closed, self.alive < self.required
         if not self.closed:
-            self.fell_ns = None
+            self.fell_ns = self.down = None
             return False
         if not closed:
             self.fell_ns = at_ns
+        self.down = Down("too few buttons are alive", self.fell_ns, *self._too_few())
         return not closed
 
     def _count(self) -> str:

@@ -12,12 +12,10 @@ Where the file that kept the calibration cannot be read (`fault`), nothing moves
 calibration as this robot's: with a wrong trim or direction, a leg goes where nobody sent it.
 """
 
-from collections.abc import Iterable, Mapping
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import CalibrationError, RobotCalibration, changed_servos
-from gateway.model.frames import ServoOp
 from gateway.robot.core.events import (
     Announce,
     Calibrate,
@@ -27,7 +25,9 @@ from gateway.robot.core.events import (
     Rejected,
     SaveCalibration,
 )
-from gateway.robot.core.leg import Servo
+from gateway.robot.core.interlock import Interlock, Why
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
 from schemas.telemetry import Kind, Reason
 
 ACCEPT_DEFAULT: Final = "calibrate accept-default"
@@ -43,18 +43,23 @@ class _OnItsWay(NamedTuple):
     event: Calibrate
 
 
-class Calibrating:
-    """One robot's calibration, and the change of it that is on its way to the disk. One owner, one thread."""
+class Calibrating(Interlock[Calibrate | CalibrationSaved]):
+    """One robot's calibration, and the change of it that is on its way to the disk."""
 
-    def __init__(self, reach: AngleLimits) -> None:
+    takes = (Calibrate, CalibrationSaved)
+
+    def __init__(self, rules: Rules, reach: AngleLimits) -> None:
+        super().__init__(rules)
         self._reach = reach
         self.fault: str | None = None
         """Why the calibration cannot be trusted; None: it can."""
-        self.guards = False
-        """Whether `rejection` may have anything against a start; while it is false, nothing is asked."""
         self._on_its_way: _OnItsWay | None = None
         self._delay = ""
         """Why the change that is on its way takes so long; "": it does not."""
+
+    @classmethod
+    def of(cls, rules: Rules, limits: AngleLimits) -> Self:
+        return cls(rules, limits)
 
     @property
     def in_force(self) -> RobotCalibration:
@@ -65,7 +70,7 @@ class Calibrating:
         """What was kept, and why it cannot be trusted, if so. To be called once, before the bus is opened."""
         self._reach.use(calibration)
         self.fault = fault
-        self.guards = fault is not None
+        self.closed = fault is not None
 
     def awaits(self, number: int) -> bool:
         """Whether the change with this number is on its way."""
@@ -76,19 +81,21 @@ class Calibrating:
         if self._on_its_way is not None:
             self._delay = f"; {why}"
 
-    def rejection(self, moves: Iterable[tuple[int, ServoOp]]) -> tuple[Reason, str] | None:
-        """Why these starts and sets take no effect; None: they may."""
+    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
         if self.fault is not None:
             return Reason.SERVO_STOPPED, self._untrusted()
         changing = frozenset() if self._on_its_way is None else self._on_its_way.servos
-        for servo_id, _ in moves:
+        for servo_id, _ in request.moves:
             if servo_id in changing:
                 detail = f"servo {servo_id} is being calibrated; start it once that is kept{self._delay}"
                 return Reason.SERVO_STOPPED, detail
         return None
 
-    def change(self, event: Calibrate, servos: Mapping[int, Servo]) -> list[Effect]:
-        """Check a change against everything but mode, lease and landing, which are the supervisor's."""
+    def take(self, event: Calibrate | CalibrationSaved, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+        return self._kept(event) if isinstance(event, CalibrationSaved) else self._change(event, legs)
+
+    def _change(self, event: Calibrate, legs: Legs) -> list[Effect]:
+        """Check a change against everything but the mode and other interlocks."""
         rejection = self._why_not_now(event)
         if rejection is not None:
             return [Rejected(event, *rejection)]
@@ -103,14 +110,14 @@ class Calibrating:
                 return [Rejected(event, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
         changed = changed_servos(self.in_force, calibration)
         for servo_id in sorted(changed):
-            if servos[servo_id].will_run:
+            if legs.servos[servo_id].will_run:
                 detail = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
                 return [Rejected(event, Reason.INVALID, detail)]
         self._on_its_way = _OnItsWay(calibration, changed, event)
-        self.guards = True
+        self.closed = True
         return [SaveCalibration(event.number, calibration)]
 
-    def _why_not_now(self, event: Calibrate) -> tuple[Reason, str] | None:
+    def _why_not_now(self, event: Calibrate) -> Why | None:
         if self._on_its_way is not None:
             hint = self._delay or "; look at it, then change it again"
             return Reason.STALE, f"another change of the calibration is being kept{hint}"
@@ -128,7 +135,7 @@ class Calibrating:
             f"{self.fault}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
         )
 
-    def kept(self, event: CalibrationSaved) -> list[Effect]:
+    def _kept(self, event: CalibrationSaved) -> list[Effect]:
         """The change that is on its way is kept, and from now on in force; or it is not, and the old one stays."""
         if self._on_its_way is None:
             return []
@@ -138,7 +145,7 @@ class Calibrating:
         if event.fault is None:
             self._reach.use(calibration)
             self.fault = None
-        self.guards = self.fault is not None
+        self.closed = self.fault is not None
         if event.fault is not None:
             return [Rejected(asked, Reason.INVALID, event.fault)]
         changed = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes

@@ -44,6 +44,8 @@ class Request:
     """The legs that a frame of it was written for; should it be rejected after that, its answer names them."""
     stopped: tuple[int, ...] = ()
     """The servos that it stops, or may stop, and that are stopped though it is rejected."""
+    moves: Targets = field(init=False, default=())
+    """Of a command: those of its targets that are no Stops."""
 
     @property
     def servo_ids(self) -> Iterable[int]:
@@ -66,8 +68,6 @@ class Command(Request):
     rejected: "Rejected | None" = field(default=None, repr=False)
     """Why it was rejected before the supervisor takes it: only its Stops are carried out. For a message that could not
     be read, these are the Stops that it may contain, and another request is answered in its place."""
-    moves: Targets = field(init=False)
-    """Those of its targets that are no Stops."""
     by_leg: dict[int, Targets] = field(init=False)
     """The targets of each leg."""
     left: int = field(init=False)

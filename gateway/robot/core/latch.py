@@ -1,19 +1,25 @@
-"""The latch of the emergency stop: whether it is engaged, and which reset leaves it. Pure."""
+"""The emergency stop: it stops six legs and latches; a reset leaves the latch and nothing else. Pure."""
 
 from typing import Final
 
 from gateway.allowance import NS_PER_S
-from gateway.robot.core.events import Effect, EstopKept
+from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop, EstopKept, Rejected, Reset
+from gateway.robot.core.interlock import Halt, Interlock
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
+from schemas.telemetry import Cause, Kind, Reason
 
+ESTOPPED: Final = "the emergency stop is engaged; reset it first"
 _UNKNOWN: Final = "it is not known yet whether an earlier run has left an emergency stop engaged"
 
 
-class Latch:
-    """What is known of the emergency stop. The supervisor sets the attributes; no call precedes its Stops."""
+class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
+    """What is known of the emergency stop. While it is engaged, the supervisor's mode rejects commands."""
+
+    takes = (EmergencyStop, Reset, EstopKept)
 
     def __init__(self, rules: Rules) -> None:
-        self._rules = rules
+        super().__init__(rules)
         self.number = 0
         """Of the latest emergency stop; 0: there was none. A run goes on from the last number of the run before."""
         self.since_ns: int | None = None
@@ -21,15 +27,46 @@ class Latch:
         self.unknown = rules.estop_kept
         """Whether an earlier run may have left it engaged. Until `EstopKept` it counts as engaged."""
 
-    def kept(self, event: EstopKept, instant_ns: int) -> list[Effect]:
-        """Take what an earlier run has left. The emergency stops of this run come behind it. Has no effects."""
+    def halts(self, event: EmergencyStop | Reset | EstopKept) -> Halt | None:
+        return Halt(Cause.ESTOP, Reason.ESTOPPED, ESTOPPED) if type(event) is EmergencyStop else None
+
+    def take(self, event: EmergencyStop | Reset | EstopKept, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+        match event:
+            case EmergencyStop():
+                return self._engage(event, legs)
+            case Reset():
+                return self._leave(event, legs.instant_ns)
+            case EstopKept():
+                return self._kept(event, legs.instant_ns)
+
+    def _engage(self, event: EmergencyStop, legs: Legs) -> list[Effect]:
+        first = self.since_ns is None
+        self.number += 1
+        self.since_ns = legs.instant_ns  # not the time: a reset of the same instant may be the older of the two
+        detail = "emergency stop; all commands are rejected until a reset"
+        if not legs.sends:
+            detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
+        return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key)] if first else []
+
+    def _kept(self, event: EstopKept, instant_ns: int) -> list[Effect]:
+        """What an earlier run has left; the emergency stops of this run come behind it."""
         self.unknown = False
         self.number += event.number
         if event.engaged and self.since_ns is None:
             self.since_ns = instant_ns
         return []
 
-    def why_not_left(self, names: int | None, instant_ns: int) -> str | None:
+    def _leave(self, reset: Reset, instant_ns: int) -> list[Effect]:
+        why_not = self._why_not_left(reset.estop, instant_ns)
+        if why_not is not None:
+            return [Rejected(reset, Reason.ESTOPPED, why_not)]
+        if self.since_ns is None:
+            return [Completed(reset)]
+        self.since_ns = None
+        detail = "emergency stop left; nothing moves until it is started again"
+        return [Announce(Kind.ESTOP_RESET, detail, reset.source, reset.key), Completed(reset)]
+
+    def _why_not_left(self, names: int | None, instant_ns: int) -> str | None:
         """Return why a reset does not leave it; None: it does, or none is engaged.
 
         A reset may have been sent before the latest emergency stop. `names` is the number of the emergency stop that it

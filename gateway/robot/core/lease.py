@@ -1,6 +1,6 @@
 """Who is driving: one lease for the whole robot. Pure: the time, and the randomness of tokens, are arguments.
 
-The rules (docs/interface.md, *Behaviour 9*), by state:
+The rules (docs/interface.md, Behaviour *Lease*), by state:
 
 - Free: anybody acquires it. Commands need no token, unless the lease is required.
 - Held: what moves, and a reset, needs the holder's token. The lease expires `ttl_ns` after the holder's last renewal or
@@ -14,23 +14,38 @@ their way. Stops, deletes and emergency stops are not asked for a token.
 """
 
 import hmac
-from typing import Final
+from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, Decision, Do, Effect, LeaseRequest, RequestAnswer
+from gateway.robot.core.events import (
+    Announce,
+    Calibrate,
+    Command,
+    Decision,
+    Do,
+    Effect,
+    LeaseRequest,
+    RequestAnswer,
+    Reset,
+)
+from gateway.robot.core.interlock import Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
 from schemas import keys
-from schemas.telemetry import Kind, Reason
+from schemas.telemetry import Cause, Kind, Reason
 
 MOST_ASKERS: Final = 8
 """More people than one robot has around it; the one who asked first is forgotten for a ninth."""
 
 
-class RobotLease:
-    """The lease of one robot. One owner, one thread."""
+class RobotLease(Interlock[LeaseRequest]):
+    """The lease of one robot."""
+
+    takes = (LeaseRequest,)
+    bars = (Command, Reset, Calibrate)
 
     def __init__(self, rules: Rules) -> None:
-        self._rules = rules
+        super().__init__(rules)
         self.holder: str | None = None
         """Who holds it, or to whom it is handed over."""
         self.verified = False
@@ -38,7 +53,7 @@ class RobotLease:
         """When its holder acquired it; None while it is handed over."""
         self.due_ns: int | None = None
         """When it expires."""
-        self.guards = rules.lease_required
+        self.closed = rules.lease_required
         """Whether commands need a token. While it is false, only those that carry one are looked at."""
         self._token: str | None = None
         self._askers: dict[str, bool] = {}
@@ -56,8 +71,8 @@ class RobotLease:
 
     # ---- commands
 
-    def rejection(self, token: str | None, *, reset: bool = False) -> tuple[Reason, str] | None:
-        """Why a command that moves (or a `reset`) with this token takes no effect; None: it may."""
+    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
+        token = request.lease
         if self._token is not None:
             if token is not None and hmac.compare_digest(token, self._token):
                 return None
@@ -67,7 +82,7 @@ class RobotLease:
             return Reason.NOT_HOLDER, f"the lease is handed over to {self.holder}, who has not acquired it yet"
         if token is not None:
             return Reason.NOT_HOLDER, "the command's own lease has ended; acquire it again"
-        if self._rules.lease_required and not reset:
+        if self._rules.lease_required and type(request) is not Reset:
             return Reason.NO_LEASE, "nobody holds the lease, and lease.required is set; acquire it first"
         return None
 
@@ -78,8 +93,7 @@ class RobotLease:
 
     # ---- time
 
-    def expire(self, now_ns: int) -> list[Effect]:
-        """End it, if its time has come."""
+    def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
         if self.due_ns is None or now_ns < self.due_ns:
             return []
         ttl = f"{self._rules.lease_ttl_ns / NS_PER_MS:g} ms"
@@ -97,9 +111,17 @@ class RobotLease:
 
     # ---- requests
 
-    def is_takeover(self, request: LeaseRequest) -> bool:
-        """Whether all legs have to be stopped before this request is granted."""
-        return request.do is Do.TAKE
+    def halts(self, event: LeaseRequest) -> Halt | None:
+        taken = f"{event.source} has taken the lease"
+        return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken) if event.do is Do.TAKE else None
+
+    def take(self, event: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
+        published, answer = self.grant(event, now_ns)
+        dropped: list[Effect] = []
+        if answer.token is not None:  # what others had waiting would move under the new holder
+            detail = f"{self.holder} has acquired the lease"
+            dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, detail)
+        return [*dropped, *published, answer]
 
     def grant(self, request: LeaseRequest, now_ns: int) -> Decision:
         """The events of one request, and its answer."""
@@ -173,7 +195,7 @@ class RobotLease:
         self.since_ns = None if token is None else now_ns
         self.due_ns = None if now_ns is None else now_ns + self._rules.lease_ttl_ns
         self._askers = {}
-        self.guards = holder is not None or self._rules.lease_required
+        self.closed = holder is not None or self._rules.lease_required
 
 
 def _told(kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:

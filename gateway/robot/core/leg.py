@@ -22,12 +22,12 @@ class Rules:
     repeats: int = STOP_REPEATS
     repeat_interval_ns: int = round(STOP_REPEAT_MS * NS_PER_MS)
     rest_ns: int = 800 * NS_PER_MS
-    """How often legs at rest get a Stop while others run (Behaviour 4); not a setting, so nobody can switch it off.
+    """How often legs at rest get a Stop while others run (Behaviour *Legs at rest*). No setting switches it off.
 
     Shorter than `RESYNC_NS` of the bus: with the preamble ahead of these Stops, the stream needs no other one.
     """
     rest_runs: int = 3
-    """How many more runs of Stops follow the last Stop's repeats while nothing runs (Behaviour 4); no setting.
+    """How many more runs of Stops follow the last Stop's repeats while nothing runs (Behaviour *Legs at rest*).
 
     One more follows these, with a frame for each servo: no bytes that are lost of it can start one.
     """
@@ -36,43 +36,49 @@ class Rules:
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     start_wait_ns: int = 0
-    """How long a start without a time waits for what may come behind it (Behaviour 19); 0: no burst is looked for."""
+    """How long a start without a time waits for what may come behind it; 0: no burst is looked for.
+
+    Behaviour *Bursts without `sent_ms`*.
+    """
     window_ns: int = 20 * NS_PER_MS
     """In which so many messages without a time on one key are a burst; not a setting, nor is `start_wait_ns`."""
     unnumbered_reset_ns: int = 2 * NS_PER_S
-    """How old the latest emergency stop must be for a reset that does not say which one it leaves (Behaviour 5)."""
+    """How old the latest emergency stop must be for a reset without a number (Behaviour *Emergency stop*)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
     avoid_cdeg: tuple[int, int] | None = None
     """Wire angles that are never sent: from the first up to, not including, the second."""
     max_speed_cdeg_s: dict[int, int] = field(default_factory=dict)
-    """Servos that go no faster than this from one frame to the next (Behaviour 11)."""
+    """Servos that go no faster than this from one frame to the next (Behaviour *Speed*)."""
     takeover_cdeg_s: int = 0
-    """The highest speed of a servo on its first way under another source, or behind a Stop (Behaviour 20); 0: off."""
+    """The highest speed on the first way under another source, or behind a Stop; 0: off.
+
+    Behaviour *Take-over and first frame*.
+    """
     takeover_known_ns: int = 2 * NS_PER_S
     """For how long behind its Stop a servo counts as standing where it was; not a setting."""
     landing_ns: int = 0
-    """How long a landing takes (Behaviour 12); 0: a silent leg is stopped at once."""
+    """How long a landing takes (Behaviour *Landing*); 0: a silent leg is stopped at once."""
     landing_cdeg: dict[int, int] = field(default_factory=dict)
     """The landing pose; a servo that is not named holds its angle."""
     lease_required: bool = False
     lease_ttl_ns: int = NS_PER_S
     buttons_required: int = 0
-    """How many buttons must be alive for anything to move (Behaviour 14)."""
+    """How many buttons must be alive for anything to move (Behaviour *Buttons*)."""
     buttons_timeout_ns: int = NS_PER_S
     """For how long a button is alive after a check-in."""
     starts_whole: bool = False
-    """Whether the wire can start and stop the whole robot only (Behaviour 16); then `start_pause_ns` is 0."""
+    """Whether the wire starts and stops all servos only (Behaviour *The whole robot*); `start_pause_ns` is then 0."""
     min_battery_mv: int = 0
-    """Below it nothing is started (Behaviour 15); 0: no voltage is too low."""
+    """Below it nothing is started (Behaviour *Measurements*); 0: no voltage is too low."""
     max_tilt_cdeg: int = 0
-    """Beyond it for `tilt_ns`, the robot has fallen (Behaviour 15); 0: no tilt counts as a fall."""
+    """Beyond it for `tilt_ns`, the robot has fallen (Behaviour *Measurements*); 0: no tilt counts as a fall."""
     tilt_ns: int = 200 * NS_PER_MS
     """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
 
     estop_kept: bool = False
-    """Whether an earlier run may have left an emergency stop engaged; `EstopKept` then says so (Behaviour 5)."""
+    """Whether an earlier run may have left it engaged; `EstopKept` then says so (Behaviour *Emergency stop*)."""
     power: bool = False
-    """Whether a power board feeds the servos (Behaviour 18): a start then waits until its servo is fed."""
+    """Whether a power board feeds the servos (Behaviour *Power*): a start then waits until its servo is fed."""
     angles_first: bool = False
     """Whether supply is what starts a servo: its angle is on the wire before it is fed."""
     feed_ns: int = 1800 * NS_PER_MS

@@ -18,12 +18,13 @@ from schemas.telemetry import Mode
 _AT_START: Final[frozenset[type[Event]]] = frozenset(
     {EmergencyStop, EstopKept, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
 )
-_ANY: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
-LEGAL: Final = {mode: _ANY - {BusOpened, EstopKept} for mode in (Mode.IDLE, Mode.ACTIVE)} | {
-    Mode.ESTOPPED: _ANY - {BusOpened},
+ALL_EVENTS: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
+"""An interlock may take another one, which then may come at any time."""
+LEGAL: Final = {mode: ALL_EVENTS - {BusOpened, EstopKept} for mode in (Mode.IDLE, Mode.ACTIVE)} | {
+    Mode.ESTOPPED: ALL_EVENTS - {BusOpened},
     Mode.STARTING: _AT_START,
-    Mode.BUS_FAULT: _ANY,
-    Mode.STOPPING: _ANY,
+    Mode.BUS_FAULT: ALL_EVENTS,
+    Mode.STOPPING: ALL_EVENTS,
 }
 """In which mode which event may come; any other is a mistake of the caller. Tests have where each leads."""
 

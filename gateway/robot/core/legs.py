@@ -41,6 +41,8 @@ class Legs:
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self._all = tuple(self.by_number.values())
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
+        self.sends = False
+        """Whether the bus is open and not at fault."""
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
         self.due_ns: int | None = None
@@ -373,8 +375,9 @@ class Legs:
 
     # ---- landing
 
-    def begin_landing(self, now_ns: int, ends_ns: int, pose_cdeg: Mapping[int, int]) -> list[Effect]:
+    def begin_landing(self, now_ns: int, ends_ns: int) -> list[Effect]:
         """From now on each running servo goes to its angle of the pose; all that waits is rejected, starts too."""
+        pose_cdeg = self._reach.landing_cdeg()
         ways = {
             servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
             for servo in self.servos.values()

@@ -3,7 +3,7 @@
 from typing import Final
 
 NONCE_NS: Final = 5_000_000_000
-"""docs/interface.md, Behaviour 9: a laptop signs within milliseconds, and a slow network adds a second."""
+"""docs/interface.md, Behaviour *Lease*: a laptop signs within milliseconds, and a slow network adds a second."""
 MOST_NONCES: Final = 256
 """At a time. For one more the oldest is forgotten: a flood of challenges hurts those who are slow to use theirs."""
 

@@ -5,18 +5,11 @@ once the board has confirmed that it is fed. A servo that is not fed does not co
 to its angle, and nobody asked for that. So what the board feeds no longer is stopped on the wire as well.
 """
 
-from collections.abc import Collection, Iterable, Mapping
-from typing import Final
+from collections.abc import Collection, Iterable
 
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_START, STARTS, OneServo
-from gateway.robot.core.events import PowerSeen, Targets
 from gateway.robot.core.leg import Leg, Rules, Servo
-from schemas.telemetry import Reason
-
-SILENT: Final = "the power board does not answer"
-LOST: Final = "the power board does not feed it any more"
-UNFED: Final = "the power board has not confirmed that it is fed"
 
 
 def starts(servo: Servo) -> bool:
@@ -69,27 +62,3 @@ def servos_to_feed(servos: Iterable[Servo], wire: RobotCalibration | None) -> di
             frame = OneServo(servo.servo_id, STARTS[servo.announced_cdeg])
             found[servo.servo_id] = (frame if wire is None else wire.frame(frame)).servos[0][1].angle_cdeg
     return found
-
-
-class PowerRule:
-    """Whether the board feeds what is to move. One owner, one thread."""
-
-    def __init__(self, rules: Rules) -> None:
-        self.alive = not rules.power
-        self.closed = rules.power
-        """Whether it stands in the way of any move."""
-        self._refused: Mapping[int, str] = {}
-
-    def note(self, event: PowerSeen) -> None:
-        """Take what the board has said, or that it says nothing."""
-        self.alive, self._refused = event.alive, dict(event.refused)
-        self.closed = not event.alive or bool(event.refused)
-
-    def rejection(self, moves: Targets) -> tuple[Reason, str] | None:
-        """Why these starts and sets take no effect; None: they may."""
-        if not self.alive:
-            return Reason.NO_POWER, SILENT
-        for servo_id, _ in moves:
-            if servo_id in self._refused:
-                return Reason.NO_POWER, f"servo {servo_id} is not fed: {self._refused[servo_id]}"
-        return None

@@ -1,4 +1,4 @@
-"""When legs at rest get Stops (Behaviour 4). Pure; time is an argument.
+"""When legs at rest get Stops (Behaviour *Legs at rest*). Pure; time is an argument.
 
 A controller that lost bytes may run a servo that nobody started. So legs at rest get Stops: a round every
 `Rules.rest_ns` while other legs run, and a few more runs once the last Stop and its repeats are far enough behind.

@@ -263,7 +263,7 @@ class Conductor:
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
             self.supply.behind(self.supervisor)  # the frame may have said the angle of a servo that is to be fed
-        if self.supervisor.wants_measurements:
+        if self.supervisor.body.watches:
             tilt_deg = values.tilt_deg
             tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))

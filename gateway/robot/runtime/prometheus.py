@@ -66,7 +66,7 @@ class Numbers(Collector):
         frames = {cause: metrics.frames[cause] for cause in Cause}
         yield _counter("frames_written", "Frames written to SPI", frames, "cause")
         yield _counter("spi_errors", "SPI transfers and openings that failed", bus.errors)
-        yield _counter("watchdog_expirations", "Legs stopped for silence", supervisor.expirations)
+        yield _counter("watchdog_expirations", "Legs stopped for silence", supervisor.watchdog.expirations)
         yield _counter(
             "log_lines_dropped", "Lines of the log that were not written, since nobody read it", logs.dropped()
         )

@@ -140,7 +140,7 @@ class StateReports:
             watchdog=WatchdogReport(
                 timeout_ms=settings.watchdog.timeout_ms,
                 landing_ms=settings.watchdog.landing_ms,
-                expirations=supervisor.expirations,
+                expirations=supervisor.watchdog.expirations,
                 stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
             estop=supervisor.latch.number,

@@ -27,7 +27,7 @@ from gateway.robot.spi.stop_all import stop_once
 from schemas.robot import LEGS, SERVO_IDS
 
 SHUTDOWN_S = 0.8
-"""Duration of the end: the second of docs/interface.md, Behaviour 7, less the process's own exit."""
+"""Duration of the end: the second of docs/interface.md, Behaviour *End*, less the process's own exit."""
 REPEATS_S = 0.3
 """Of that, for repeats of the last Stops."""
 LAST_WORDS_S = 0.1

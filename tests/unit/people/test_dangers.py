@@ -15,7 +15,7 @@ from gateway.people.client.dangers import (
     power_now,
     tone_of,
 )
-from gateway.people.client.stream import ALL_STOPPED
+from gateway.people.client.stopped import ALL_STOPPED
 from gateway.people.commands.send import command_report, estop_report
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus

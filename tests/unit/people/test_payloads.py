@@ -1,19 +1,24 @@
 """What a program may give for legs, servos and angles, and what it is told where it is something else."""
 
 import doctest
+import json
+import math
 import re
 from collections.abc import Callable
 from decimal import Decimal
 from typing import Any
 
+import numpy as np
 import pytest
 
+from gateway.errors import OutOfRangeError
 from gateway.people.client import payloads
-from gateway.people.client.payloads import leg_number, leg_payload, legs_payload, number, row, servo_number
+from gateway.people.client.payloads import leg_number, leg_payload, legs_angles, legs_payload, number, row, servo_number
+from schemas.telemetry import Reason
 
 
 def test_the_examples_are_right() -> None:
-    assert doctest.testmod(payloads) == (0, 3)
+    assert doctest.testmod(payloads) == (0, 4)
 
 
 class Float32:
@@ -38,8 +43,6 @@ class Int64:
         (-1e-15, 0.0),
         (-0.005, 0.0),
         (Decimal("180.001"), 180.0),
-        (180.0051, 180.0051),  # for the gateway to reject
-        (-0.0051, -0.0051),
         (90.123, 90.123),
         (Float32(), 45.5),
         (Int64(), 90),
@@ -49,9 +52,51 @@ def test_what_is_outside_by_arithmetic_only_is_the_limit(given: Any, sent: float
     assert number(given) == sent
 
 
+@pytest.mark.parametrize("wrong", [180.0051, -0.0051, 200, math.nan, math.inf])
+def test_an_angle_that_no_servo_has_names_leg_and_joint(wrong: float) -> None:
+    with pytest.raises(OutOfRangeError, match=f"leg 4, joint 3: {wrong:g}° is not between 0 and 180°$") as error:
+        legs_payload("set", {3: (90, 45, 120), 4: (90, 45, wrong)})
+    assert (error.value.reason, isinstance(error.value, ValueError)) == (Reason.INVALID, True)
+
+
 def test_a_leg_has_three_angles() -> None:
-    with pytest.raises(ValueError, match="2 angles; a leg has three joints"):
+    with pytest.raises(OutOfRangeError, match="2 angles; a leg has three joints"):
         leg_payload("start", (1, 2))
+
+
+ROWS = [(10.0 * leg, 10.0 * leg + 1, 10.0 * leg + 2) for leg in range(6)]
+
+
+@pytest.mark.parametrize(
+    "all_legs",
+    [
+        np.array(ROWS),
+        np.array(ROWS).reshape(18),
+        np.array(ROWS, dtype=np.float32),
+        ROWS,
+        [angle for row in ROWS for angle in row],
+        {np.int64(leg): np.array(row) for leg, row in enumerate(ROWS, start=1)},
+    ],
+    ids=["6×3", "18", "float32", "lists", "a list", "a dict of arrays"],
+)
+def test_all_legs_may_be_an_array(all_legs: Any) -> None:
+    assert legs_angles(all_legs) == dict(enumerate(ROWS, start=1))
+    assert json.loads(json.dumps(legs_payload("set", all_legs))) == legs_payload("set", dict(enumerate(ROWS, start=1)))
+
+
+@pytest.mark.parametrize("shape", [(3, 6), (6, 2), (17,), (1, 18), (18, 1), (2, 3, 3), (0,), (6,)])
+def test_an_array_of_another_shape_is_out_of_range(shape: tuple[int, ...]) -> None:
+    with pytest.raises(OutOfRangeError, match=r"the shape \(6, 3\) or \(18,\), not "):
+        legs_angles(np.zeros(shape))
+
+
+def test_radians_are_a_unit() -> None:
+    assert legs_angles(np.full((6, 3), np.pi / 2), "rad") == dict.fromkeys(range(1, 7), (90.0,) * 3)
+    assert leg_payload("set", (0, 1, math.pi), "rad")["servos"][1]["angle_deg"] == pytest.approx(57.29578)
+    with pytest.raises(OutOfRangeError, match=r"joint 2: 229\.183° is not between 0 and 180°"):
+        leg_payload("set", (0, 4, 1), "rad")
+    with pytest.raises(ValueError, match='the unit of angles is "deg" or "rad", and not \'grad\''):
+        leg_payload("set", (0, 4, 1), "grad")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("wrong", [{90, 45, 120}, {1: 90, 2: 45, 3: 120}, "abc", b"abc", 90, None])
@@ -60,9 +105,11 @@ def test_what_has_no_order_of_joints_is_no_leg(wrong: Any) -> None:
         legs_payload("set", {3: wrong})
 
 
-@pytest.mark.parametrize("wrong", [[(90, 45, 120)], (90, 45, 120), None])
-def test_several_legs_are_a_dict(wrong: Any) -> None:
-    with pytest.raises(TypeError, match=r"legs and their angles are a dict, such as \{3: \(90, 45, 120\)\}, and not "):
+@pytest.mark.parametrize("wrong", [{1, 2}, "abc", 90, None])
+def test_several_legs_are_a_dict_or_an_array(wrong: Any) -> None:
+    with pytest.raises(
+        TypeError, match=r"legs and their angles are a dict, such as \{3: \(90, 45, 120\)\}, or an array"
+    ):
         legs_payload("start", wrong)
 
 
@@ -78,9 +125,9 @@ def test_what_is_no_number_is_no_angle(wrong: Any) -> None:
         (leg_number, "3", TypeError, "a leg is a whole number, and not '3'; legs are 1 to 6"),
         (leg_number, 3.0, TypeError, "a leg is a whole number, and not 3.0; legs are 1 to 6"),
         (leg_number, True, TypeError, "a leg is a whole number, and not True; legs are 1 to 6"),
-        (leg_number, 7, ValueError, "leg 7 does not exist; legs are 1 to 6"),
+        (leg_number, 7, OutOfRangeError, "leg 7 does not exist; legs are 1 to 6"),
         (servo_number, "32", TypeError, "a servo is a whole number, and not '32'; an id is the leg"),
-        (servo_number, 14, ValueError, "servo 14 does not exist; an id is the leg"),
+        (servo_number, 14, OutOfRangeError, "servo 14 does not exist; an id is the leg"),
     ],
 )
 def test_a_leg_or_servo_that_is_none_is_reported(
@@ -88,4 +135,4 @@ def test_a_leg_or_servo_that_is_none_is_reported(
 ) -> None:
     with pytest.raises(error) as raised:
         call(wrong)
-    assert str(raised.value).startswith(sentence)
+    assert str(raised.value).removeprefix("rejected: invalid: ").startswith(sentence)

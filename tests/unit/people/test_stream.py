@@ -7,9 +7,10 @@ from typing import Any, Self
 
 import pytest
 
-from gateway.errors import DisconnectedError, RejectedError, StoppedError, UnansweredError
+from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError, UnansweredError
 from gateway.people.client.pace import SILENCE_S
-from gateway.people.client.stream import AGAIN, WHOLE, Stream, happened
+from gateway.people.client.stopped import AGAIN, DECIDES, STOP, happened
+from gateway.people.client.stream import WHOLE, Stream
 from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 from tests.support.published import WALL, event, state
 
@@ -23,8 +24,14 @@ class Robot:
 
     name = "anna's laptop"
     carried_lease = None
+    reset_command = "hexapod-gateway reset --connect tcp/192.0.2.7:7447"
 
     def __init__(self) -> None:
+        self.open_parts: list[object] = []
+        self.requests_s: list[float] = []
+        """When anything was asked."""
+        self.rejects: Ack | None = None
+        """The answer to starts, in place of an acceptance."""
         self.now_s = 100.0
         self.connected = True
         self.answers = True
@@ -67,12 +74,18 @@ class Robot:
 
     def ask(self, _key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack:
         self.asked.append("stop" if again else "start")
+        self.requests_s.append(self.now_s)
+        if not again and not self.answers:
+            raise UnansweredError("no gateway answered")
+        if not again and self.rejects is not None:
+            return self.rejects
         legs = {int(leg) for leg in payload["legs"]}
         self.running = self.running - legs if again else self.running | legs
         return Ack(accepted=True)
 
     def state(self, _timeout_s: float = 0.0) -> GatewayState:
         self.questions += 1
+        self.requests_s.append(self.now_s)
         if not self.answers:
             raise UnansweredError("no gateway answered")
         return self.report()
@@ -102,7 +115,8 @@ class Robot:
 @pytest.fixture
 def robot(monkeypatch: pytest.MonkeyPatch) -> Robot:
     found = Robot()
-    monkeypatch.setattr("gateway.people.client.stream.time", found)
+    for module in ("gateway.people.client.stream", "gateway.people.client.stopped", "gateway.errors"):
+        monkeypatch.setattr(f"{module}.time", found)
     return found
 
 
@@ -164,7 +178,7 @@ def test_a_program_that_stalls_asks_before_it_sends_and_learns_what_the_watchdog
     robot.sleep(0.25)
     robot.running, robot.expired = set(), {1, 2}
     for _ in range(2):
-        with pytest.raises(StoppedError, match=r"no command in .* ms") as error:
+        with pytest.raises(StoppedError, match=r"watchdog stopped legs 1 and 2 \(no command in .* ms\)") as error:
             stream.set({1: POSE, 2: POSE})
         assert error.value.legs == (1, 2)
         assert error.value.__notes__ == [AGAIN]
@@ -188,7 +202,7 @@ def test_a_leg_that_is_left_out_is_stopped_and_not_repeated(robot: Robot, stream
     go_on(robot, stream, 0.2, legs=[2])
     robot.running, robot.expired = {2}, {1}
     robot.publish_state()
-    with pytest.raises(StoppedError, match="leg 1: no command") as error:
+    with pytest.raises(StoppedError, match="the watchdog stopped leg 1 ") as error:
         stream.set({2: POSE})
     assert error.value.legs == (1,)
     assert {leg for _, legs in robot.published for leg in legs} == {"2"}
@@ -208,11 +222,8 @@ def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot
     assert robot.questions == asked, "one answer was enough"
 
 
-def test_a_start_that_only_the_whole_robot_has_says_what_to_send_in_its_place(
-    monkeypatch: pytest.MonkeyPatch, robot: Any
-) -> None:
-    whole = Ack(accepted=False, reason=Reason.WHOLE_ROBOT, detail="this robot starts as a whole")
-    monkeypatch.setattr(robot, "ask", lambda *_, **__: whole)
+def test_a_start_that_only_the_whole_robot_has_says_what_to_send_in_its_place(robot: Any) -> None:
+    robot.rejects = Ack(accepted=False, reason=Reason.WHOLE_ROBOT, detail="this robot starts as a whole")
     with Stream(robot, HZ) as stream:
         for _ in range(2):
             with pytest.raises(RejectedError, match="whole_robot: this robot starts as a whole") as raised:
@@ -260,10 +271,230 @@ def test_a_controller_that_fell_silent_is_named_where_its_event_was_lost(robot: 
             "emergency stop; all is rejected until a reset",
             "the emergency stop was engaged by somebody",
         ),
-        (Kind.WATCHDOG_EXPIRED, "leg 3 was not heard for 250 ms; it is stopped", "leg 3 was not heard for 250 ms"),
         (Kind.STOPPING, "the gateway ends; all servos are stopped", "the gateway ends"),
         (Kind.BUS_FAULT, "write failed; tried again", "write failed; tried again"),
     ],
 )
 def test_what_happened_is_said_without_what_held_from_then_on(kind: Kind, detail: str, sentence: str) -> None:
     assert happened(event(kind, detail)) == sentence
+
+
+# ---- a program that goes on after each error
+
+
+def estopped(robot: Robot) -> None:
+    """Somebody engages the emergency stop; no event is received."""
+    robot.running = set()
+    robot.changed = {"mode": Mode.ESTOPPED, "estop_source": "bert"}
+    robot.rejects = Ack(accepted=False, reason=Reason.ESTOPPED, detail="reset it first")
+    robot.publish_state()
+
+
+def vanished(robot: Robot) -> None:
+    """Its watchdog stops the legs."""
+    robot.connected = robot.answers = False
+    robot.running = set()
+
+
+def stopped_and_taken(robot: Robot) -> None:
+    """Somebody stops the legs, and drives from now on."""
+    robot.running = set()
+    robot.rejects = Ack(accepted=False, reason=Reason.NOT_HOLDER, detail="bert holds the lease")
+    robot.publish_state()
+
+
+@pytest.mark.parametrize("happens", [estopped, vanished, stopped_and_taken])
+@pytest.mark.parametrize("starts_again", [True, False])
+def test_a_program_that_goes_on_after_each_error_keeps_its_ticks_and_asks_twice_a_second(
+    robot: Robot, stream: Stream, happens: Callable[[Robot], None], starts_again: bool
+) -> None:
+    happens(robot)
+    begun_s, errors = robot.now_s, 0
+    robot.requests_s.clear()
+    while robot.now_s < begun_s + 10:
+        before_s = robot.now_s
+        with pytest.raises(GatewayError):
+            stream.set({1: POSE, 2: POSE})
+        errors += 1
+        assert robot.now_s - before_s >= PERIOD_S / 2
+        if starts_again:
+            stream.start_again()
+    assert errors <= 10 * HZ + 1
+    asked_s = robot.requests_s
+    assert all(later - earlier >= 1 for earlier, later in zip(asked_s, asked_s[2:], strict=False))
+    assert len(asked_s) >= 15 if starts_again else len(asked_s) <= 1
+    assert not robot.running
+
+
+def test_the_first_start_after_an_error_need_not_wait(robot: Robot, stream: Stream) -> None:
+    """Legs that still run would be stopped by the watchdog meanwhile."""
+    for _ in range(5):
+        robot.running = {2}
+        robot.publish_state()
+        with pytest.raises(StoppedError):
+            stream.set({1: POSE, 2: POSE})
+        stream.start_again()
+        begun_s = robot.now_s
+        stream.set({1: POSE, 2: POSE})
+        assert robot.now_s - begun_s <= PERIOD_S + 1e-9
+        assert robot.running == {1, 2}
+
+
+def test_wrong_angles_wait_for_the_tick_as_well(robot: Robot, stream: Stream) -> None:
+    for wrong, error in (({1: (90, 45, 181)}, RejectedError), ({7: POSE}, RejectedError), ({1: "abc"}, TypeError)):
+        before_s = robot.now_s
+        with pytest.raises(error):
+            stream.set(wrong)
+        assert robot.now_s - before_s == pytest.approx(PERIOD_S)
+
+
+def ends(robot: Robot, stream: Stream, happens: Callable[[Robot], None]) -> GatewayError:
+    happens(robot)
+    with pytest.raises(GatewayError) as error:
+        stream.set({1: POSE, 2: POSE})
+    return error.value
+
+
+@pytest.mark.parametrize("happens", [estopped, vanished])
+def test_recover_waits_for_the_end_of_the_cause_and_the_next_set_starts(
+    robot: Robot, stream: Stream, happens: Callable[[Robot], None]
+) -> None:
+    assert ends(robot, stream, happens).__notes__ == [AGAIN]
+    robot.requests_s.clear()
+    begun_s = robot.now_s
+    monotonic = robot.monotonic
+
+    def ended_after_4_s() -> float:
+        if monotonic() >= begun_s + 4:
+            robot.connected = robot.answers = True
+            robot.changed, robot.rejects = {}, None
+        return monotonic()
+
+    robot.monotonic = ended_after_4_s  # type: ignore[method-assign]
+    stream.recover(timeout_s=10)
+    assert 4 <= robot.now_s - begun_s <= 4.5
+    assert len(robot.requests_s) <= 2 * 4.5 + 1
+    assert robot.asked == ["start"], "it neither resets nor starts"
+    assert not robot.running
+    stream.set({1: POSE, 2: POSE})
+    assert robot.running == {1, 2}
+    stream.recover(timeout_s=0)  # without an error it does nothing
+
+
+@pytest.mark.parametrize(
+    ("happens", "sentence"),
+    [
+        (
+            estopped,
+            "emergency stop: nothing moves until a person runs `hexapod-gateway reset --connect tcp/192.0.2.7:7447`; "
+            "the emergency stop was engaged by bert",
+        ),
+        (vanished, "no gateway answered"),
+    ],
+)
+def test_recover_raises_what_is_still_so_after_its_time(
+    robot: Robot, stream: Stream, happens: Callable[[Robot], None], sentence: str
+) -> None:
+    first, begun_s = ends(robot, stream, happens), robot.now_s
+    with pytest.raises(GatewayError) as error:
+        stream.recover(timeout_s=3)
+    assert str(error.value) == sentence
+    assert error.value.__cause__ is first
+    assert robot.now_s - begun_s == pytest.approx(3, abs=PERIOD_S)
+    assert stream.is_over
+
+
+def by_bert(robot: Robot) -> None:
+    """His Stop, 0.2 s ago."""
+    legs = range(1, 7)
+    changed = event(Kind.SOURCE_CHANGED, "leg 1 is commanded by bert, and was by anna's laptop", "bert")
+    for leg in legs:
+        robot.publish_event(changed.model_copy(update={"legs": (leg,)}))
+    robot.now_s += 0.2
+    robot.running = set()
+    report = robot.report()
+    stopped = tuple(leg.model_copy(update={"source": "bert"}) for leg in report.legs)
+    robot.changed = {"legs": stopped}
+    robot.publish_state()
+
+
+def test_recover_undoes_nobodys_stop(robot: Robot, stream: Stream) -> None:
+    error = ends(robot, stream, by_bert)
+    assert error.__notes__ == [DECIDES]
+    robot.changed = {}
+    requests, begun_s = len(robot.requests_s), robot.now_s
+    with pytest.raises(StoppedError, match="bert stopped"):
+        stream.recover(timeout_s=100)
+    assert (len(robot.requests_s), robot.now_s) == (requests, begun_s)
+
+
+# ---- who, what, and how long ago
+
+
+def test_somebodys_stop_names_them_the_legs_and_how_long_ago(robot: Any) -> None:
+    with Stream(robot, HZ) as stream:
+        stream.set([POSE] * 6)
+        error = ends(robot, stream, by_bert)
+        assert isinstance(error, StoppedError)
+        assert str(error) == "bert stopped all legs, 0.2 s ago"
+        assert (error.by, error.cause, error.legs) == ("bert", STOP, (1, 2, 3, 4, 5, 6))
+        robot.now_s += 3
+        assert str(error) == "bert stopped all legs, 3.2 s ago", "when it is shown again"
+        assert error.lasting == "bert stopped all legs"
+
+
+@pytest.mark.parametrize(
+    ("who", "sentence"),
+    [
+        ("anna's laptop", "anna's laptop (this program) stopped legs 1 and 2"),
+        (None, "the gateway, or somebody without a name, stopped legs 1 and 2"),
+    ],
+)
+def test_a_stop_of_the_own_program_and_one_without_a_name(
+    robot: Robot, stream: Stream, who: str | None, sentence: str
+) -> None:
+    robot.running = set()
+    legs = tuple(leg.model_copy(update={"source": who}) for leg in robot.report().legs)
+    robot.changed = {"legs": legs}
+    robot.publish_state()
+    with pytest.raises(StoppedError) as error:
+        stream.set({1: POSE, 2: POSE})
+    assert (str(error.value), error.value.by, error.value.cause) == (sentence, who, STOP)
+
+
+def newer(kind: Kind, detail: str, source: str | None = None, *legs: int) -> Event:
+    return event(kind, detail, source).model_copy(update={"time": WALL + timedelta(hours=1), "legs": legs})
+
+
+def test_the_watchdogs_events_of_all_legs_are_one_sentence(robot: Any) -> None:
+    with Stream(robot, HZ) as stream:
+        stream.set([POSE] * 6)
+        for leg in range(1, 7):
+            robot.publish_event(newer(Kind.WATCHDOG_EXPIRED, f"leg {leg} was not heard for 250 ms", None, leg))
+        robot.now_s += 0.1 - PERIOD_S
+        with pytest.raises(StoppedError) as error:
+            stream.set([POSE] * 6)
+        assert str(error.value) == "the watchdog stopped all legs (no command in 250 ms), 0.1 s ago"
+        assert (error.value.by, error.value.cause) == (None, "watchdog_expired")
+
+
+def test_each_cause_is_named_once_and_the_one_that_a_person_decides_about_counts(robot: Robot, stream: Stream) -> None:
+    robot.publish_event(newer(Kind.ESTOP_ENGAGED, "emergency stop", "bert", 1, 2))
+    for _ in range(3):
+        robot.publish_event(newer(Kind.FALLEN, "the robot has fallen", None, 1, 2))
+    with pytest.raises(StoppedError) as error:
+        stream.set({1: POSE, 2: POSE})
+    assert error.value.lasting == "the emergency stop was engaged by bert; the robot has fallen"
+    assert (error.value.by, error.value.cause, error.value.legs) == (None, "fallen", (1, 2))
+    with pytest.raises(StoppedError):
+        stream.recover(timeout_s=100)
+
+
+def test_a_stream_reports_its_jitter_and_a_short_repr(robot: Robot, stream: Stream) -> None:
+    go_on(robot, stream, 1.0)
+    assert stream.jitter.max_ms < 1
+    robot.now_s += 1.4 * PERIOD_S
+    stream.set({1: POSE, 2: POSE})
+    assert stream.jitter.p50_ms < 1
+    assert stream.jitter.max_ms == pytest.approx(0.4 * PERIOD_S * 1000, abs=1e-3)
+    assert repr(stream) == "<Stream 50 Hz, open, legs 1 and 2 started, 0 missed>"

@@ -1,4 +1,4 @@
-"""Starts without `sent_ms` that a link has held back: of a burst, a leg that does not run takes none (Behaviour 19)."""
+"""Starts without `sent_ms` that a link has held back: of a burst, a leg that does not run takes none."""
 
 import asyncio
 import random

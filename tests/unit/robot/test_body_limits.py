@@ -24,7 +24,7 @@ def body(**changes: Any) -> Steps:
 
 def test_without_a_limit_no_measurement_is_wanted_and_none_decides_anything() -> None:
     steps = body(min_battery_mv=0, max_tilt_cdeg=0)
-    assert not steps.supervisor.wants_measurements
+    assert not steps.supervisor.body.watches
     assert steps.measure(20, 180, 0) == []
     assert steps.measure(240, 180, 0) == []
     assert steps.command(250, leg_to(4, "start 90")) == ["command 4 start 90", "completed 2"]
@@ -32,7 +32,7 @@ def test_without_a_limit_no_measurement_is_wanted_and_none_decides_anything() ->
 
 @pytest.mark.parametrize("limit", [{"min_battery_mv": 1}, {"max_tilt_cdeg": 1}])
 def test_with_one_limit_measurements_are_wanted(limit: dict[str, Any]) -> None:
-    assert Supervisor(Rules(**limit)).wants_measurements
+    assert Supervisor(Rules(**limit)).body.watches
 
 
 # ---- the battery

@@ -6,6 +6,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED, Buttons
 from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
 from tests.support.steps import Steps, all_stopped, leg_to
 
@@ -65,10 +66,10 @@ def test_a_stop_needs_no_button_and_a_reset_does() -> None:
 def test_the_rejection_names_how_many_are_missing() -> None:
     robot = watched(required=3)
     found = robot.supervisor.buttons
-    assert found.rejection()[1].startswith("1 of the 3 buttons that are required is alive")
+    assert found._too_few()[1].startswith("1 of the 3 buttons that are required is alive")
     robot.button(1, "register", "hall")
     robot.button(1, "alive", "hall", 0)
-    assert found.rejection()[1].startswith("2 of the 3 buttons that are required are alive")
+    assert found._too_few()[1].startswith("2 of the 3 buttons that are required are alive")
 
 
 def test_where_none_is_required_buttons_come_and_go_and_stop_nothing() -> None:
@@ -238,10 +239,12 @@ def test_one_that_is_older_than_the_timeout_is_rejected() -> None:
 
 
 def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
-    found = Buttons(rules())
-    found.grant(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", fresh_token=KITCHEN), 0)
+    found, legs = Buttons(rules()), Supervisor(rules()).legs
+    found.take(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", fresh_token=KITCHEN), 0, legs)
     check_in = ButtonRequest(ButtonDo.ALIVE, 5, token=KITCHEN, count=1)
-    assert found.grant(check_in, 5 + TIMEOUT_MS * NS_PER_MS)[1].reason is Reason.STALE
+    (answer,) = found.take(check_in, 5 + TIMEOUT_MS * NS_PER_MS, legs)
+    assert isinstance(answer, RequestAnswer)
+    assert answer.reason is Reason.STALE
     assert found.alive == 0
 
 
@@ -274,7 +277,8 @@ def test_at_the_end_requests_are_rejected() -> None:
 
 def offset_of(rise_ms: list[tuple[float, float]]) -> float:
     """How late a button's last message counts as sent, in ms: its messages come at (s) with so much delay (ms)."""
-    buttons = Buttons(Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS))
+    rules = Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS)
+    buttons, legs = Buttons(rules), Supervisor(rules).legs
     for number, (at_s, delay_ms) in enumerate(rise_ms):
         received_ns = round(at_s * 1e9)
         do = ButtonDo.ALIVE if number else ButtonDo.REGISTER
@@ -287,9 +291,11 @@ def offset_of(rise_ms: list[tuple[float, float]]) -> float:
             count=number,
             sent_ms=at_s * 1000 - delay_ms,
         )
-        assert buttons.grant(request, received_ns)[1].reason is None
+        answer = buttons.take(request, received_ns, legs)[-1]
+        assert isinstance(answer, RequestAnswer)
+        assert answer.reason is None
         if number:
-            buttons.expire(received_ns)
+            buttons.expire(received_ns, legs)
     assert buttons.due_ns is not None
     return TIMEOUT_MS - (buttons.due_ns - round(rise_ms[-1][0] * 1e9)) / NS_PER_MS
 
@@ -302,16 +308,17 @@ def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> No
 @pytest.mark.parametrize("hours", [1, 10])
 def test_check_ins_that_are_held_back_ever_longer_are_old(hours: int) -> None:
     """0.19 ms more each second is less than a slow clock may lose, and was 6.8 s after ten hours."""
-    buttons = Buttons(Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS))
+    rules = Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS)
+    buttons, legs = Buttons(rules), Supervisor(rules).legs
     token = "0" * 32
-    buttons.grant(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", sent_ms=0, fresh_token=token), 0)
+    buttons.take(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", sent_ms=0, fresh_token=token), 0, legs)
     counts_ms = 0.0
     for second in range(1, hours * 3600):
         sent_ms, held_back_ms = second * 1000, 0.19 * second
         came_ns = round((sent_ms + held_back_ms) * NS_PER_MS)
-        buttons.expire(came_ns)
+        buttons.expire(came_ns, legs)
         check_in = ButtonRequest(ButtonDo.ALIVE, came_ns, token=token, count=second, sent_ms=sent_ms)
-        buttons.grant(check_in, came_ns)
+        buttons.take(check_in, came_ns, legs)
         if buttons.due_ns is not None:
             counts_ms = max(counts_ms, buttons.due_ns / NS_PER_MS - sent_ms)
     assert counts_ms <= 1.25 * TIMEOUT_MS + 1

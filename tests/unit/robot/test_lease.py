@@ -5,6 +5,7 @@ import pytest
 from gateway.robot.core.events import Do, LeaseRequest, RequestAnswer
 from gateway.robot.core.lease import MOST_ASKERS, RobotLease
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Kind
 from tests.support.steps import Steps, all_stopped, leg_to, servo_to
 
@@ -212,12 +213,12 @@ def test_a_takeover_stops_all_legs_also_where_nobody_holds_it_or_it_is_handed_ov
 
 
 def test_its_end_without_a_supervisor() -> None:
-    lease = RobotLease(Rules(lease_ttl_ns=100))
-    assert (lease.verified, lease.expire(0)) == (False, [])
+    lease, legs = RobotLease(Rules(lease_ttl_ns=100)), Supervisor(Rules()).legs
+    assert (lease.verified, lease.due_ns) == (False, None)
     lease.grant(LeaseRequest(Do.ACQUIRE, "anna", fresh_token=ANNA), 0)
-    assert lease.expire(99) == []
+    assert lease.expire(99, legs) == []
     lease.grant(LeaseRequest(Do.ASK, "bert"), 50)
-    assert (len(lease.expire(100)), lease.holder, lease.asked_by) == (1, None, None)
+    assert (len(lease.expire(100, legs)), lease.holder, lease.asked_by) == (1, None, None)
 
 
 # ---- the table, and secrets
@@ -257,3 +258,10 @@ def test_the_end_of_the_service_ends_it() -> None:
     assert robot.supervisor.lease.holder is None
     assert robot.due_ms is None
     assert robot.lease(3, "take bert", fresh=BERT) == ["stopping"]
+
+
+def test_what_others_had_waiting_is_dropped_for_a_new_holder() -> None:
+    robot = Steps()
+    robot.command(1, leg_to(3, "start 90"))
+    assert robot.command(2, leg_to(3, "set 95")) == [], "it waits for its rate slot"
+    assert robot.lease(3, "acquire anna", fresh=ANNA)[0] == "rejected 2 not_holder"

@@ -184,7 +184,7 @@ def test_no_deadline_is_overslept_whichever_thread_set_it(order: int) -> None:
         gateway.put(keys.leg_command(2), START)
 
     gateway.play(zenoh)
-    assert gateway.conductor.supervisor.expirations == 2
+    assert gateway.conductor.supervisor.watchdog.expirations == 2
     assert gateway.controller.energised == set()
     late_us = gateway.conductor.metrics.watchdog_stops.max_us
     assert late_us is not None

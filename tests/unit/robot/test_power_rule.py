@@ -9,10 +9,20 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import SETS, STARTS
-from gateway.robot.core.events import Announce, BusOpened, Command, PowerSeen, TimePassed, Transmit
+from gateway.robot.core.events import (
+    Announce,
+    BusOpened,
+    Command,
+    Completed,
+    PowerSeen,
+    Rejected,
+    Reset,
+    TimePassed,
+    Transmit,
+)
 from gateway.robot.core.latch import Latch
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.power import PowerRule
+from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Mode
 from tests.support.steps import Steps, all_stopped, leg_to, legs_to, servo_to
@@ -288,12 +298,22 @@ def test_a_reset_leaves_the_emergency_stop_that_it_was_certainly_sent_after(
     names: int | None, age_ms: int, why: str | None
 ) -> None:
     rules = Rules(unnumbered_reset_ns=2000 * NS_PER_MS)
-    latched_ns = 5 * NS_PER_MS
-    latch = Latch(rules)
-    latch.number, latch.since_ns = 3, latched_ns
-    assert latch.why_not_left(names, latched_ns + age_ms * NS_PER_MS) == why
+    legs, latch = Supervisor(rules).legs, Latch(rules)
+    latch.number, latch.since_ns = 3, 5 * NS_PER_MS
+    legs.begin(latch.since_ns + age_ms * NS_PER_MS)
+    last = latch.take(Reset(estop=names), 0, legs)[-1]
+    assert (last.detail if isinstance(last, Rejected) else None) == why
 
 
 def test_without_an_emergency_stop_no_reset_is_too_old() -> None:
-    assert Latch(Rules()).why_not_left(None, 0) is None
-    assert Latch(Rules()).why_not_left(7, 0) is None
+    for estop in (None, 7):
+        reset = Reset(estop=estop)
+        assert Latch(Rules()).take(reset, 0, Supervisor(Rules()).legs) == [Completed(reset)]
+
+
+def test_a_start_that_is_not_fed_is_stopped_ahead_of_a_landing() -> None:
+    """Its leg is not what the robot lands for, and stands on nothing."""
+    steps = fed(landing_ns=500 * NS_PER_MS, feed_ns=240 * NS_PER_MS)
+    steps.command(20, leg_to(1, "start 90"))
+    assert steps.time(261)[:1] == ["watchdog 1 stop"]
+    assert steps.supervisor.legs.landing is not None

@@ -1,4 +1,4 @@
-"""Stops to legs at rest (Behaviour 4): a servo that nobody started does not stay on."""
+"""Stops to legs at rest (*Legs at rest*): a servo that nobody started does not stay on."""
 
 import asyncio
 from itertools import pairwise

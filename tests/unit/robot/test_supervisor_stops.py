@@ -27,7 +27,7 @@ def test_a_silent_leg_is_stopped() -> None:
     assert robot.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
     assert robot.only(Announce).legs == (1,)
     assert robot.supervisor.mode is Mode.IDLE
-    assert robot.supervisor.expirations == 1
+    assert robot.supervisor.watchdog.expirations == 1
     assert robot.due_ms is None
     assert watchdog_of(robot) == [EXPIRED, IDLE, IDLE, IDLE, IDLE, IDLE]
 
@@ -81,7 +81,7 @@ def test_one_silent_leg_stops_all_six_where_the_scope_is_the_robot() -> None:
     assert robot.time(350) == [*all_stopped("watchdog"), "rejected 3 stale", "announce watchdog_expired"]
     assert robot.only(Announce).legs == tuple(LEGS)
     assert watchdog_of(robot) == [EXPIRED, EXPIRED, IDLE, IDLE, IDLE, IDLE]
-    assert robot.supervisor.expirations == 1
+    assert robot.supervisor.watchdog.expirations == 1
 
 
 def test_every_stop_is_repeated() -> None:

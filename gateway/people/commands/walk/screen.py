@@ -305,7 +305,8 @@ class WalkScreen:
                 else:
                     self._driven.wait(_TICK_S)
             except (GatewayError, RuntimeError) as error:
-                self._message = str(error) if self._walk.error is None else f"{error}; g goes on"
+                said = error.lasting if isinstance(error, GatewayError) else str(error)
+                self._message = said if self._walk.error is None else f"{said}; g goes on"
                 self._pad.release()
 
     # ---- drawing

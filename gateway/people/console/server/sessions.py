@@ -8,8 +8,8 @@ Ages are by the time since the boot, so a wall clock that is set (a Raspberry Pi
 out, and STOP ALL stays in reach. Only across a reboot an age is by the wall clock, where that has not gone back.
 """
 
-import fcntl
 import hashlib
+import importlib
 import os
 import secrets
 import time
@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -32,7 +32,7 @@ LINK_S: Final = 600
 MAX_ENTRIES: Final = 256
 """Of sessions, and of links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
-_LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC
+_LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
@@ -225,7 +225,7 @@ class Sessions:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
                 durable.like_the_folder(self.path, lock.fileno())
-                fcntl.flock(lock, fcntl.LOCK_EX)
+                _lock(lock.fileno())
                 now = self._now()
                 found = self._load() if self.path.exists() else _Entries()
                 before = found.model_copy(update={"links": _links(found, now), "sessions": _sessions(found, now)})
@@ -236,6 +236,17 @@ class Sessions:
                 "so make the folder writable or name another (STATE_DIRECTORY)"
             ) from error
         return before
+
+
+def _lock(descriptor: int) -> None:
+    """Wait for the lock; it ends with the descriptor. Raises OSError."""
+    try:
+        import fcntl  # noqa: PLC0415
+    except ImportError:  # Windows
+        windows: Any = importlib.import_module("msvcrt")
+        windows.locking(descriptor, windows.LK_LOCK, 1)
+    else:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
 
 
 def write_private(path: Path, content: str) -> None:
@@ -250,7 +261,7 @@ def folder() -> Path:
     """Where the files are kept: the service's state directory, or the user's."""
     if given := os.environ.get("STATE_DIRECTORY"):
         return Path(given.partition(":")[0])
-    if os.geteuid() == 0 and STATE_DIRECTORY.is_dir():
+    if hasattr(os, "geteuid") and os.geteuid() == 0 and STATE_DIRECTORY.is_dir():
         return STATE_DIRECTORY
     home = os.environ.get("XDG_STATE_HOME")
     return (Path(home) if home else Path.home() / ".local" / "state") / "hexapod-gateway"

@@ -131,11 +131,17 @@ def free_address(address: str = DEFAULT_ADDRESS) -> str:
 
 def _is_free(address: str, port: int) -> bool:
     with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe, suppress(OSError):
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as the console itself
+        share_no_port(probe)  # as the console itself
         probe.bind((address, port))
         probe.listen()
         return True
     return False
+
+
+def share_no_port(own: socket.socket) -> None:
+    """Bind at once after an earlier console, but never beside one: SO_REUSEADDR would allow that on Windows."""
+    exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
+    own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR if exclusive is None else exclusive, 1)
 
 
 def _is_loopback(address: str) -> bool:

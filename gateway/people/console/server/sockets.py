@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Final
 
 from gateway.errors import AddressTakenError, ConfigError
-from gateway.people.console.server.site import LOCALHOST, Site, address_of, with_port
+from gateway.people.console.server.site import LOCALHOST, Site, address_of, share_no_port, with_port
 
 BACKLOG: Final = 64
 """Connections that the kernel queues; it drops further ones."""
@@ -88,7 +88,8 @@ def listening(site: Site, passed: Sequence[socket.socket] = ()) -> Iterator[Sequ
 
 def _prepare(listening: socket.socket) -> None:
     """Set what its connections inherit, and listen."""
-    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER_BYTES)
     listening.listen(BACKLOG)
@@ -104,7 +105,7 @@ def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
         raise ConfigError(f"--listen: {address} is no address of this machine: {error.strerror}") from error
     try:
         listening = stack.enter_context(socket.socket(family, kind))
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        share_no_port(listening)
         listening.bind(place)
         _prepare(listening)
     except OSError as error:

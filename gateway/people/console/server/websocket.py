@@ -52,7 +52,8 @@ class WebSocket(web.WebSocketResponse):
         """Answer the request."""
         await self.prepare(request)
         connection: socket.socket = self.get_extra_info("socket")
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
+        if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # not on Windows
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
 
     async def take(self) -> str:
         """The next text message. Raises ClosedError, and EndError for what no page sends."""

@@ -1,0 +1,148 @@
+"""Why a program's legs were stopped, or why the gateway accepts no commands: who, what, and how it ends. Pure."""
+
+import time
+from collections.abc import Collection, Iterable
+from typing import Final, NamedTuple
+
+from gateway.errors import GatewayError, LeaseLostError, RejectedError, StoppedError
+from gateway.text import legs_named
+from schemas.telemetry import Event, GatewayState, Kind, Mode, Reason
+
+ALL_STOPPED: Final = (
+    Kind.ESTOP_ENGAGED,
+    Kind.BUS_FAULT,
+    Kind.CONTROLLER_SILENT,
+    Kind.CONTROLLER_RESTARTED,
+    Kind.FALLEN,
+    Kind.OFF_BUTTON,
+    Kind.STOPPED_OUTSIDE,
+    Kind.STOPPING,
+)
+"""Events of a gateway that has stopped all legs."""
+STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
+"""Events of single legs that the gateway stopped by a rule of its own."""
+STOP: Final = "stop"
+"""The cause of a StoppedError if somebody sent a Stop."""
+AGAIN: Final = "start_again() goes on; recover() of a stream waits until the cause is over, and goes on then"
+"""A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
+DECIDES: Final = "start_again() goes on, which a person decides"
+"""The note where time does not end the cause."""
+_PASSING_CAUSES: Final = frozenset(
+    {
+        Kind.WATCHDOG_EXPIRED,
+        Kind.OVERFLOW,
+        Kind.ESTOP_ENGAGED,  # ended by a person's reset
+        Kind.BUS_FAULT,
+        Kind.CONTROLLER_SILENT,
+        Kind.CONTROLLER_RESTARTED,
+        Kind.STOPPING,
+        Kind.STARTED,
+    }
+)
+"""A fallen robot and the board's button are missing: somebody may have a hand at the robot."""
+_PASSING_REASONS: Final = frozenset(
+    {
+        Reason.ESTOPPED,
+        Reason.BUS_FAULT,
+        Reason.STOPPING,
+        Reason.NOT_HOLDER,
+        Reason.NO_BUTTON,
+        Reason.NO_POWER,
+        Reason.LANDING,
+        Reason.OVERFLOW,
+        Reason.STALE,
+    }
+)
+
+
+def passes(error: GatewayError) -> bool:
+    """Whether the cause of an error ends without this program: only then may the program go on by itself."""
+    if isinstance(error, StoppedError):
+        return error.cause in _PASSING_CAUSES
+    if isinstance(error, RejectedError):
+        return not isinstance(error, LeaseLostError) and error.reason in _PASSING_REASONS
+    return True
+
+
+class ReceivedEvent(NamedTuple):
+    """An event, and when it was received (monotonic)."""
+
+    event: Event
+    received_s: float
+
+
+def stopped_by(who: str | None, own: str, legs: Collection[int], at_s: float | None = None) -> StoppedError:
+    """The error for somebody's Stop. `who`: its source; `own`: this program's; `at_s`: when, if known."""
+    name = f"{who} (this program)" if who == own else who or "the gateway, or somebody without a name,"
+    return StoppedError(f"{name} stopped {legs_named(legs)}", legs, who, STOP, at_s)
+
+
+def expired(legs: Collection[int], timeout_ms: float, at_s: float | None = None) -> StoppedError:
+    """The error for legs that the watchdog has stopped."""
+    sentence = f"the watchdog stopped {legs_named(legs)} (no command in {timeout_ms:g} ms)"
+    return StoppedError(sentence, legs, None, Kind.WATCHDOG_EXPIRED, at_s)
+
+
+def reported(stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms: float) -> StoppedError:
+    """The error for all events that stopped legs of a stream, each cause once. `started`: the stream's legs."""
+    causes: dict[tuple[str, str | None], list[ReceivedEvent]] = {}
+    for each in stops:
+        causes.setdefault((each.event.kind, each.event.source), []).append(each)
+    errors = []
+    for (kind, who), found in causes.items():
+        event, at_s = found[-1]
+        legs = frozenset[int]().union(*(started.intersection(each.event.legs) or started for each in found))
+        if kind == Kind.WATCHDOG_EXPIRED:
+            errors.append(expired(legs, timeout_ms, at_s))
+        else:
+            errors.append(StoppedError(happened(event), legs, who, kind, at_s))
+    chief = next((each for each in errors if not passes(each)), errors[0])
+    legs = frozenset[int]().union(*(each.legs for each in errors))
+    return StoppedError("; ".join(each.lasting for each in errors), legs, chief.by, chief.cause, errors[-1].at_s)
+
+
+def happened(event: Event) -> str:
+    """The sentence of an event that stopped legs, in past tense: an error may be shown for long."""
+    if event.kind == Kind.ESTOP_ENGAGED:
+        return _engaged(event.source)
+    continues = event.kind in (Kind.STOPPED_OUTSIDE, Kind.STOPPING)  # with the state that followed
+    return event.detail.partition("; ")[0] if continues else event.detail
+
+
+def unready(state: GatewayState, legs: Collection[int] = ()) -> StoppedError | None:
+    """Why the gateway accepts no commands in this state, and `legs` do not run; None: it accepts them."""
+    match state.mode:
+        case Mode.IDLE | Mode.ACTIVE:
+            return None
+        case Mode.ESTOPPED:
+            since = state.estop_since
+            at_s = None if since is None else time.monotonic() - (state.time - since).total_seconds()
+            by = state.estop_source
+            return StoppedError(_engaged(by), legs, by, Kind.ESTOP_ENGAGED, at_s)
+        case Mode.BUS_FAULT if state.controller.alive is False:
+            return StoppedError("the controller fell silent", legs, None, Kind.CONTROLLER_SILENT)
+        case Mode.BUS_FAULT:
+            return StoppedError("the SPI bus did not answer", legs, None, Kind.BUS_FAULT)
+        case _:
+            return StoppedError("the gateway ended, or was started anew", legs, None, Kind.STOPPING)
+
+
+def until_reset(error: StoppedError, reset: str) -> StoppedError:
+    """The same error, with the command by which a person ends an emergency stop."""
+    if error.cause != Kind.ESTOP_ENGAGED:
+        return error
+    sentence = f"emergency stop: nothing moves until a person runs `{reset}`; {error.lasting}"
+    return StoppedError(sentence, error.legs, error.by, error.cause, error.at_s)
+
+
+def not_free(state: GatewayState) -> RejectedError | None:
+    """Why a program without a lease cannot start legs although the gateway accepts commands."""
+    if state.lease.holder is not None:
+        return RejectedError(Reason.NOT_HOLDER, f"{state.lease.holder} holds the lease")
+    if state.buttons.alive < state.buttons.required:
+        return RejectedError(Reason.NO_BUTTON, f"{state.buttons.alive} of {state.buttons.required} stop buttons live")
+    return None
+
+
+def _engaged(who: str | None) -> str:
+    return f"the emergency stop was engaged by {who or 'somebody'}"

@@ -1,0 +1,32 @@
+"""`stop-servos` at work on the same device: all legs count as stopped, and get a Stop from here too. Pure.
+
+One may have been started after its Stop from outside. Until that program is known to have ended, no Start or Set is
+taken: one of its Stops may still come, and would undo it unseen.
+"""
+
+from typing import Any, Final
+
+from gateway.robot.core.events import Announce, Calibrate, Command, Effect, StoppedOutside
+from gateway.robot.core.interlock import Halt, Interlock, Why
+from gateway.robot.core.legs import Legs
+from schemas.telemetry import Cause, Kind, Reason
+
+_OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
+
+
+class Outside(Interlock[StoppedOutside]):
+    """Whether it is at work: then it is `closed`."""
+
+    takes = (StoppedOutside,)
+    bars = (Command, Calibrate)
+
+    def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
+        return Reason.SERVO_STOPPED, _OUTSIDE
+
+    def halts(self, event: StoppedOutside) -> Halt | None:
+        return Halt(Cause.REPEAT, Reason.SERVO_STOPPED, _OUTSIDE) if event.at_work else None
+
+    def take(self, event: StoppedOutside, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+        before, self.closed = self.closed, event.at_work
+        detail = "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
+        return [Announce(Kind.STOPPED_OUTSIDE, detail)] if self.closed and not before else []

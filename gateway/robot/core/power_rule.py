@@ -1,0 +1,61 @@
+"""Nothing starts or moves that the power board does not feed, and what it feeds no longer is stopped. Pure.
+
+A servo that is not fed does not count as running: fed again, it would jump to its angle, and nobody asked for that.
+"""
+
+from collections.abc import Collection, Mapping
+from typing import Any, Final
+
+from gateway.robot.core.events import Effect, PowerSeen
+from gateway.robot.core.interlock import Down, Halt, Interlock, Why
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
+from gateway.robot.core.power import unfed_since
+from schemas.telemetry import Cause, Reason
+
+SILENT: Final = "the power board does not answer"
+LOST: Final = "the power board does not feed it any more"
+UNFED: Final = "the power board has not confirmed that it is fed"
+
+
+class PowerRule(Interlock[PowerSeen]):
+    """Whether the board feeds what is to move."""
+
+    takes = (PowerSeen,)
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        self.alive = not rules.power
+        self.closed = rules.power
+        self._refused: Mapping[int, str] = {}
+
+    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
+        if not self.alive:
+            return Reason.NO_POWER, SILENT
+        for servo_id, _ in request.moves:
+            if servo_id in self._refused:
+                return Reason.NO_POWER, f"servo {servo_id} is not fed: {self._refused[servo_id]}"
+        return None
+
+    def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:
+        if legs.landing is not None:
+            return []
+        return self._stop(unfed_since(legs, now_ns - self._rules.feed_ns), UNFED, now_ns, legs)
+
+    def halts(self, event: PowerSeen) -> Halt | None:
+        return Halt(Cause.WATCHDOG, Reason.NO_POWER, event.doubt) if event.doubt else None
+
+    def take(self, event: PowerSeen, now_ns: int, legs: Legs) -> list[Effect]:
+        self.alive, self._refused = event.alive, dict(event.refused)
+        self.closed = not event.alive or bool(event.refused)
+        self.down = None if event.alive else Down(SILENT, None, Reason.NO_POWER, SILENT)
+        legs.note_fed(event.fed)
+        if not (legs.sends and event.alive):
+            return []
+        lost = {each // 10 for each in (*event.lost, *self._refused) if legs.servos[each].will_run}
+        return [*self._stop(lost, LOST, now_ns, legs), *legs.start_fed(now_ns)]
+
+    def _stop(self, unfed: Collection[int], detail: str, now_ns: int, legs: Legs) -> list[Effect]:
+        """Stop these legs; all six, where they are only stopped as a whole."""
+        due = dict.fromkeys(legs.by_number if unfed and self._rules.stops_whole else sorted(unfed))
+        return legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, detail) if due else []

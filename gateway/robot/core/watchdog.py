@@ -1,0 +1,96 @@
+"""Silence stops a leg; where a landing is configured, the robot lands first. Pure.
+
+A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for the
+timeout. A Stop for one servo does not keep the others of its leg running.
+
+Once a leg or a button falls silent, or the body is tilted, the whole robot goes down, also legs still commanded: on
+five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what comes is
+rejected) nor a second leg's silence (whose own Stop would come later than this one).
+"""
+
+from typing import Any, Final, Never
+
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, Calibrate, Command, Effect
+from gateway.robot.core.interlock import Down, Interlock, Why, nothing_to_stop
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.legs import Legs
+from schemas.robot import LEGS
+from schemas.telemetry import Cause, Kind, Reason
+
+_ALL: Final = tuple(LEGS)
+_LANDING: Final = "the robot lands; start it once all legs are stopped"
+
+
+class Watchdog(Interlock[Never]):
+    """The legs' deadlines, and a landing under way: then it is `closed`."""
+
+    bars = (Command, Calibrate)
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        self.expirations = 0
+        """Legs that were silent for the timeout."""
+
+    def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
+        return Reason.LANDING, _LANDING
+
+    def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:
+        if legs.landing is not None:
+            return self._touch_down(legs.landing.ends_ns, now_ns, legs)
+        rules = self._rules
+        deadlines = {
+            leg.number: deadline for leg in legs if (deadline := leg.deadline_ns(rules.timeout_ns)) is not None
+        }
+        silent = {number: deadline for number, deadline in deadlines.items() if now_ns >= deadline}
+        if not silent:
+            return []
+        self.expirations += len(silent)
+        timeout_ms = rules.timeout_ns / NS_PER_MS
+        first = min(silent.values())
+        ends_ns = first + rules.landing_ns
+        if now_ns < ends_ns and legs.running:
+            why = f"leg {min(silent)} was not heard for {timeout_ms:g} ms"
+            return _begin_landing(why, ends_ns, now_ns, legs, rules)
+        due = {leg.number: silent.get(leg.number, first) for leg in legs} if rules.stops_whole else silent
+        expired = [leg for leg in legs if leg.number in due and leg.armed]
+        detail = "the command was pending longer than the watchdog allows"
+        effects = legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
+        for leg in expired:
+            leg.expired = True
+        whole = "; all six legs are stopped" if rules.stops_whole else "; it is stopped"
+        whole += ", since this robot can only be stopped as a whole" if rules.starts_whole else ""
+        for number in silent:
+            detail = f"leg {number} was not heard for {timeout_ms:g} ms{whole}"
+            stopped = _ALL if rules.stops_whole else (number,)
+            effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
+        return effects
+
+    def _touch_down(self, ends_ns: int, now_ns: int, legs: Legs) -> list[Effect]:
+        if now_ns < ends_ns:
+            return []
+        moved = [leg for leg in legs if leg.armed]
+        legs.landing = None
+        effects = legs.stop(dict.fromkeys(legs.by_number, ends_ns), Cause.WATCHDOG, now_ns, Reason.LANDING, _LANDING)
+        for leg in moved:
+            leg.expired = True
+        detail = "the robot has landed; all six legs are stopped"
+        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]
+
+
+def bring_down(down: Down, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
+    """The robot lands, if something runs and there is time left; else all six legs are stopped."""
+    if nothing_to_stop(legs):
+        return []
+    since_ns = now_ns if down.since_ns is None else down.since_ns
+    ends_ns = since_ns + rules.landing_ns
+    if now_ns < ends_ns and legs.running:
+        return _begin_landing(down.why, ends_ns, now_ns, legs, rules)
+    due = dict.fromkeys(legs.by_number, since_ns)
+    return legs.stop(due, Cause.WATCHDOG, now_ns, down.reason, down.detail)
+
+
+def _begin_landing(why: str, ends_ns: int, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
+    dropped = legs.begin_landing(now_ns, ends_ns)
+    detail = f"{why}; the robot lands, and is stopped {rules.landing_ns / NS_PER_MS:g} ms later"
+    return [*dropped, Announce(Kind.LANDING, detail, legs=_ALL)]

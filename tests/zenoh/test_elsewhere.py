@@ -1,0 +1,96 @@
+"""Client and commands on macOS and Windows: without what only POSIX or Linux has (tests/support/elsewhere.py)."""
+
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.child import Child
+from tests.support.fixtures import gateway_fixture, patient
+from tests.support.gateway_process import Gateway, free_port
+
+gateway = gateway_fixture(patient(4000, lease={"ttl_ms": 10_000}))
+
+PROGRAM = """
+import asyncio
+from tests.support import elsewhere
+elsewhere.forget()
+from gateway.client import AsyncClient, Client
+POSE = [(90, 45, 120)] * 6
+with Client({endpoint!r}) as robot:
+    robot.wait_ready()
+    with robot.lease(), robot.stream(20) as stream:
+        stream.set(POSE)
+        stream.set(POSE)
+async def walks():
+    async with AsyncClient({endpoint!r}) as robot, robot.walk() as walk:
+        await walk.stand()
+asyncio.run(walks())
+print("done")
+"""
+
+
+def elsewhere(*arguments: str, **environment: str) -> Child:
+    """A command of ours there."""
+    command = [sys.executable, "-m", "tests.support.elsewhere", "gateway", *arguments]
+    return Child(command, {**os.environ, **environment})
+
+
+def test_a_program(gateway: Gateway) -> None:
+    child = Child([sys.executable, "-c", PROGRAM.format(endpoint=gateway.endpoint)], os.environ)
+    assert child.wait(60) == 0, child.stderr
+    child.close()
+    assert child.stdout == "done\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("send", "legs", "start", "90", "45", "120"), 0, "accepted"),
+        (("stop",), 0, "all six legs are stopped"),
+        (("status",), 0, "No servo runs"),
+        (("walk", "--forward", "0.05", "--seconds", "0.2"), 0, "walked 0.0"),
+        (("walk",), 1, "needs a Unix terminal; on Windows, run it in WSL, or give --seconds"),
+    ],
+    ids=["send", "stop", "status", "walk", "walk by keys"],
+)
+def test_a_command(gateway: Gateway, arguments: tuple[str, ...], code: int, said: str) -> None:
+    child = elsewhere(*arguments, "--connect", gateway.endpoint)
+    assert child.wait(60) == code, child.stderr
+    child.close()
+    assert said in child.stdout + child.stderr
+    assert "Traceback" not in child.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "begun"),
+    [
+        (("status", "--follow"), "No servo runs"),
+        (("record", "FILE"), "recording into"),
+        (("console", "--listen", "ADDRESS"), "The console is at http://"),
+    ],
+    ids=lambda each: each[0] if isinstance(each, tuple) else "",
+)
+def test_a_command_that_goes_on_until_ctrl_c(
+    gateway: Gateway, tmp_path: Path, arguments: tuple[str, ...], begun: str
+) -> None:
+    file = tmp_path / "ride.mcap"
+    given = [str(file) if each == "FILE" else each for each in arguments]
+    if arguments[0] == "console":
+        given[-1] = f"127.0.0.1:{free_port()}"
+    state = {"XDG_STATE_HOME": str(tmp_path)}
+    child = elsewhere(*given, "--connect", gateway.endpoint, **state)
+    child.wait_for_output(begun, timeout_s=60)
+    if arguments[0] == "console":
+        link = elsewhere("console", "--link", "--listen", given[-1], **state)
+        assert link.wait(60) == 0, link.stderr
+        link.close()
+        assert re.search(r"The console is at http://127\.0\.0\.1:\d+/\?token=", link.stdout)
+    child.send_signal(signal.SIGINT)
+    assert child.wait(60) == 0, child.stderr
+    child.close()
+    assert "Traceback" not in child.stderr
+    assert file.exists() == (arguments[0] == "record")
