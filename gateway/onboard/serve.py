@@ -20,8 +20,8 @@ from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
 from gateway.robot.settings import Settings
-from gateway.robot.spi import unreliable
-from gateway.robot.spi.unreliable import Faults
+from gateway.robot.spi import simulator
+from gateway.robot.spi.simulator import Faults
 from gateway.robot.zenoh_io.simulated_body import endpoint
 from gateway.zenoh_config import listen_endpoints
 
@@ -37,7 +37,7 @@ def serve(
 
     `body`: shape and masses of what the servos of a simulated controller move. `fault`: which of its transfers fail.
     """
-    faults = None if fault is None else unreliable.read(fault)
+    faults = None if fault is None else simulator.read(fault)
     settings = settings_file.load(config, simulated=simulated)
     _reach_by(settings.zenoh.listen)
     with ExitStack() as processes:

@@ -49,7 +49,7 @@ from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within,
 from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.robot.spi.unreliable import Faults
+from gateway.robot.spi.simulator import Faults
 from gateway.robot.zenoh_io import simulated_body
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox

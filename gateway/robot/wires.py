@@ -21,9 +21,8 @@ from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.elkapod_simulator import SimulatedElkapod, SimulatedUart
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.robot.spi.simulator import Faults, SimulatedController, UnreliableDevice
 from gateway.robot.spi.uart import SerialUart, Uart
-from gateway.robot.spi.unreliable import Faults, UnreliableDevice
 
 BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
 """How long the repeats of the first shutdown hold back elkapod-2025's frames."""

@@ -10,9 +10,8 @@ from gateway.geometry.kinematics import Vector, plus
 from gateway.geometry.model import MASSES, Masses
 from gateway.people.walking.gaits import TRIPODS
 from gateway.people.walking.inverse import Angles
-from gateway.people.walking.motion import BodyPose
+from gateway.people.walking.motion import BodyPose, scaled
 from gateway.people.walking.robot import LIFT_M, Pose, Robot, Stance
-from gateway.people.walking.vectors import scaled
 from gateway.people.walking.ways import ON_GROUND_M, Bend, Figure, Move, Shift, lowered, shift, steps
 from schemas.robot import LEGS
 

@@ -15,7 +15,7 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader
-from gateway.robot.blackbox import copies
+from gateway.robot.blackbox import recorder
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
@@ -150,7 +150,7 @@ def sequences(file: Path) -> list[int]:
 def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path: Path, newest: int) -> None:
     ring = tmp_path / RING_FILE
     filled(ring, newest)
-    copies.copy(ring, newest)
+    recorder.copy(ring, newest)
     (copy,) = copies_of(ring)
     records, damaged, _ = parse(copy.read_bytes())
     kept = list(range(max(1, newest - SLOTS // COPIED_SHARE + 1), newest + 1))
@@ -179,7 +179,7 @@ def test_a_copy_that_is_not_whole_is_left_out(
     monkeypatch.chdir(tmp_path)
     ring = tmp_path / RING_FILE
     filled(ring, 100)
-    copies.copy(ring, 100)
+    recorder.copy(ring, 100)
     filled(ring, 400, 101)
     assert sequences(ring)[0] == 81
     spoil(copies_of(ring)[0])
@@ -189,7 +189,7 @@ def test_a_copy_that_is_not_whole_is_left_out(
 def test_a_ring_that_is_begun_anew_has_no_copies_of_another(tmp_path: Path) -> None:
     ring = tmp_path / RING_FILE
     filled(ring, 100)
-    copies.copy(ring, 100)
+    recorder.copy(ring, 100)
     RecordRing(ring, SLOTS).close()
     assert copies_of(ring)
     RecordRing(ring, SLOTS + 1).close()
@@ -206,7 +206,7 @@ def test_a_folder_that_may_not_be_written_is_an_error_and_the_ring_stays(tmp_pat
     os.seteuid(65534)
     try:
         with pytest.raises(PermissionError):
-            copies.copy(ring, 100)
+            recorder.copy(ring, 100)
         assert len(sequences(ring)) == 100
     finally:
         os.seteuid(0)
@@ -226,11 +226,11 @@ def test_a_process_that_is_killed_meanwhile_leaves_no_half_copy(
         patched.setattr(os, "pread", read)
         child = os.fork()
         if not child:
-            copies.copy(ring, 1000)
+            recorder.copy(ring, 1000)
             os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     assert durable.staged_for(ring).stat().st_size > 0, "it was half done"
     assert copies_of(ring) == []
-    copies.copy(ring, 1000)
+    recorder.copy(ring, 1000)
     assert copies_of(ring) == [copy_path(ring, 1000)]
     assert not durable.staged_for(ring).exists()

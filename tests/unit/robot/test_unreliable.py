@@ -4,8 +4,7 @@ import pytest
 
 from gateway.errors import ConfigError, SpiError
 from gateway.model.framing import Framing
-from gateway.robot.spi.simulator import SimulatedController
-from gateway.robot.spi.unreliable import Faults, UnreliableDevice, read
+from gateway.robot.spi.simulator import Faults, SimulatedController, UnreliableDevice, read
 
 
 @pytest.mark.parametrize(
