@@ -64,8 +64,7 @@ def load_client_config(path: Path) -> zenoh.Config:
     first = first_expiry(config)
     if first is not None and first.end <= dt.datetime.now(dt.UTC):
         raise ConfigError(
-            f"{first.file} expired on {first.end:%Y-%m-%d}: get a new one from `hexapod-gateway certs renew` (is this "
-            "clock right?)"
+            f"{first.file} expired on {first.end:%Y-%m-%d}: is this clock right? Then {certs.renewal('NAME')}"
         )
     return config
 

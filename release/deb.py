@@ -1,8 +1,8 @@
 """hexapod-gateway_VERSION_ARCHITECTURE.deb: all that a robot needs but Python itself, for Debian 12 and 13.
 
 `python -m release.deb [--architecture arm64] [--to DIR]`; `make deb` runs it. Nothing is compiled: each dependency
-comes as a wheel with the lock's hash, and spidev, which has none, as Debian's python3-spidev. Compiled parts have their
-Python in their names, so one folder holds those of all of them. Of one commit each machine makes the same bytes.
+comes as a wheel with the lock's hash; spidev has none, and the gateway makes its calls itself. Compiled parts have
+their Python in their names, so one folder holds those of all of them. Of one commit each machine makes the same bytes.
 """
 
 import argparse

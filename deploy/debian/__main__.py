@@ -1,6 +1,6 @@
 """What runs when Python is given this folder (see `hexapod-gateway` beside this file): the folder is searched first.
 
-Started with -S, Python searches no packages of the machine. spidev is one of them (python3-spidev), so their folder
+Started with -S, Python searches no packages of the machine. A wire of another's may be one of them, so their folder
 comes last. A ROS 2 names its folders in PYTHONPATH.
 """
 

@@ -42,5 +42,10 @@ def expires_soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
 def how_to_renew(file: str, role: str, name: str) -> str:
     """How to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
     if role == "ca":
-        return "make a new CA in another folder (`hexapod-gateway certs init`) and issue all certificates again"
-    return f"hexapod-gateway certs renew {role if role == 'gateway' else name}, where ca.key is, and copy {file} here"
+        return "hexapod-gateway certs init --host ROBOT --dir DIR in another folder, and issue all certificates again"
+    return f"{renewal(role if role == 'gateway' else name)}, and copy {file} here"
+
+
+def renewal(holder: str) -> str:
+    """The command that renews a certificate; DIR is for a person to fill in."""
+    return f"where ca.key is: hexapod-gateway certs renew {holder} --dir DIR"

@@ -103,6 +103,6 @@ def _reach_by(endpoints: Sequence[str]) -> None:
 def next_step(endpoints: Sequence[str]) -> str:
     """What to try, where the service listens on `endpoints`."""
     if own_command.plain(endpoints) is None:
-        made = f"{_CERTIFICATE} is made by: hexapod-gateway certs issue NAME --role operator, where ca.key is"
+        made = f"{_CERTIFICATE} is made by: hexapod-gateway certs issue NAME --role operator --dir DIR, where ca.key is"
         return f"Try, on a laptop: hexapod-gateway check --zenoh-config {_CERTIFICATE} ({made})"
     return f"Try, in a second terminal: {own_command.command('walk --forward 0.1 --seconds 5')}"

@@ -135,8 +135,10 @@ FAULTS = (
     ),
     Fault(
         "forty kills",
-        "for each in $(seq 40); do systemctl kill --signal=KILL $service; systemctl start $service || break; done; "
-        "systemctl is-failed $service",
+        "for each in $(seq 40); do systemctl kill --signal=KILL $service || :; systemctl start $service || :; done\n"
+        "! systemctl start $service 2>/root/refused; systemctl is-failed $service\n"
+        "grep 'systemctl status' /root/refused\n"
+        "systemctl status $service | head -1 | grep 'sudo hexapod-gateway check'",
         "has failed",
     ),
     Fault("a drop-in with another user", "drop_in User=nobody", "changes what Stops depend on: User"),

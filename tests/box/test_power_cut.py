@@ -1,8 +1,9 @@
 """The plug is pulled while dpkg works: the old or the new release runs after the next boot, and dpkg finishes.
 
-A cut is a copy of the disk while everything in the box is frozen: it has what had reached the disk by then. dpkg
-flushes its files, as on a Pi; container images switch that off. `make test-all` cuts an upgrade at two instants, `make
-nightly` install, upgrade and removal at ten instants inside dpkg's work each, and an upgrade at thirty random ones.
+A cut is a copy of the disk while everything in the box is frozen: it has what had reached the disk by then, though the
+kernel goes on writing. dpkg flushes its files, as on a Pi; container images switch that off. `make test-all` cuts an
+upgrade at two instants, `make nightly` install, upgrade and removal at ten instants inside dpkg's work each, and an
+upgrade at thirty random ones.
 """
 
 import random
@@ -15,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import PATH_INSIDE, Box
-from tests.box.disk import Disk
+from tests.box.disk import Disk, copies_at_once
 from tests.box.installed import CONFIGURATION, NAME
 from tests.box.package import LIBRARY, Packages, Robot, dpkg, install, prepare, share, simulate
 from tests.support.child import Child
@@ -34,9 +35,10 @@ Reached = Callable[[], bool]
 
 
 @pytest.fixture(name="folder")
-def make_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def make_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """With a short name: a socket's has 107 bytes at most."""
-    return tmp_path_factory.mktemp("cut")
+    with copies_at_once(tmp_path_factory.mktemp("cut")) as folder:
+        yield folder
 
 
 @contextmanager

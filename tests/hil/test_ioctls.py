@@ -1,4 +1,4 @@
-"""Without the package spidev: the gateway's own calls do on the emulated device what those of spidev do."""
+"""Without a usable package spidev the gateway's own calls do on the emulated device what those of spidev do."""
 
 import os
 from collections.abc import Mapping
@@ -14,12 +14,12 @@ from tests.support.gateway_process import COMMAND, Gateway
 pytestmark = pytest.mark.hil
 
 
-@pytest.fixture
-def without(tmp_path: Path) -> Mapping[str, str]:
-    """Variables for a Python in which `import spidev` fails, as on a machine that lacks it."""
+@pytest.fixture(params=['raise ImportError("built for another processor")', "class SpiDev: pass"], ids=["none", "3.6"])
+def without(tmp_path: Path, request: pytest.FixtureRequest) -> Mapping[str, str]:
+    """Variables for a Python in which `import spidev` fails, or brings Debian's, which has no `open_path`."""
     folder = tmp_path / "without"
     folder.mkdir()
-    (folder / "spidev.py").write_text('raise ImportError("built for another processor")\n')
+    (folder / "spidev.py").write_text(f"{request.param}\n")
     return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 

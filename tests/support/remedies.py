@@ -4,6 +4,7 @@ import re
 from functools import cache
 from typing import Any
 
+import click
 import typer
 
 from gateway.cli import app
@@ -20,7 +21,7 @@ _END = ",;:.)"
 def parse_commands(text: str) -> list[list[str]]:
     """Parse each, and return their words. Raises UsageError for a command that the program would reject.
 
-    A name in `backticks` without arguments is no command to copy: it has to exist.
+    A name in `backticks` without arguments, or alone, is no command to copy: it has to exist.
     """
     commands = []
     for each in _COMMAND.finditer(_PLACEHOLDER.sub("7", _OWN.sub(r"hexapod-gateway \1", text))):
@@ -28,6 +29,8 @@ def parse_commands(text: str) -> list[list[str]]:
         named = each["quoted"] and " ".join(words) == each["rest"]
         if words and not named:
             _parse(words)
+            if words[0] == "certs" and "--dir" not in each["rest"] and each[0] != text:
+                raise click.UsageError(f"{' '.join(words)} finds no folder of certificates without --dir")
         commands += [words] if words else []
     return commands
 

@@ -67,7 +67,7 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
     with gateway_with(tmp_path, zenoh, systemd) as gateway:
         line = gateway.child.wait_for_output("gateway.pem expires on")
         assert ", in 59 days: then nobody can connect" in line
-        assert "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here" in line
+        assert "hexapod-gateway certs renew gateway --dir DIR, and copy gateway.pem here" in line
         assert "gateway.pem expires on" in systemd.status("expires")
         with Client(zenoh_config=tmp_path / "D" / "anna.json5", timeout_s=5) as client:
             state = client.state()

@@ -34,7 +34,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     yield from results([CLOCK], None)
     yield from map(_result, diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)))
     if (soon := diagnosis.own_expiry(config)) is not None:
-        fix = "where ca.key is: hexapod-gateway certs renew NAME, then bring its files here"
+        fix = f"{certs.renewal('NAME')}, then bring its files here"
         yield Result(Stage.CERTIFICATE, Verdict.WARNING, soon, fix)
     try:
         client = Client(
@@ -52,8 +52,8 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     if state is not None:
         theirs = state.certificate
         if theirs is not None and (soon := certs.expires_soon(theirs.file, theirs.expires, state.time)) is not None:
-            renew = "where ca.key is: hexapod-gateway certs renew gateway; copy gateway.pem to the robot, there:"
-            yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", f"{renew} {RESTART}")
+            fix = f"{certs.renewal('gateway')}; copy gateway.pem to the robot, there: {RESTART}"
+            yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
         yield from shut_out(state.revocations, identity)
 
 

@@ -22,7 +22,9 @@ CONFIG: Final = f"{FOLDER}/gateway.json5"
 _NEEDED: Final = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")
 _LIST: Final = "revoked.crl"
 _MOST_BYTES: Final = 1_000_000
-_ISSUE: Final = "make them where ca.key is: hexapod-gateway certs issue NAME --role robot --host HOST --bundle NAME.zip"
+_ISSUE: Final = (
+    "make them where ca.key is: hexapod-gateway certs issue NAME --role robot --host HOST --bundle NAME.zip --dir DIR"
+)
 
 
 def take(machine: Machine, source: Path, found: Configuration) -> Configuration:

@@ -171,7 +171,7 @@ def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) 
             sentence = f"{clock}, which is before any certificate was made"
         return Finding(Stage.CERTIFICATE, sentence, _CLOCK)
     if now >= end:
-        fix = "get a new one from `hexapod-gateway certs renew` (is this clock right?)"
+        fix = f"is this clock right? Then {certs.renewal('NAME')}"
         return Finding(Stage.CERTIFICATE, f"{name} expired on {end:%Y-%m-%d}", fix)
     return Finding(Stage.CERTIFICATE, f"{name} is good until {end:%Y-%m-%d}")
 
@@ -297,12 +297,12 @@ def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
     """We reject the robot's certificate."""
     code, fix = error.verify_code, f"{_CLOCK} here"
     if code in _WRONG_HOST:
-        fix = f"dial it by a name that it has (hexapod-gateway certs list), or make it one with --host {host}"
+        fix = f"dial it by a name that it has (hexapod-gateway certs list --dir DIR), or make it one with --host {host}"
         return Finding(Stage.TLS, f"the robot's certificate does not name {host}", fix)
     sentence = f"does not do ({error.verify_message})"
     if code == _EXPIRED:
         sentence = "has expired"
-        fix = f"hexapod-gateway certs renew gateway, and copy gateway.pem to the robot; or {fix}"
+        fix = f"{certs.renewal('gateway')}, and copy gateway.pem to the robot; or {fix}"
     elif code == _NOT_YET_VALID:
         sentence = "is not valid yet"
     elif code in _UNKNOWN_CA:
@@ -324,7 +324,7 @@ def _alert(error: ssl.SSLError) -> Finding:
         fix = "get one from the folder that made the robot's (`hexapod-gateway certs issue`)"
     elif "EXPIRED" in reason:
         sentence = "your certificate has expired, or is not valid yet, by the robot's clock"
-        fix = f"hexapod-gateway certs renew NAME; or set the robot's clock ({_SETS_CLOCK})"
+        fix = f"{certs.renewal('NAME')}; or set the robot's clock ({_SETS_CLOCK})"
     elif "CERTIFICATE_REQUIRED" in reason:
         sentence, fix = _SHOWS_NONE, _GIVE_CERTIFICATE
     elif "ALERT" in reason:

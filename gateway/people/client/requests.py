@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 A = TypeVar("A", "LeaseAck", "ButtonAck")
 
 _TLS: Final = "transport/link/tls"
+_ISSUE: Final = "`hexapod-gateway certs issue NAME --role operator --dir DIR`"
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,7 @@ class Identity:
 
         units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
         if not units:
-            issue = "`hexapod-gateway certs issue NAME --role operator`"
-            raise ConfigError(f"{self.certificate} names no person: get one from {issue}")
+            raise ConfigError(f"{self.certificate} names no person: get one from {_ISSUE}")
         return str(units[0].value)
 
     def prove(
@@ -90,7 +90,7 @@ class Identity:
 
 def _named(file: Path | None) -> Path:
     if file is None:
-        raise ConfigError("no certificate is given: get one from `hexapod-gateway certs issue NAME --role operator`")
+        raise ConfigError(f"no certificate is given: get one from {_ISSUE}")
     return file
 
 

@@ -37,7 +37,7 @@ def topics(state: GatewayState) -> dict[str, str]:
         "controller": _controller(state.controller),
         "power": "" if state.power is None else f"Power ({state.power.interface}): {power_now(state.power)}.",
         "address": f"Does not listen on {missing} yet: the address is not there." if missing else "",
-        "certificate": "" if soon is None else f"The robot's {soon}: see `certs renew`.",
+        "certificate": "" if soon is None else f"The robot's {soon}; {certs.renewal('gateway')}",
     }
 
 

@@ -50,7 +50,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
         return None, [_nobody(role, ended=_ended(client))]
     watching = Finding(Stage.ROLE, "you may watch" + (f", as {role}" if role else ""))
     if not _may_command(client):
-        fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator"
+        fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator --dir DIR"
         return state, [
             watching,
             Finding(Stage.ROLE, f"you may not command, as {role or 'nobody in particular'}", fix),
@@ -74,15 +74,15 @@ def _links(client: Client) -> set[str]:
 def _nobody(role: str, *, ended: bool) -> Finding:
     """`ended`: the open connection has ended, as after a revocation."""
     if role and role.partition(".")[0] not in LAPTOP_ROLES:
-        fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator"
+        fix = "get a laptop's from the robot's owner: hexapod-gateway certs issue NAME --role operator --dir DIR"
         return Finding(Stage.ROLE, f"the connection is open, but your certificate is of {role}, which is no role", fix)
     if role and ended:
         sentence = (
             "the connection was open, and the robot ended it: your certificate is revoked, or its places are taken"
         )
         fix = (
-            "where ca.key is, hexapod-gateway certs list says whether it is revoked, and hexapod-gateway certs issue "
-            "NAME --role operator makes another; bring its files here"
+            "where ca.key is, hexapod-gateway certs list --dir DIR says whether it is revoked, and "
+            "hexapod-gateway certs issue NAME --role operator --dir DIR makes another; bring its files here"
         )
         return Finding(Stage.ROLE, sentence, fix)
     fix = "does it run behind this router, and with this namespace? See its journal (journalctl -u hexapod-gateway)"

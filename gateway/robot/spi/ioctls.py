@@ -1,13 +1,13 @@
-"""What the gateway needs of the Python package spidev, by the kernel's own calls: for machines that lack the package.
+"""What the gateway needs of the Python package spidev, by the kernel's own calls: for machines without a usable one.
 
-PyPI has spidev as source only, and a robot may have neither a compiler nor a network. Names are spidev's; the calls are
-those of linux/spi/spidev.h.
+PyPI has spidev as source only, and a robot may have neither a compiler nor a network. Debian 12 and 13 have spidev 3.6,
+which opens no device by its path. Names are spidev's; the calls are those of linux/spi/spidev.h.
 """
 
 import fcntl
 import os
 import struct
-from typing import Final
+from typing import Any, Final
 
 _READ_MODE: Final = 2 << 30 | 1 << 16 | ord("k") << 8 | 1
 """SPI_IOC_RD_MODE."""
@@ -17,16 +17,21 @@ _WRITE_SPEED: Final = 1 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_WR_MAX_SPEED_HZ."""
 _CLOSED: Final = -1
 
-USED: Final = "the Python package spidev is not installed, so the gateway makes the kernel's calls itself"
+USED: Final = "the gateway makes the kernel's calls itself: the Python package spidev is missing, or too old"
+
+
+def spi_dev() -> Any:
+    """Return spidev's class; this module's where the package is missing, too old, or was built for another Python."""
+    try:
+        import spidev  # noqa: PLC0415
+    except ImportError:
+        return SpiDev
+    return spidev.SpiDev if hasattr(spidev.SpiDev, "open_path") else SpiDev
 
 
 def are_used() -> bool:
-    """Whether this module takes spidev's place: it is missing, or was built for another Python or processor."""
-    try:
-        import spidev  # noqa: F401, PLC0415
-    except ImportError:
-        return True
-    return False
+    """Whether this module takes spidev's place."""
+    return spi_dev() is SpiDev
 
 
 class SpiDev:

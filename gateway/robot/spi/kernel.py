@@ -12,7 +12,7 @@ from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare, ran_out
-from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
+from gateway.robot.spi import Batch, DuplexDevice, SpiDevice, ioctls
 from gateway.robot.spi.outside import Listener
 
 _MOST_TRANSFERS: Final = 32
@@ -55,15 +55,11 @@ class KernelDevice(SpiDevice, DuplexDevice):
         `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.
         `spare`: file descriptors that are kept for this device while it is closed.
         """
-        try:
-            import spidev  # noqa: PLC0415  (a laptop has no spidev, and needs none)
-        except ImportError:  # so does a robot on which it could not be compiled
-            from gateway.robot.spi import ioctls as spidev  # noqa: PLC0415
         self._path = path
         self._spare = spare
         self._speed_hz = speed_hz
         self._flags = bytes((mode,))
-        self._spi = spidev.SpiDev()
+        self._spi = ioctls.spi_dev()()
         self._listener: Listener | None = None
         self.most_transfers = most_transfers()
         self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))

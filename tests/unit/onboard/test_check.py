@@ -305,7 +305,9 @@ CARRIER, NEIGHBOURS, _ = wire.BUS
 FRAMING, LISTS = wire.FRAMES
 KEPT = wire.CALIBRATION
 PI_5 = "Raspberry Pi 5 Model B Rev 1.0"
-RENEW = "hexapod-gateway certs renew gateway, where ca.key is, and copy gateway.pem here, then: sudo systemctl"
+RENEW = (
+    "where ca.key is: hexapod-gateway certs renew gateway --dir DIR, and copy gateway.pem here, then: sudo systemctl"
+)
 TAKES = "an emergency stop takes {} ms to write"
 CPU = "sys/devices/system/cpu/cpu0/cpufreq/scaling_"
 # fmt: off

@@ -90,4 +90,4 @@ def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path) -> None:
     certs.folder.issue(tmp_path, "dora", "operator", days=1, now=dt.datetime.now(dt.UTC) - 2 * DAY)
     (line,) = why.unreached(None, tmp_path / "dora.json5")
     assert "dora.pem expired on" in line
-    assert "get a new one from `hexapod-gateway certs renew`" in line
+    assert "hexapod-gateway certs renew NAME --dir DIR" in line

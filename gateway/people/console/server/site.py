@@ -99,7 +99,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     if not names:
         raise ConfigError(
             f"{certificate} names no host, so no browser accepts it: "
-            "make one with hexapod-gateway certs issue web --role console --host NAME"
+            "make one with hexapod-gateway certs issue web --role console --host NAME --dir DIR"
         )
     _check_pair(certificate, key)
     own = (address,) if address.lower() in names else ()
