@@ -154,14 +154,6 @@ def run(
             show_default="flat",
         ),
     ] = None,
-    fault: Annotated[
-        str | None,
-        typer.Option(
-            "--sim-fault",
-            metavar="SHARE[:MS]",
-            help="Simulated: each SPI transfer fails with this chance (0 to 1), after so many milliseconds (200).",
-        ),
-    ] = None,
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
@@ -170,23 +162,18 @@ def run(
     With --sim=physics the simulated robot has a body (MuJoCo, in a process of its own): it walks, and falls. Where it
     is goes out on hexapod/sim/body, and the console and `record` draw it. What is simulated is assumed:
     nobody has weighed the Elkapod.
-
-    --sim-fault 0.1 is a bad contact, as slow as Linux is to notice one; --sim-fault 0.01:2000 a driver that hangs for
-    two seconds: see how long the emergency stop takes then.
     """
     from gateway.onboard import serve
 
     physics = (geometry, mass_kg, servo_torque_nm, friction, terrain)
     if sim is not Sim.PHYSICS and physics != (None,) * len(physics):
         raise ConfigError("--geometry, --mass-kg, --servo-torque-nm, --friction and --terrain go with --sim=physics")
-    if sim is None and fault is not None:
-        raise ConfigError("--sim-fault goes with --sim")
     body = None
     if sim is Sim.PHYSICS:
         from gateway.people.physics.assumed import assumed
 
         body = geometry, assumed(mass_kg, servo_torque_nm, friction, terrain)
-    serve.serve(config, simulated=sim is not None, fault=fault, body=body)
+    serve.serve(config, simulated=sim is not None, body=body)
 
 
 @app.command("stop-servos")

@@ -20,9 +20,7 @@ from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
 from gateway.robot.settings import Settings
-from gateway.robot.spi import simulator
-from gateway.robot.spi.simulator import Faults
-from gateway.robot.zenoh_io.simulated_body import endpoint
+from gateway.simulation.body import endpoint
 from gateway.zenoh_config import listen_endpoints
 
 PAUSE_S: Final = 11.0
@@ -30,14 +28,11 @@ PAUSE_S: Final = 11.0
 _CERTIFICATE: Final = "NAME.json5"
 
 
-def serve(
-    config: Path | None, *, simulated: bool, fault: str | None = None, body: tuple[Path | None, Assumed] | None = None
-) -> None:
+def serve(config: Path | None, *, simulated: bool, body: tuple[Path | None, Assumed] | None = None) -> None:
     """Run the service with the settings of this file, until it is stopped. Raises GatewayError.
 
-    `body`: shape and masses of what the servos of a simulated controller move. `fault`: which of its transfers fail.
+    `body`: shape and masses of what the servos of a simulated controller move.
     """
-    faults = None if fault is None else simulator.read(fault)
     settings = settings_file.load(config, simulated=simulated)
     _reach_by(settings.zenoh.listen)
     with ExitStack() as processes:
@@ -46,7 +41,7 @@ def serve(
         if settings.power.interface == SIMULATED:
             pages = (None, None) if moved is None else (moved.page, moved.sensed)
             board = processes.enter_context(BoardProcess(settings.power.outputs, *pages))
-        _run(settings, simulated=simulated, body=moved, board=board, faults=faults)
+        _run(settings, simulated=simulated, body=moved, board=board)
 
 
 def _run(
@@ -55,7 +50,6 @@ def _run(
     simulated: bool,
     body: BodyProcess | None,
     board: BoardProcess | None,
-    faults: Faults | None,
 ) -> None:
     """Once it is ready, print its address and what to try next."""
     controller = "a simulated controller" if simulated else settings.spi.device
@@ -77,7 +71,7 @@ def _run(
     physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
     at = None if board is None else service.PowerBoardAt(board.channel, board.page)
     try:
-        service.run(settings, simulated=simulated, physics=physics, board=at, faults=faults, on_ready=ready)
+        service.run(settings, simulated=simulated, physics=physics, board=at, on_ready=ready)
     except (SpiError, ZenohError) as error:
         if not is_ready and NOTIFY_SOCKET in os.environ:
             _pause(error)

@@ -21,7 +21,7 @@ from gateway.errors import ConfigError
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
-from gateway.robot.zenoh_io import simulated_body
+from gateway.simulation import body as simulated_body
 
 START_S: Final = 30.0
 """The slowest loads MuJoCo in less than one."""
@@ -121,7 +121,7 @@ class BoardProcess(SimulationProcess):
         folder = private_folder("power")
         self.channel = str(folder / "can")
         """The serial device for python-can's `slcan`."""
-        super().__init__("gateway.robot.power.simulator", given, pages, folder, self.channel)
+        super().__init__("gateway.simulation.board_port", given, pages, folder, self.channel)
 
 
 READY: Final = "ready"

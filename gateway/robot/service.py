@@ -49,8 +49,6 @@ from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within,
 from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.robot.spi.simulator import Faults
-from gateway.robot.zenoh_io import simulated_body
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.late_addresses import LateAddresses
@@ -61,6 +59,7 @@ from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
+from gateway.simulation import body as simulated_body
 from schemas.keys import CALIBRATION, STATE, TELEMETRY
 
 if TYPE_CHECKING:
@@ -156,7 +155,6 @@ def run(
     simulated: bool,
     physics: Physics | None = None,
     board: PowerBoardAt | None = None,
-    faults: Faults | None = None,
     on_ready: Callable[[zenoh.Config], None] = lambda _: None,
 ) -> None:
     """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
@@ -173,7 +171,7 @@ def run(
         _recorder(settings, simulated=simulated) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        made = partial(_run, settings, recorder, simulated=simulated, physics=physics, board=board, faults=faults)
+        made = partial(_run, settings, recorder, simulated=simulated, physics=physics, board=board)
         end = runner.run(made(on_ready=on_ready))
         if end.failure is not None:
             recorder.ended(end.failure)
@@ -216,7 +214,6 @@ async def _run(
     simulated: bool,
     physics: Physics | None,
     board: PowerBoardAt | None,
-    faults: Faults | None,
     on_ready: Callable[[zenoh.Config], None],
 ) -> ServiceEnd:
     # The servos file exists before systemd counts the service as active, when an upgrade reads it.
@@ -224,7 +221,7 @@ async def _run(
     state = state_directory(settings.state.path)
     end, notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
     config, checker, shut_out = _configured(settings, physics)
-    bus = _wire(settings, simulated=simulated, physics=physics, board=board, faults=faults)
+    bus = _wire(settings, simulated=simulated, physics=physics, board=board)
     supply = supply_of(settings, bus, board and board.channel, loop, owner, end.mistake)
     outbox = ZenohOutbox()
     conductor = Conductor(
@@ -320,11 +317,9 @@ def _is_kept(state: Path | None) -> bool:
     return state is not None and not kind
 
 
-def _wire(
-    settings: Settings, *, simulated: bool, physics: Physics | None, board: PowerBoardAt | None, faults: Faults | None
-) -> Wire:
+def _wire(settings: Settings, *, simulated: bool, physics: Physics | None, board: PowerBoardAt | None) -> Wire:
     page = board.page if board is not None else physics and physics.page
-    return wires.wire(settings, simulated=simulated, page=page, sensed=physics and physics.sensed, faults=faults)
+    return wires.wire(settings, simulated=simulated, page=page, sensed=physics and physics.sensed)
 
 
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:

@@ -6,7 +6,6 @@ from functools import partial
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.errors import ConfigError
 from gateway.host.descriptors import Spare
 from gateway.host.settings_table import SpiSettings
 from gateway.host.shared_page import SensedPage, ServoPage
@@ -18,30 +17,25 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi import DuplexDevice, SpiDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.robot.spi.elkapod_simulator import SimulatedElkapod, SimulatedUart
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
-from gateway.robot.spi.simulator import Faults, SimulatedController, UnreliableDevice
 from gateway.robot.spi.uart import SerialUart, Uart
+from gateway.simulation.controller import SimulatedController
+from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart
 
 BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
 """How long the repeats of the first shutdown hold back elkapod-2025's frames."""
 
 logger = logging.getLogger(__name__)
-_simulator = logging.getLogger("gateway.robot.spi.simulator")
+_simulator = logging.getLogger("gateway.simulation.controller")
 
 
-def device_opener(
-    settings: Settings, *, simulated: bool, page: ServoPage | None = None, faults: Faults | None = None
-) -> Callable[[], SpiDevice]:
+def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None = None) -> Callable[[], SpiDevice]:
     """A function that opens the bus's device; a simulated controller keeps its state when it is reopened."""
     if not simulated:
         spare = Spare()
         return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
     controller = SimulatedController(settings.spi.framing, on_change=_simulator.debug, page=page)
-    if faults is not None:
-        unreliable = UnreliableDevice(controller, faults)
-        return lambda: unreliable
     return lambda: controller
 
 
@@ -51,14 +45,11 @@ def wire(
     simulated: bool,
     page: ServoPage | None = None,
     sensed: SensedPage | None = None,
-    faults: Faults | None = None,
 ) -> Wire:
-    """The way to the robot's controller, not yet open. Raises ConfigError. `page`, `sensed`: a simulated body's."""
+    """The way to the robot's controller, not yet open. `page`, `sensed`: a simulated body's."""
     protocol = settings.spi.protocol
     if protocol is SpiProtocol.HEXAPOD_1_0:
-        return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page, faults=faults))
-    if faults is not None:
-        raise ConfigError(f"--sim-fault is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {protocol}")
+        return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page))
     spare, spi, uart = Spare(), settings.spi, settings.controller.uart
     open_device: Callable[[], DuplexDevice]
     open_uart: Callable[[], Uart]

@@ -4,7 +4,7 @@ import functools
 from dataclasses import dataclass, field
 
 from gateway.model.frames import Op, decode
-from gateway.robot.spi.simulator import pulse_us
+from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS
 from tests.support.controllers import Controller
 

@@ -3,7 +3,7 @@
 `SimulatedController` is compared with it. The two share only the pulse widths, which have vectors of their own.
 """
 
-from gateway.robot.spi.simulator import pulse_us
+from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS
 
 TICK_NS = 1_000_000

@@ -16,7 +16,7 @@ from gateway.model.framing import Framing
 from gateway.people.commands import decode as decode_command
 from gateway.robot.core import intake
 from gateway.robot.core.events import Targets
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 from schemas.command import MAX_SENT_MS
 from schemas.keys import COMMAND_KEYS, CommandKey, Target
 from schemas.robot import SERVO_IDS

@@ -9,7 +9,7 @@ import can
 from gateway.errors import GatewayError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import ALL, CanFrame, set_supply
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.board import SimulatedBoard
 
 _PASS_NS = 100_000
 """A board that is faster than the real one."""

@@ -1,8 +1,8 @@
 """The simulated controllers, with what a person at one sees and does."""
 
-from gateway.robot.spi.elkapod_simulator import GARBAGE, SimulatedElkapod
-from gateway.robot.spi.simulated_servos import SimulatedServos
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
+from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
+from gateway.simulation.servos import SimulatedServos
 
 
 def _power_cycle(servos: SimulatedServos) -> None:

@@ -10,7 +10,7 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.cycle import CYCLE_HZ, Cycle
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.robot.spi.elkapod_simulator import SimulatedUart
+from gateway.simulation.elkapod import SimulatedUart
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
 from tests.support.controllers import Elkapod

@@ -7,9 +7,9 @@ from typing import Any, Final
 from gateway.model.power_board import SET_SUPPLY, CanFrame
 from gateway.robot.power.board import News, PowerBoard, Status
 from gateway.robot.power.offs import Confirmed
-from gateway.robot.power.simulated_board import SimulatedBoard
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S
+from gateway.simulation.board import SimulatedBoard
 from tests.support.elkapod import ElkapodRobot
 from tests.support.robot import MS, Robot
 

@@ -9,7 +9,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import OUTPUTS, SET_SUPPLY, CanFrame
 from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.offs import Confirmed
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 

@@ -61,7 +61,7 @@ class RecordedBoard(Closing):
         self._reader = threading.Thread(target=self._follow, args=(record,), daemon=True)
         self._reader.start()
         given = json.dumps({"folder": str(folder / "board"), "record": str(record)})
-        self.child = Child([sys.executable, "-m", "gateway.robot.power.simulator", given], os.environ)
+        self.child = Child([sys.executable, "-m", "gateway.simulation.board_port", given], os.environ)
         self.child.wait_for_line(0)
         if os.geteuid() == 0:  # it stands for hardware, which no load slows
             os.sched_setscheduler(self.child.pid, os.SCHED_FIFO, os.sched_param(50))
@@ -71,7 +71,7 @@ class RecordedBoard(Closing):
         self._reader.join()
 
     def disturb(self, **fault: object) -> None:
-        """A fault, as `gateway.robot.power.simulator` names them."""
+        """A fault, as `gateway.simulation.board_port` names them."""
         self.child.tell(json.dumps(fault))
 
     @property

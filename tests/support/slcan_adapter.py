@@ -8,8 +8,8 @@ import tty
 from contextlib import suppress
 
 from gateway.model.power_board import CanFrame
-from gateway.robot.power.simulated_adapter import SimulatedAdapter
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.adapter import SimulatedAdapter
+from gateway.simulation.board import SimulatedBoard
 
 TICK_MS = 1
 

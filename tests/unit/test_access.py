@@ -12,7 +12,7 @@ import zenoh
 
 from gateway.certs.zenoh_files import gateway_json5, laptop_json5
 from gateway.errors import ConfigError
-from gateway.robot.zenoh_io import simulated_body
+from gateway.simulation import body as simulated_body
 from schemas.keys import (
     ALIVE,
     BUTTON,

@@ -17,7 +17,7 @@ ROOMS: Final = (
     ("robot.settings", "robot.protocol", "people.physics"),
     ("robot.host", "people.client"),
     ("robot.spi", "client", "people.terminal"),
-    ("robot.zenoh_io", "robot.power", "people.commands"),
+    ("robot.zenoh_io", "robot.power", "people.commands", "simulation"),
     ("robot.blackbox", "people.console", "people.ros2"),
     ("robot.runtime", "robot.wires", "people.recorder"),
     ("robot.service",),
@@ -33,9 +33,8 @@ SHARED: Final = frozenset(room for row in ROOMS[:4] for room in row)
 KNOW_BOTH: Final = frozenset({"onboard", "cli", "__main__"})
 PURE: Final = ("model", "robot.core", "robot.protocol", "people.walking")
 PURE_FILES: Final = frozenset(
-    f"robot/power/{name}.py"
-    for name in ("board", "currents", "questions", "simulated_adapter", "simulated_board", "simulated_draw")
-) | frozenset(
+    f"robot/power/{name}.py" for name in ("board", "currents", "questions")
+) | frozenset(f"simulation/{name}.py" for name in ("adapter", "board", "draw")) | frozenset(
     f"people/ros2/{name}.py"
     for name in (
         "commanded", "goals", "joints", "messages", "own_stop", "parameters", "robot", "trajectory",
@@ -58,7 +57,7 @@ def room_of(name: str) -> str:
 
 def wing_of(room: str) -> str:
     """`robot`, `people` (`gateway.client` is its face), or a room that is in neither."""
-    return "people" if room == "client" else room.partition(".")[0]
+    return {"client": "people", "simulation": "robot"}.get(room, room.partition(".")[0])
 
 
 def room_of_file(path: Path) -> str:

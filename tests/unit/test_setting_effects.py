@@ -22,7 +22,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.guard import IllegalTransferError
-from gateway.robot.spi.simulator import SimulatedController
+from gateway.simulation.controller import SimulatedController
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind

@@ -29,7 +29,7 @@ class Robot:
     def __init__(self, folder: Path, **settings: Any) -> None:
         self._record = folder / "record"
         argument = json.dumps({"record": str(self._record)})
-        command = [sys.executable, "-m", "gateway.robot.power.simulator", argument]
+        command = [sys.executable, "-m", "gateway.simulation.board_port", argument]
         self._board = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._board.stdout is not None
         channel = self._board.stdout.readline().strip()

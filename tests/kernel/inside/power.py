@@ -12,7 +12,7 @@ from typing import Final
 import can
 
 from gateway.model.power_board import ALL, CanFrame, set_supply
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.board import SimulatedBoard
 from tests.kernel.inside import wire
 from tests.kernel.inside.robot import Robot, robot
 from tests.support.child import Child

@@ -12,8 +12,8 @@ from gateway.onboard.check import wire
 from gateway.onboard.check.move import ServoCurrents
 from gateway.onboard.check.table import CheckedRobot, Result, results
 from gateway.robot.settings import Settings
-from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
 from gateway.robot.spi.uart import SerialUart
+from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.telemetry import ServoTelemetry, Telemetry
 from tests.support.machine_tree import MachineTree
 from tests.support.slcan_adapter import Adapter

@@ -9,7 +9,7 @@ from gateway.model.elkapod import Measured
 from gateway.people.physics.assumed import Assumed, Terrain
 from gateway.people.physics.world import Sensors, World
 from gateway.people.walking import Engine, Robot
-from gateway.robot.spi.elkapod_simulator import SimulatedElkapod
+from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.robot import SERVO_IDS
 from tests.walking.physics import run, stand_up
 

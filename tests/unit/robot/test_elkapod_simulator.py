@@ -8,7 +8,7 @@ import pytest
 from gateway.host.shared_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import START, Measured
-from gateway.robot.spi.elkapod_simulator import SimulatedBattery
+from gateway.simulation.elkapod import SimulatedBattery
 from schemas.robot import SERVO_IDS
 from tests.support.controllers import Elkapod
 

@@ -19,7 +19,7 @@ from gateway.model.power_board import ALL, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanF
 from gateway.robot.power import last_cut
 from gateway.robot.power.interface import LineError
 from gateway.robot.power.last_cut import LastCut, SupplyCut
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.board import SimulatedBoard
 from tests.support.board_bus import BoardBus
 from tests.support.slcan_adapter import Adapter
 

@@ -13,7 +13,7 @@ from gateway.model.power_board import (
 )
 from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.offs import Confirmed
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed

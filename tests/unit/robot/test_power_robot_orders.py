@@ -18,7 +18,7 @@ from gateway.model import elkapod
 from gateway.model.elkapod import START
 from gateway.model.power_board import ALL, ASK_RAILS, SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.message import Verb
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.board import SimulatedBoard
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack

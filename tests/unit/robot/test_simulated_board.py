@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import pytest
 
 from gateway.model.power_board import CanFrame
-from gateway.robot.power.simulated_board import MEASURE_NS, PASS_NS, SimulatedBoard
+from gateway.simulation.board import MEASURE_NS, PASS_NS, SimulatedBoard
 
 ALL = CanFrame(0x6A, bytes.fromhex("03ffff"))
 NONE = CanFrame(0x6A, bytes(3))

@@ -1,4 +1,4 @@
-"""`python -m gateway.robot.power.simulator JSON`: a simulated power board behind slcan, in a process of its own.
+"""`python -m gateway.simulation.board_port JSON`: a simulated power board behind slcan, in a process of its own.
 
 Its first line on stdout is the path of a serial device, for python-can's `slcan`. The argument names, each with a
 default: `outputs` (the servo on each output), `page` and `sensed` (descriptors of the pages about simulated servos and
@@ -39,8 +39,8 @@ from typing import Any, Final, TextIO
 
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.power_board import A_PER_NM, CONVERTER_OVERCURRENT, IDLE_A, MOVING_A, NO_LOAD_DEG_S, CanFrame
-from gateway.robot.power.simulated_adapter import SimulatedAdapter, frame_of, text_of
-from gateway.robot.power.simulated_board import SimulatedBoard
+from gateway.simulation.adapter import SimulatedAdapter, frame_of, text_of
+from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 
 WAITS_MA: Final = 8.0

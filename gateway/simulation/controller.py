@@ -32,18 +32,16 @@ What it leaves out, so that the firmware may do worse:
 
 import collections
 import functools
-import random
 import struct
 import time
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import Final
 
-from gateway.errors import ConfigError, SpiError
 from gateway.host.shared_page import ServoPage
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.model.framing import Framing
-from gateway.robot.spi import Batch, ByteDevice, SpiDevice
-from gateway.robot.spi.simulated_servos import ServoState, SimulatedServos
+from gateway.robot.spi import ByteDevice
+from gateway.simulation.servos import ServoState, SimulatedServos
 from schemas.robot import SERVO_IDS
 
 TICK_NS: Final = 1_000_000
@@ -212,58 +210,3 @@ def pulse_us(whole_deg: int, hundredths: int) -> int:
     angle_deg = _float32(whole_deg + _float32(hundredths / _float32(100.0)))
     scaled = _float32(_float32(angle_deg * (2550.0 - 544.0)) / 180.0)
     return int(_float32(scaled + 544.0))
-
-
-_LONGEST_MS: Final = 60_000
-"""Longer than any driver hangs and comes back."""
-
-
-class Faults(NamedTuple):
-    """How a simulated device fails."""
-
-    share: float
-    """The chance of each transfer, 0 to 1."""
-    after_ms: float = 200.0
-    """What a failing call takes: Linux waits for 200 ms and more for a transfer that its driver has lost."""
-
-
-def read(text: str) -> Faults:
-    """`SHARE` or `SHARE:MS`, as a person writes it. Raises ConfigError."""
-    share, _, after_ms = text.partition(":")
-    try:
-        faults = Faults(float(share), float(after_ms or Faults._field_defaults["after_ms"]))
-    except ValueError:
-        faults = Faults(-1)
-    if not (0 <= faults.share <= 1 and 0 <= faults.after_ms <= _LONGEST_MS):
-        raise ConfigError(
-            f"--sim-fault {text}: write a chance from 0 to 1, and how long a failure takes, up to {_LONGEST_MS:g} ms, "
-            "such as 0.1:200"
-        )
-    return faults
-
-
-class UnreliableDevice(ByteDevice):
-    """Passes transfers on to a device. One that fails is lost, and the rest of its call with it.
-
-    The first call passes: it has the Stops of the start, without which the service does not start.
-    """
-
-    def __init__(self, device: SpiDevice, faults: Faults) -> None:
-        self._device = device
-        self._faults = faults
-        self._chance = random.Random()  # noqa: S311  (faults, no secrets)
-        self._started = False
-        self.most_transfers = device.most_transfers
-
-    def transfer(self, batch: Batch) -> None:
-        if self._started:
-            super().transfer(batch)
-        else:
-            self._started = True
-            self._device.transfer(batch)
-
-    def take(self, data: bytes) -> None:
-        if self._chance.random() < self._faults.share:
-            time.sleep(self._faults.after_ms / 1000)
-            raise SpiError("the transfer failed: Connection timed out (simulated)")
-        self._device.transfer(((data, 0),))
