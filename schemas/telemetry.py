@@ -148,6 +148,14 @@ class Answer(Sparse):
     reason: AnyReason | None = None
     detail: str | None = None
 
+    def or_raise(self) -> Self:
+        """Return itself. Raises gateway.errors.RejectedError with the gateway's reason if the command was rejected."""
+        if not self.accepted:
+            from gateway.errors import RejectedError  # noqa: PLC0415  # schemas alone need no gateway
+
+            raise RejectedError(str(self.reason or ""), self.detail or "no reason was given")
+        return self
+
 
 class Ack(Answer):
     """The reply to an acknowledged command; null fields are left out of the JSON."""
@@ -168,14 +176,6 @@ class Ack(Answer):
     def __bool__(self) -> bool:
         """Whether the command was accepted."""
         return self.accepted
-
-    def or_raise(self) -> Self:
-        """Return itself. Raises gateway.errors.RejectedError with the gateway's reason if the command was rejected."""
-        if not self.accepted:
-            from gateway.errors import RejectedError  # noqa: PLC0415  # schemas alone need no gateway
-
-            raise RejectedError(str(self.reason or ""), self.detail or "no reason was given")
-        return self
 
 
 class ServoReport(Report):

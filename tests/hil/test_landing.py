@@ -39,7 +39,7 @@ class Scene:
         self.bed = bed
         settings: dict[str, dict[str, Any]] = {
             "spi": {"framing": Framing.LENGTH_PREFIXED},
-            "limits": {"leg_rate_hz": HZ},
+            "limits": {"leg_rate_hz": HZ, "takeover_deg_s": 0},  # each start goes to its angle at once
             "watchdog": {"timeout_ms": TIMEOUT_MS, "landing_ms": LANDING_MS},
             "watchdog.landing": {str(servo_id): angle for servo_id, angle in POSE.items()},
         }

@@ -64,7 +64,7 @@ class Button:
         self.name = self._requests.person(self._wanted)
         for _ in range(REGISTRATION_TRIES):
             began_s = time.monotonic()
-            ack = _granted(self._requests.register(self._wanted))
+            ack = self._requests.register(self._wanted).or_raise()
             self._token, self._count = ack.button, 0
             self.timeout_ms = ack.timeout_ms or 0.0
             registered_s = self._ends_s = time.monotonic()
@@ -86,7 +86,7 @@ class Button:
             self._renew()
         self._count += 1
         timeout_s = self.timeout_ms / 1000 or None
-        return _granted(self._requests.alive(self._token, self._count, timeout_s=timeout_s))
+        return self._requests.alive(self._token, self._count, timeout_s=timeout_s).or_raise()
 
     def _renew(self) -> None:
         """Register anew in time. If denied, such as for too many proofs a second, the old registration stays."""
@@ -109,9 +109,3 @@ class Button:
                 self._requests.leave(token, self.timeout_ms / 1000 or None)
             except DisconnectedError:
                 return  # the registration expires
-
-
-def _granted(ack: "ButtonAck") -> "ButtonAck":
-    if not ack.accepted:
-        raise RejectedError(str(ack.reason), ack.detail or "")
-    return ack

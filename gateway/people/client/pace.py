@@ -23,6 +23,14 @@ LIKE_RADIANS: Final = (
 )
 
 
+class Jitter(NamedTuple):
+    """How long after their ticks the newest 1000 setpoints were sent, in milliseconds."""
+
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
 class SetpointPace:
     """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
 
@@ -43,6 +51,7 @@ class SetpointPace:
         self._begun_s: float | None = None
         self._tick: int
         self._last_s = -math.inf
+        self._late_s: deque[float] = deque(maxlen=_KEPT_TICKS)
 
     def begin(self, now_s: float) -> None:
         """A setpoint is sent now; the grid begins with it."""
@@ -65,30 +74,9 @@ class SetpointPace:
             self._last_s = self._begun_s + self._tick * self.period_s
         return self._last_s
 
-
-class Jitter(NamedTuple):
-    """How long after their ticks the newest 1000 setpoints were sent, in milliseconds."""
-
-    p50_ms: float
-    p99_ms: float
-    max_ms: float
-
-
-class SetpointLateness:
-    """Collects how late setpoints were. Pure.
-
-    >>> late = SetpointLateness()
-    >>> for ms in range(101):
-    ...     late.add(ms / 1000)
-    >>> late.jitter
-    Jitter(p50_ms=50.0, p99_ms=99.0, max_ms=100.0)
-    """
-
-    def __init__(self) -> None:
-        self._late_s: deque[float] = deque(maxlen=_KEPT_TICKS)
-
-    def add(self, late_s: float) -> None:
-        self._late_s.append(late_s)
+    def sent(self, now_s: float) -> None:
+        """The setpoint of the newest `next_s` is sent."""
+        self._late_s.append(now_s - self._last_s)
 
     @property
     def jitter(self) -> Jitter:

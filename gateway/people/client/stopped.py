@@ -27,40 +27,21 @@ AGAIN: Final = "start_again() goes on; recover() of a stream waits until the cau
 """A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
 DECIDES: Final = "start_again() goes on, which a person decides"
 """The note where time does not end the cause."""
-_PASSING_CAUSES: Final = frozenset(
-    {
-        Kind.WATCHDOG_EXPIRED,
-        Kind.OVERFLOW,
-        Kind.ESTOP_ENGAGED,  # ended by a person's reset
-        Kind.BUS_FAULT,
-        Kind.CONTROLLER_SILENT,
-        Kind.CONTROLLER_RESTARTED,
-        Kind.STOPPING,
-        Kind.STARTED,
-    }
-)
-"""A fallen robot and the board's button are missing: somebody may have a hand at the robot."""
-_PASSING_REASONS: Final = frozenset(
-    {
-        Reason.ESTOPPED,
-        Reason.BUS_FAULT,
-        Reason.STOPPING,
-        Reason.NOT_HOLDER,
-        Reason.NO_BUTTON,
-        Reason.NO_POWER,
-        Reason.LANDING,
-        Reason.OVERFLOW,
-        Reason.STALE,
-    }
-)
+_PASSING: Final = (
+    Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT,
+    Kind.CONTROLLER_RESTARTED, Kind.STOPPING, Kind.STARTED, Reason.ESTOPPED, Reason.NOT_HOLDER, Reason.NO_BUTTON,
+    Reason.NO_POWER, Reason.LANDING, Reason.STALE,
+)  # fmt: skip
+"""What ends without this program; an emergency stop by a person's reset. A fall and the board's button are missing:
+somebody may have a hand at the robot."""
 
 
 def passes(error: GatewayError) -> bool:
     """Whether the cause of an error ends without this program: only then may the program go on by itself."""
     if isinstance(error, StoppedError):
-        return error.cause in _PASSING_CAUSES
+        return error.cause in _PASSING
     if isinstance(error, RejectedError):
-        return not isinstance(error, LeaseLostError) and error.reason in _PASSING_REASONS
+        return not isinstance(error, LeaseLostError) and error.reason in _PASSING
     return True
 
 

@@ -25,7 +25,6 @@ from gateway.people.client.pace import (
     Jitter,
     Radians,
     Retries,
-    SetpointLateness,
     SetpointPace,
     thins,
 )
@@ -93,7 +92,6 @@ class Stream:
         self._client = client
         self._hz = checked_hz(hz)
         self._pace = SetpointPace(hz)
-        self._lateness = SetpointLateness()
         self._retries = Retries()
         self._radians = Radians()
         self._started: frozenset[int] = frozenset()
@@ -121,7 +119,7 @@ class Stream:
     @property
     def jitter(self) -> Jitter:
         """How late the newest setpoints were sent after their ticks: `p50_ms`, `p99_ms`, `max_ms`."""
-        return self._lateness.jitter
+        return self._pace.jitter
 
     def __repr__(self) -> str:
         runs = legs_named(self._started) if self._started else "no leg"
@@ -165,9 +163,8 @@ class Stream:
         due_s = self._pace.next_s(time.monotonic(), self._retries.next_s if starts else 0.0)
         while (pause_s := due_s - time.monotonic()) > 0:
             time.sleep(pause_s)
-        late_s = time.monotonic() - due_s
+        self._pace.sent(time.monotonic())
         self.send(self._read(angles, unit))
-        self._lateness.add(late_s)
 
     def recover(self, timeout_s: float = 60.0) -> None:
         """Wait until the cause of the error is over; the next `set` starts its legs anew, from wherever they are.

@@ -140,8 +140,6 @@ class Walk:
         self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
         self._awaited: Posture | None = None  # which a call waits for, until it is reached
-        self.slowest_tick_s = 0.0
-        """The longest computation of a tick, without the wait for its time. @private"""
 
     # ---- what a program calls
 
@@ -407,13 +405,11 @@ class Walk:
                     return
                 begun_s = time.monotonic()
                 step = ride.next(begun_s, self._measured.fresh(begun_s))
-                took_s = time.monotonic() - begun_s
                 if step.do is RideTask.WAIT:
                     self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))
                     continue
             try:
                 self._carry_out(ride, step)
-                self.slowest_tick_s = max(self.slowest_tick_s, took_s)
             except (GatewayError, ValueError, RuntimeError) as error:
                 self._failed(ride, step, error)
             with self._changed:

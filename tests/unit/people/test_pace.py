@@ -55,7 +55,7 @@ def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
 
 
 def test_the_examples_are_right() -> None:
-    assert doctest.testmod(pace_module) == (0, 19)
+    assert doctest.testmod(pace_module) == (0, 16)
 
 
 def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:
