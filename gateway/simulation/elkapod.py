@@ -38,8 +38,7 @@ from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Meas
 from gateway.model.power_board import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.uart import Uart
-from gateway.simulation.controller import KEPT_TRANSFERS
-from gateway.simulation.servos import ServoState, SimulatedServos
+from gateway.simulation.controller import KEPT_TRANSFERS, ServoState, SimulatedServos
 from schemas.robot import LEGS, SERVO_IDS
 
 FULL_V: Final = 8.4

@@ -1,8 +1,7 @@
 """The simulated controllers, with what a person at one sees and does."""
 
-from gateway.simulation.controller import SimulatedController
+from gateway.simulation.controller import SimulatedController, SimulatedServos
 from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
-from gateway.simulation.servos import SimulatedServos
 
 
 def _power_cycle(servos: SimulatedServos) -> None:

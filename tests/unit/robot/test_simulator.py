@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.model.framing import Framing
-from gateway.simulation.servos import ServoState
+from gateway.simulation.controller import ServoState
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
 from tests.support.controllers import Controller
 from tests.support.transfers import on_wire
