@@ -84,15 +84,20 @@ def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[in
 
 
 def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
-    """Write a new file with exactly this mode, regardless of the umask. Raises OSError, FileExistsError.
+    """Write a new file with exactly this mode, regardless of the umask; all of it or none. Raises OSError.
 
     The mode is set before the content is written, so that a key is never readable by others.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NOFOLLOW | _CLOEXEC, 0o600)
-    with os.fdopen(descriptor, "wb") as file:
-        if hasattr(os, "fchmod"):
-            os.fchmod(descriptor, mode)
-        _fill(file, data, prepare)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            if hasattr(os, "fchmod"):
+                os.fchmod(descriptor, mode)
+            _fill(file, data, prepare)
+    except BaseException:
+        with suppress(OSError):
+            path.unlink()
+        raise
 
 
 def like_the_folder(path: Path, descriptor: int) -> None:

@@ -12,7 +12,6 @@ from typing import Any, Final, NamedTuple
 import zenoh
 
 from gateway import certs, nesting
-from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
 from gateway.own_command import DEFAULT_ENDPOINT
 
@@ -65,7 +64,7 @@ def load_client_config(path: Path) -> zenoh.Config:
     first = first_expiry(config)
     if first is not None and first.end <= dt.datetime.now(dt.UTC):
         raise ConfigError(
-            f"{first.file} expired on {first.end:%Y-%m-%d}: is this clock right? Then {expiry.renewal('NAME')}"
+            f"{first.file} expired on {first.end:%Y-%m-%d}: is this clock right? Then {certs.renewal('NAME')}"
         )
     return config
 

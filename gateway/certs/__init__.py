@@ -1,11 +1,12 @@
 """Certificates: access to the gateway by role. `folder.init` once, `folder.issue` for each laptop."""
 
+import datetime as dt
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from gateway.certs import authority, files, folder, proof, revocation
+    from gateway.certs import authority, files, folder, proof, revocation, zenoh_files
 
 OPERATOR: Final = "operator"
 OBSERVER: Final = "observer"
@@ -16,8 +17,10 @@ CA_DAYS: Final = 3650
 LEAF_DAYS: Final = 730
 CONSOLE_DAYS: Final = 459
 """Apple's browsers accept a server's certificate of at most 825 days, and ours begin a year in the past."""
+WARN_DAYS: Final = 60
+"""Before a certificate expires: long enough to find the person who has the CA's key."""
 
-__all__ = ["authority", "files", "folder", "proof", "revocation"]
+__all__ = ["authority", "files", "folder", "proof", "revocation", "zenoh_files"]
 
 
 def __getattr__(name: str) -> ModuleType:
@@ -25,3 +28,24 @@ def __getattr__(name: str) -> ModuleType:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return import_module(f"{__name__}.{name}")
+
+
+def expires_soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
+    """`gateway.pem expires on 2028-11-22, in 59 days`; None while more than WARN_DAYS are left."""
+    left_days = (end - now) // dt.timedelta(days=1)
+    if end <= now:
+        return f"{name} expired on {end:%Y-%m-%d}"
+    soon = f"{name} expires on {end:%Y-%m-%d}, in {left_days} day{'' if left_days == 1 else 's'}"
+    return soon if left_days < WARN_DAYS else None
+
+
+def how_to_renew(file: str, role: str, name: str) -> str:
+    """How to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
+    if role == "ca":
+        return "hexapod-gateway certs init --host ROBOT --dir DIR in another folder, and issue all certificates again"
+    return f"{renewal(role if role == 'gateway' else name)}, and copy {file} here"
+
+
+def renewal(holder: str) -> str:
+    """The command that renews a certificate; DIR is for a person to fill in."""
+    return f"where ca.key is: hexapod-gateway certs renew {holder} --dir DIR"

@@ -88,12 +88,12 @@ BODY: Final = (
 
 def rules() -> str:
     """Return the rules of TRAFFIC as JSON5, one a line."""
-    return "".join(f"      {json.dumps(_rule(each, ''))},\n" for each in TRAFFIC)
+    return "".join(f"      {json.dumps(rule(each, ''))},\n" for each in TRAFFIC)
 
 
 def body_rules(namespace: str = "") -> list[dict[str, Any]]:
     """Return the rules of BODY for the gateway's end."""
-    return [_rule(each, namespace) for each in BODY]
+    return [rule(each, namespace) for each in BODY]
 
 
 def rules_for(*roles: str) -> str:
@@ -101,8 +101,8 @@ def rules_for(*roles: str) -> str:
     return json.dumps([each.what for each in TRAFFIC if each.roles == roles])
 
 
-def _rule(each: Traffic, namespace: str) -> dict[str, Any]:
-    """With the fields of Zenoh's configuration."""
+def rule(each: Traffic, namespace: str) -> dict[str, Any]:
+    """Return one rule with the fields of Zenoh's configuration."""
     return {
         "id": each.what,
         "permission": "allow",

@@ -72,34 +72,19 @@ def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
         extensions += [(constraints, True), (_usage(CONSOLE), False)]
     subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", CONSOLE if hosts else CA)
     span = (now - BACKDATE, now + dt.timedelta(days=CA_DAYS))
-    return KeyPair(_signed(subject, key, subject, key.public_key(), span, extensions, ca=True), key)
+    return KeyPair(_signed(subject, key, subject, key.public_key(), span, extensions, is_ca=True), key)
 
 
 def make_leaf(ca: KeyPair, common_name: str, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
     """The certificate of a robot (GATEWAY), a web console (CONSOLE) or a laptop, as a server valid for `hosts`."""
     key = ec.generate_private_key(ec.SECP256R1())
-    return KeyPair(_leaf(ca, _name(common_name, name), key.public_key(), hosts, days, now), key)
+    return KeyPair(sign(ca, _name(common_name, name), key.public_key(), hosts, days, now), key)
 
 
-def renew(ca: KeyPair, old: x509.Certificate, hosts: Sequence[str], days: int, now: dt.datetime) -> x509.Certificate:
-    """`old` with a new serial number and expiry, same holder and key, valid as a server for `hosts`."""
-    return _leaf(ca, old.subject, old.public_key(), hosts, days, now)
-
-
-def _usage(common_name: str) -> x509.ExtendedKeyUsage:
-    """A robot also dials other Zenoh programs. A laptop is a client only, so that none can pose as the robot."""
-    server, client = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
-    return x509.ExtendedKeyUsage({GATEWAY: [server, client], CONSOLE: [server]}.get(common_name, [client]))
-
-
-def _leaf(
-    ca: KeyPair,
-    subject: x509.Name,
-    key: CertificatePublicKeyTypes,
-    hosts: Sequence[str],
-    days: int,
-    now: dt.datetime,
+def sign(
+    ca: KeyPair, subject: x509.Name, key: CertificatePublicKeyTypes, hosts: Sequence[str], days: int, now: dt.datetime
 ) -> x509.Certificate:
+    """A leaf certificate of this holder and key, with a new serial number, as a server valid for `hosts`."""
     issuer, common_name = ca.certificate, _attribute(subject, NameOID.COMMON_NAME)
     days = min(days, CONSOLE_DAYS) if common_name == CONSOLE else days
     # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
@@ -109,7 +94,13 @@ def _leaf(
     if hosts:
         extensions.append((x509.SubjectAlternativeName([_general_name(host) for host in hosts]), False))
     span = (max(now - BACKDATE, issuer.not_valid_before_utc), end)
-    return _signed(issuer.subject, ca.key, subject, key, span, extensions, ca=False)
+    return _signed(issuer.subject, ca.key, subject, key, span, extensions, is_ca=False)
+
+
+def _usage(common_name: str) -> x509.ExtendedKeyUsage:
+    """A robot also dials other Zenoh programs. A laptop is a client only, so that none can pose as the robot."""
+    server, client = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
+    return x509.ExtendedKeyUsage({GATEWAY: [server, client], CONSOLE: [server]}.get(common_name, [client]))
 
 
 def _signed(
@@ -120,13 +111,13 @@ def _signed(
     span: tuple[dt.datetime, dt.datetime],
     more: Sequence[_Extension],
     *,
-    ca: bool,
+    is_ca: bool,
 ) -> x509.Certificate:
     """`span`: begin and end."""
-    usage = x509.KeyUsage(not ca, False, False, False, False, ca, ca, False, False)
+    usage = x509.KeyUsage(not is_ca, False, False, False, False, is_ca, is_ca, False, False)
     builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key)
     builder = builder.serial_number(x509.random_serial_number()).not_valid_before(span[0]).not_valid_after(span[1])
-    for extension, critical in ((x509.BasicConstraints(ca, 0 if ca else None), True), (usage, True), *more):
+    for extension, critical in ((x509.BasicConstraints(is_ca, 0 if is_ca else None), True), (usage, True), *more):
         builder = builder.add_extension(extension, critical=critical)
     return builder.sign(signer, hashes.SHA256())
 
@@ -146,8 +137,12 @@ def is_ca(certificate: x509.Certificate) -> bool:
     return found is not None and found.ca
 
 
-def parse_host(text: str) -> str:
-    """`text` as a host name in lower case or a plain IP address; raises ConfigError for anything else."""
+def parse_hosts(texts: Sequence[str]) -> list[str]:
+    """Host names in lower case and plain IP addresses, each once; raises ConfigError for anything else."""
+    return list(dict.fromkeys(map(_parse_host, texts)))
+
+
+def _parse_host(text: str) -> str:
     host = text.strip().strip("[]").lower()
     name, address = host.removesuffix("."), _address(host)
     if address is not None and not address.is_unspecified and "%" not in host:  # a zone counts on this machine only
@@ -156,10 +151,8 @@ def parse_host(text: str) -> str:
     # A last label of digits only is a mistyped address (192.0.2.999), never a host name.
     if address is None and all(map(_LABEL.fullmatch, labels)) and not labels[-1].isdigit() and len(host) < 254:
         return name
-    raise ConfigError(
-        f"{text!r} is neither a host name nor an IP address: give what laptops dial, such as robot.local or 192.0.2.7 "
-        "(no port, no tls/)"
-    )
+    fix = "give what laptops dial, such as robot.local or 192.0.2.7 (no port, no tls/)"
+    raise ConfigError(f"{text!r} is neither a host name nor an IP address: {fix}")
 
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:

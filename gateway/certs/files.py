@@ -5,7 +5,6 @@ Each error is one sentence with the remedy.
 
 import contextlib
 import os
-import secrets
 import stat
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -89,27 +88,15 @@ class FileContent:
 
 
 def publish(files: Mapping[Path, FileContent]) -> None:
-    """Write `files` in order. Raises ConfigError if one exists or cannot be written, and then leaves none.
-
-    Each file is written under a temporary name in the same folder, then hard-linked to its own. Unlike a rename, a
-    hard link fails if the name exists, so concurrent runs cannot overwrite each other's keys.
-    """
-    token = secrets.token_hex(4)
-    staged = {path: path.with_name(f".{path.name}.{token}") for path in files}
-    undo = contextlib.ExitStack()
-    with undo, contextlib.ExitStack() as passing:  # temporary names go first: only an empty directory can be removed
+    """Write new files in order. Raises ConfigError if one exists or cannot be written, and then leaves none."""
+    with contextlib.ExitStack() as undo:
         for path, content in files.items():
             with _explained(path):
                 for parent in reversed([each for each in (path.parent, *path.parent.parents) if not each.exists()]):
                     parent.mkdir(mode=0o700)
                     undo.callback(_undo, parent.rmdir)
-                passing.callback(_undo, staged[path].unlink)
-                check = partial(_check_mode, path, content.mode)
-                durable.create(staged[path], content.data, content.mode, prepare=check)
-        for path in files:
-            with _explained(path):
-                os.link(staged[path], path)
-            undo.callback(_undo, path.unlink)
+                durable.create(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))
+                undo.callback(_undo, path.unlink)
         for directory in {path.parent for path in files}:
             with _explained(directory):
                 durable.sync(directory)

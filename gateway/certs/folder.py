@@ -89,28 +89,37 @@ def issue(
     """
     now = now or now_utc()
     _check_name(name)
-    ca = load_ca(directory, now)
-    taken = [directory / f"{name}{suffix}" for suffix in ("", ".pem", ".key", ".json5")]
-    if any(map(os.path.lexists, taken)):
-        raise ConfigError(f"the name {name} is taken in {directory}, and no file is overwritten: choose another")
-    if hosts and role in LAPTOP_ROLES:
-        raise ConfigError("nobody dials a laptop: --host is for a robot or a console")
-    if not hosts and role not in LAPTOP_ROLES:
-        raise ConfigError(f"name at least one host by which the {role} is reached: --host {name}.local")
-    if bundle is not None and role == CONSOLE:
-        raise ConfigError(f"--bundle is for a laptop or a robot; {name} is a {role}")
+    ca, laptop = load_ca(directory, now), role in LAPTOP_ROLES
+    taken = any(os.path.lexists(directory / f"{name}{suffix}") for suffix in ("", ".pem", ".key", ".json5"))
+    faults = (
+        (taken, f"the name {name} is taken in {directory}, and no file is overwritten: choose another"),
+        (hosts and laptop, "nobody dials a laptop: --host is for a robot or a console"),
+        (not (hosts or laptop), f"name at least one host by which the {role} is reached: --host {name}.local"),
+        (bundle and role == CONSOLE, f"--bundle is for a laptop or a robot; {name} is a {role}"),
+    )
+    for wrong, sentence in faults:
+        if wrong:
+            raise ConfigError(sentence)
     if role == ROBOT:
         files = _robot(directory / name, ca, _dialled_hosts(hosts), port_of(directory / "gateway.json5"), days, now)
         files[directory / name / "ca.pem"] = FileContent(ca.certificate_pem())
-        if bundle is not None:
-            files |= _bundle(bundle, files, {path.name: content for path, content in files.items()}, now)
     elif role == CONSOLE:
-        parsed = _parsed(hosts)
+        parsed = authority.parse_hosts(hosts)
         own = authority.make_ca(now, parsed)
         made = authority.make_leaf(own, CONSOLE, name, parsed, days, now)
         files = _pair(directory / name, made) | _pair(directory / f"{name}{_WEB_CA}", own)
     else:
-        files = _laptop(directory, ca, name, role, bundle, days, now)
+        made = authority.make_leaf(ca, _free_common_name(directory, role), name, (), days, now)
+        files = _pair(directory / name, made)
+        for robot, folder in robots_of(directory).items():
+            config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
+            dialled, port = hosts_of(folder / "gateway.pem"), port_of(folder / "gateway.json5")
+            files[config] = FileContent(zenoh_files.laptop_json5(name, role, dialled, port, config.name))
+    if bundle in files:
+        raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
+    if bundle is not None:
+        members = {"ca.pem": FileContent(ca.certificate_pem())} | {path.name: each for path, each in files.items()}
+        files[bundle] = FileContent(_zip(members, now), SECRET_MODE)
     publish(files)
     return list(files)
 
@@ -121,34 +130,6 @@ def _robot(
     made = authority.make_leaf(ca, GATEWAY, GATEWAY, hosts, days, now)
     config = {directory / "gateway.json5": FileContent(zenoh_files.gateway_json5(hosts, port))}
     return _pair(directory / GATEWAY, made) | config
-
-
-def _laptop(
-    directory: Path, ca: KeyPair, name: str, role: str, bundle: Path | None, days: int, now: dt.datetime
-) -> dict[Path, FileContent]:
-    laptop = authority.make_leaf(ca, _free_common_name(directory, role), name, (), days, now)
-    files = _pair(directory / name, laptop)
-    for robot, folder in robots_of(directory).items():
-        hosts = hosts_of(folder / "gateway.pem")
-        config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
-        port = port_of(folder / "gateway.json5")
-        files[config] = FileContent(zenoh_files.laptop_json5(name, role, hosts, port, config.name))
-    if bundle is None:
-        return files
-    members = {path.name: content for path, content in files.items()}
-    configs = [each for each in members if each.endswith(".json5")]
-    expiry = f"{laptop.certificate.not_valid_after_utc:%Y-%m-%d}"
-    members["ca.pem"] = FileContent(ca.certificate_pem())
-    members["README.txt"] = FileContent(zenoh_files.laptop_readme(name, role, expiry, configs))
-    return files | _bundle(bundle, files, members, now)
-
-
-def _bundle(
-    bundle: Path, files: Iterable[Path], members: dict[str, FileContent], now: dt.datetime
-) -> dict[Path, FileContent]:
-    if bundle in files:
-        raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
-    return {bundle: FileContent(_zip(members, now), SECRET_MODE)}
 
 
 def renew(
@@ -172,8 +153,8 @@ def renew(
     if hosts and (own != CA or not reached):
         raise ConfigError(f"--host adds one to a robot; {path} keeps its own: `certs issue` makes one for other hosts")
     reached = list(dict.fromkeys([*reached, *(_dialled_hosts(hosts) if hosts else ())]))
-    renewed = authority.renew(ca, old, reached, days, now).public_bytes(serialization.Encoding.PEM)
-    replace(path, FileContent(renewed))
+    renewed = authority.sign(ca, old.subject, old.public_key(), reached, days, now)
+    replace(path, FileContent(renewed.public_bytes(serialization.Encoding.PEM)))
     return path
 
 
@@ -186,29 +167,40 @@ def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> Rev
     before = () if known is None else known.entries
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
-    if found is None and any(name in (entry.name, entry.common_name) for entry in before):
-        raise ConfigError(f"{name} is revoked already")
-    if found is None and access.role_of(name) == name:
-        raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
     if found is None:
-        return _sign(directory, (*before, Revoked(name, "", _NO_SERIAL, now)), 0, now)
-    made = _sign(directory, (*before, Revoked(found.common_name, found.name, int(found.serial, 16), now)), 0, now)
+        if any(name in (entry.name, entry.common_name) for entry in before):
+            raise ConfigError(f"{name} is revoked already")
+        if access.role_of(name) == name:
+            raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
+        return _sign(directory, known, (*before, Revoked(name, "", _NO_SERIAL, now)), now)
+    made = _sign(directory, known, (*before, Revoked(found.common_name, found.name, int(found.serial, 16), now)), now)
     for path in directory.glob(f"{found.path.stem}.*"):
         if path.suffix in (".pem", ".key", ".json5"):
             path.unlink()
     return made
 
 
-def adopt(directory: Path, there: RevocationList, *, now: dt.datetime | None = None) -> RevocationList:
-    """Sign a list newer than that of a robot, with its entries as well as the folder's."""
+def newest(directory: Path, there: str | None, *, now: dt.datetime | None = None) -> RevocationList:
+    """Return the folder's list for a robot that has the list `there` (PEM). Raises ConfigError if there is none.
+
+    If only the robot's list has some entry, as after a backup of the folder was restored, a newer list has both.
+    """
     known = revoked(directory)
-    entries = {entry.common_name: entry for entry in (*there.entries, *(known.entries if known else ()))}
-    return _sign(directory, entries.values(), there.number, now or now_utc())
+    if known is None:
+        raise ConfigError(f"{directory} has no list: nobody was revoked")
+    if there is None or there == known.pem.decode():
+        return known
+    theirs = revocation.parse(there.encode(), [read_certificate(directory / "ca.pem")])
+    if theirs.number < known.number and theirs.common_names <= known.common_names:
+        return known
+    entries = {entry.common_name: entry for entry in (*theirs.entries, *known.entries)}
+    return _sign(directory, max(theirs, known, key=lambda each: each.number), entries.values(), now or now_utc())
 
 
-def _sign(directory: Path, entries: Iterable[Revoked], above: int, now: dt.datetime) -> RevocationList:
-    known = revoked(directory)
-    number = 1 + max(above, 0 if known is None else known.number)
+def _sign(
+    directory: Path, before: RevocationList | None, entries: Iterable[Revoked], now: dt.datetime
+) -> RevocationList:
+    number = 1 if before is None else before.number + 1
     made = revocation.sign(load_ca(directory, now), number, entries, now)
     replace(directory / revocation.REVOCATION_FILE, FileContent(made.pem))
     return made
@@ -227,15 +219,11 @@ def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
     for each in known.entries if known else ():
         if each.common_name not in listed:  # without a file its expiry is unknown
             role = access.role_of(each.common_name)
-            gone = Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", each.since, each.since)
-            found.append(gone)
+            span = each.since, each.since
+            found.append(Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", *span))
 
-    def state(each: Certificate) -> str:
-        if known and known.holds(each.common_name, int(each.serial, 16)):
-            return "revoked"
-        return "expired" if each.not_after <= now else "good"
-
-    return [(each, state(each)) for each in found]
+    gone = {each for each in found if known and known.holds(each.common_name, int(each.serial, 16))}
+    return [(each, "revoked" if each in gone else "expired" if each.not_after <= now else "good") for each in found]
 
 
 def expiries(directory: Path) -> list[Certificate]:
@@ -279,9 +267,7 @@ def port_of(config: Path) -> int:
         raise ConfigError(f"cannot read {config}: {str(error).splitlines()[0]}; restore it, or fix that") from error
     found = re.search(r'"tls/[^"]*:(\d+)', endpoints)
     if found is None:
-        raise ConfigError(
-            f"{config} listens on no tls endpoint with a port: fix listen.endpoints, such as tls/[::]:7447"
-        )
+        raise ConfigError(f"{config} listens on no tls endpoint with a port: fix listen.endpoints (tls/[::]:7447)")
     return int(found[1])
 
 
@@ -310,21 +296,14 @@ def _free_common_name(directory: Path, role: str) -> str:
     return found
 
 
-def _parsed(hosts: Sequence[str]) -> list[str]:
-    return list(dict.fromkeys(authority.parse_host(host) for host in hosts))
-
-
 def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
     """The hosts in normal form, each once. Raises ConfigError without one, or for an IPv6 address."""
-    found = _parsed(hosts)
+    found = authority.parse_hosts(hosts)
     if not found:
         raise ConfigError("name at least one host by which laptops reach the robot: --host robot.local")
-    for name in found:
-        if ":" in name:  # an IPv6 address: parse_host lets no port through
-            raise ConfigError(
-                f"Zenoh dials no IPv6 address over TLS, so no laptop could reach {name}: give a name that stands for "
-                "it, such as robot.local, or an IPv4 address"
-            )
+    if of_ipv6 := [name for name in found if ":" in name]:  # parse_host lets no port through
+        fix = "give a name that stands for it, such as robot.local, or an IPv4 address"
+        raise ConfigError(f"Zenoh dials no IPv6 address over TLS, so no laptop could reach {of_ipv6[0]}: {fix}")
     return found
 
 

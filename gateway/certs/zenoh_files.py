@@ -5,7 +5,6 @@ anywhere. Each role is tried with real sessions (tests/zenoh/test_security.py).
 """
 
 import hashlib
-import ipaddress
 import json
 from collections.abc import Sequence
 
@@ -97,16 +96,6 @@ _LAPTOP = """\
 }
 """
 
-_README = """\
-The files of @NAME@, @ROLE@ of a hexapod. Valid until @EXPIRY@. Unzip them anywhere, together.
-Keep @NAME@.key secret: it proves to be @NAME@.
-
-@COMMANDS@
-
-In Python: Client(zenoh_config="path/to/@FILE@"), of gateway.client.
-Other Zenoh programs read the paths in @FILE@ from the folder they are started in: start them in this one.
-"""
-
 
 def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
     """Return the robot's Zenoh configuration: mTLS on all addresses, access by role, a size limit, no scouting."""
@@ -138,20 +127,9 @@ def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, file: st
     return _fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=endpoints)
 
 
-def laptop_readme(name: str, role: str, expiry: str, files: Sequence[str]) -> bytes:
-    """Return a bundle's README. `files`: a Zenoh configuration for each robot."""
-    commands = ("status", *{OPERATOR: ("walk", "estop"), BUTTON: ("estop",)}.get(role, ()))
-    lines = "\n".join(f"  hexapod-gateway {each} --zenoh-config path/to/{file}" for file in files for each in commands)
-    return _fill(_README, NAME=name, ROLE=role, EXPIRY=expiry, COMMANDS=lines, FILE=files[0])
-
-
 def endpoint(host: str, port: int) -> str:
     """Zenoh's endpoint, with brackets for an IPv6 address."""
-    try:
-        bracketed = f"[{host}]" if ipaddress.ip_address(host).version == 6 else host
-    except ValueError:
-        bracketed = host
-    return f"tls/{bracketed}:{port}"
+    return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
 
 
 def _fill(template: str, **values: str) -> bytes:

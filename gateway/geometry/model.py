@@ -3,7 +3,7 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -148,3 +148,25 @@ _MAX_FAULTS: Final = 10
 
 def _list(numbers: dict[int, Mount] | set[int]) -> str:
     return ", ".join(map(str, sorted(numbers)[:_MAX_FAULTS])) or "none"
+
+
+class Masses(NamedTuple):
+    """Each part's mass is spread evenly over its box in the URDF."""
+
+    body_kg: float = 1.30
+    coxa_kg: float = 0.09
+    femur_kg: float = 0.09
+    tibia_kg: float = 0.05
+
+    @property
+    def links_kg(self) -> tuple[float, float, float]:
+        """The links of one leg, from the body outward."""
+        return self.coxa_kg, self.femur_kg, self.tibia_kg
+
+    @property
+    def total_kg(self) -> float:
+        """The mass of the body and all 18 links."""
+        return self.body_kg + 6 * sum(self.links_kg)
+
+
+MASSES: Final = Masses()

@@ -1,12 +1,11 @@
-"""The robot as a URDF: links and joints as boxes and spheres with the masses of masses.py."""
+"""The robot as a URDF: links and joints as boxes and spheres with the masses of model.py."""
 
 import math
 from typing import Final
 from xml.etree import ElementTree as Xml
 
 from gateway.geometry.kinematics import BASE, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
-from gateway.geometry.masses import MASSES
-from gateway.geometry.model import MAX_SPEED_DEG_S, Geometry
+from gateway.geometry.model import MASSES, MAX_SPEED_DEG_S, Geometry
 from schemas.robot import JOINTS, LEGS
 
 _LIMB_M: Final = 0.025

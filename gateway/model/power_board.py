@@ -196,3 +196,15 @@ def explained(error: BoardError) -> tuple[str, int]:
     mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
     cause = "overcurrent" if error.code == CONVERTER_OVERCURRENT else "overtemperature"
     return f"{cause}: the power board has switched off its converter {' and '.join(map(str, numbers))}", mask
+
+
+# ---- the servo of the Elkapod's drawings, an MG996R
+
+NO_LOAD_DEG_S: Final = 60 / 0.17
+"""At 4.8 V it takes 0.17 s for 60°."""
+
+IDLE_A: Final = 0.01
+MOVING_A: Final = 0.25
+A_PER_NM: Final = 1.25
+"""Assumed, since nobody has measured the robot's: what a hobby servo takes that holds without load, what one takes that
+moves without load, and what a load adds. One of 2 N·m takes 2.5 A when it stalls."""

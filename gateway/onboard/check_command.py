@@ -61,9 +61,9 @@ def check(
     if move and as_json:
         raise ConfigError("--move asks a person, so it has no --json")
     if move or stops:
+        from gateway.onboard.check.bench import StopsOptions
         from gateway.onboard.check.move import move as move_servo
         from gateway.onboard.check.stops import stops as prove_stops
-        from gateway.onboard.check.stops.bench import StopsOptions
         from gateway.people.commands import reach
 
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")

@@ -13,8 +13,7 @@ import zenoh
 from gateway import own_command
 from gateway.errors import GatewayError, SpiError, ZenohError
 from gateway.host.settings_table import SIMULATED
-from gateway.onboard.board_process import BoardProcess
-from gateway.onboard.body_process import BodyProcess
+from gateway.onboard.simulation_process import BoardProcess, BodyProcess
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint, say
 from gateway.robot import service

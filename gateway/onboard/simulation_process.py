@@ -1,7 +1,9 @@
-"""Starts a process that simulates a part of the robot, from within the gateway's. It ends when the gateway does."""
+"""Starts a process that simulates the robot's body or its power board, from within the gateway's, and ends with it."""
 
+import importlib.util
 import json
 import os
+import secrets
 import select
 import shutil
 import subprocess
@@ -13,8 +15,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
+import zenoh
+
 from gateway.errors import ConfigError
+from gateway.host.shared_page import SensedPage, ServoPage
+from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
+from gateway.simulation import body as simulated_body
 
 START_S: Final = 30.0
 """The slowest loads MuJoCo in less than one."""
@@ -85,3 +92,63 @@ class SimulationProcess:
 def private_folder(purpose: str) -> Path:
     """A new one, which only this user may enter."""
     return Path(tempfile.mkdtemp(prefix=f"hexapod-{purpose}-"))
+
+
+class BoardProcess(SimulationProcess):
+    """The process; its board answers on `channel` when the constructor returns, with all servos off."""
+
+    name = "power board's"
+    lost = "nobody simulates the power board any more, so it does not answer"
+
+    def __init__(
+        self,
+        outputs: Sequence[int],
+        page: ServoPage | None = None,
+        sensed: SensedPage | None = None,
+        record: Path | None = None,
+    ) -> None:
+        """`outputs`: the servo on each. `page`: where a simulated controller sends its servos; a new one by default.
+        `sensed`: what a simulated body feels, whose torques decide the currents. `record`: a file for all frames."""
+        self.page = ServoPage() if page is None else page
+        """For the simulated controller: it says which servos are fed."""
+        pages = [self.page.fd] if sensed is None else [self.page.fd, sensed.fd]
+        given = {
+            "outputs": list(outputs),
+            "page": self.page.fd,
+            "sensed": None if sensed is None else sensed.fd,
+            "record": None if record is None else str(record),
+        }
+        folder = private_folder("power")
+        self.channel = str(folder / "can")
+        """The serial device for python-can's `slcan`."""
+        super().__init__("gateway.simulation.board_port", given, pages, folder, self.channel)
+
+
+READY: Final = "ready"
+
+
+class BodyProcess(SimulationProcess):
+    """The process; it has begun, and waits for `connect`, when the constructor returns."""
+
+    name = "physics"
+    lost = "nobody simulates the body any more, and the gateway goes on without"
+
+    def __init__(self, geometry: Path | None, assumed: Assumed) -> None:
+        """Raises ConfigError where MuJoCo is not installed, or cannot simulate this robot."""
+        if importlib.util.find_spec("mujoco") is None:
+            raise ConfigError("the physics is missing: pip install 'hexapod-gateway[physics]'")
+        self.page, self.sensed = ServoPage(), SensedPage()
+        self.zenoh_id = f"{secrets.randbelow(15) + 1:x}{secrets.token_hex(15)}{secrets.randbelow(15) + 1:x}"
+        given = {
+            "page": self.page.fd,
+            "sensed": self.sensed.fd,
+            "geometry": None if geometry is None else str(geometry),
+            **assumed._asdict(),
+            "terrain": str(assumed.terrain),
+        }
+        pages = (self.page.fd, self.sensed.fd)
+        super().__init__("gateway.people.physics.process", given, pages, private_folder("body"), READY)
+
+    def connect(self, gateway: zenoh.Config) -> None:
+        """The gateway of this configuration is ready: have the body published there. Never waits."""
+        self.tell(str(simulated_body.client_config(gateway, self.folder, self.zenoh_id)))

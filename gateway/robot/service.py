@@ -19,7 +19,7 @@ from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
-from gateway.host.mounts import forgets
+from gateway.host.kernel_tables import forgets
 from gateway.host.settings_reader import ForStops
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.black_box.format import STOP_FACTS
@@ -31,10 +31,10 @@ from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.host import calibration_file, stop_note
+from gateway.robot.host import calibration_file, runtime_files
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.servos_file import ServosFile
+from gateway.robot.host.runtime_files import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime import prometheus as exposition
@@ -143,7 +143,7 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
         "framing": settings.spi.protocol.framing(settings.spi.framing),
         "timeout_ms": settings.watchdog.timeout_ms,
     }
-    stops = stop_note.take()
+    stops = runtime_files.take()
     if stops is not None:
         facts |= dict(zip(STOP_FACTS, stops, strict=True))
     return Recorder(settings, facts, time.monotonic_ns, time.time_ns)

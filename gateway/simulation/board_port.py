@@ -33,16 +33,115 @@ import sys
 import tempfile
 import time
 import tty
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TextIO
 
 from gateway.host.shared_page import SensedPage, ServoPage
-from gateway.model.power_board import CONVERTER_OVERCURRENT, CanFrame
-from gateway.simulation.adapter import SimulatedAdapter, frame_of, text_of
+from gateway.model.power_board import A_PER_NM, CONVERTER_OVERCURRENT, IDLE_A, MOVING_A, NO_LOAD_DEG_S, CanFrame
 from gateway.simulation.board import SimulatedBoard
-from gateway.simulation.draw import SimulatedDraw
 from schemas.robot import SERVO_IDS
+
+OK: Final = b"\r"
+ERROR: Final = b"\a"
+_LONGEST: Final = 32
+"""Bytes of a line; T with 8 bytes of data has 26."""
+
+
+class SimulatedAdapter:
+    """A CAN adapter that speaks slcan on a serial line; its channel is closed at first.
+
+    | line          | answer | does                                                       |
+    |---------------|--------|------------------------------------------------------------|
+    | S0-S8, sXXXX  | `\\r`  | sets the bit rate, while the channel is closed             |
+    | O             | `\\r`  | opens the channel                                          |
+    | C             | `\\r`  | closes it                                                  |
+    | tIIILDD…      | `\\r`  | puts a frame on the bus                                    |
+    | r, T, R       | `\\r`  | frames of other kinds, which the power board does not take |
+    | nothing       | `\\r`  |                                                            |
+    | anything else | `\\a`  | as what is not allowed now                                 |
+
+    While the channel is open, each frame on the bus leaves as `tIIILDD…\\r`.
+    """
+
+    def __init__(self) -> None:
+        self._open = False
+        self._line = bytearray()
+
+    def take(self, data: bytes) -> tuple[list[CanFrame], bytes]:
+        """Bytes of its client arrive: the frames for the bus, and what it answers."""
+        frames: list[CanFrame] = []
+        answers = bytearray()
+        for byte in data:
+            if byte == OK[0]:
+                answers += self._obey(bytes(self._line), frames)
+                self._line.clear()
+            elif len(self._line) < _LONGEST:
+                self._line.append(byte)
+        return frames, bytes(answers)
+
+    def text(self, frame: CanFrame) -> bytes:
+        """What its client gets of a frame on the bus; nothing while the channel is closed."""
+        return text_of(frame) if self._open else b""
+
+    def _obey(self, line: bytes, frames: list[CanFrame]) -> bytes:
+        command = line[:1]
+        if command == b"C" or (command == b"O" and not self._open):
+            self._open = command == b"O"
+        elif command == b"t" and self._open and (frame := frame_of(line)):
+            frames.append(frame)
+        elif command not in ((b"T", b"r", b"R") if self._open else (b"S", b"s")) and line:
+            return ERROR
+        return OK
+
+
+def text_of(frame: CanFrame) -> bytes:
+    """`tIIILDD…` and a carriage return."""
+    return b"t%03X%d%s\r" % (frame.id, len(frame.data), frame.data.hex().upper().encode())
+
+
+def frame_of(line: bytes) -> CanFrame | None:
+    """The frame of `tIIILDD…`; None where the line is none."""
+    try:
+        identifier, length, data = int(line[1:4], 16), int(line[4:5]), bytes.fromhex(line[5:].decode("ascii"))
+    except ValueError:
+        return None
+    if not (line[:1] == b"t" and 0 <= identifier <= 0x7FF and len(data) == length <= 8 and len(line) == 5 + 2 * length):
+        return None
+    return CanFrame(identifier, data)
+
+
+WAITS_MA: Final = 8.0
+HOLDS_MA: Final = 200.0
+"""Its share of a robot that stands. More than a servo at rest may draw, so one that goes on holding is noticed."""
+
+
+class SimulatedDraw:
+    """The currents, in mA by servo id. Times are of one monotonic clock."""
+
+    def __init__(self) -> None:
+        self._sent_deg: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
+        self._arrives_ns = dict.fromkeys(SERVO_IDS, 0)
+
+    def draw_ma(
+        self, sent_deg: Mapping[int, float | None], torques_nm: Sequence[float], now_ns: int
+    ) -> dict[int, float]:
+        """Of servos that are sent there now (None: off). `torques_nm`: a body's, in the order of SERVO_IDS, or none."""
+        drawn = {}
+        for place, servo_id in enumerate(SERVO_IDS):
+            angle_deg, before_deg = sent_deg[servo_id], self._sent_deg[servo_id]
+            if angle_deg is not None and angle_deg != before_deg:
+                way_deg = abs(angle_deg - (90.0 if before_deg is None else before_deg))
+                self._arrives_ns[servo_id] = now_ns + round(way_deg / NO_LOAD_DEG_S * 1e9)
+            if angle_deg is None:
+                drawn[servo_id] = WAITS_MA
+            elif torques_nm:
+                drawn[servo_id] = 1000 * (IDLE_A + A_PER_NM * abs(torques_nm[place]))
+            else:
+                drawn[servo_id] = HOLDS_MA + (1000 * MOVING_A if now_ns < self._arrives_ns[servo_id] else 0.0)
+            self._sent_deg[servo_id] = angle_deg
+        return drawn
+
 
 NS_PER_S: Final = 1_000_000_000
 _MOST_UNSENT: Final = 4096

@@ -31,17 +31,49 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.geometry.masses import MASSES
+from gateway.geometry.model import MASSES
 from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
-from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
+from gateway.model.power_board import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.uart import Uart
-from gateway.simulation.battery import BASE_A, SimulatedBattery
-from gateway.simulation.controller import KEPT_TRANSFERS
-from gateway.simulation.servos import ServoState, SimulatedServos
+from gateway.simulation.controller import KEPT_TRANSFERS, ServoState, SimulatedServos
 from schemas.robot import LEGS, SERVO_IDS
+
+FULL_V: Final = 8.4
+EMPTY_V: Final = 6.4
+"""Two cells at rest: 4.2 V each, and 3.2 V, where a pack is switched off."""
+RESISTANCE_OHM: Final = 0.06
+"""Of the pack, its plug and its wires."""
+CAPACITY_AS: Final = 5.0 * 3600
+
+BASE_A: Final = 1.0
+"""The computer and the controller, whatever the servos do."""
+
+
+class SimulatedBattery:
+    """`charge`: 1 full, 0 empty."""
+
+    def __init__(self, charge: float = 1.0) -> None:
+        self.charge = charge
+        self.current_a = BASE_A
+
+    def draw(self, current_a: float, seconds: float) -> None:
+        """So much current has flowed for so long, and flows now."""
+        self.current_a = current_a
+        self.charge = max(0.0, self.charge - current_a * seconds / CAPACITY_AS)
+
+    @property
+    def voltage_v(self) -> float:
+        """At its plug, under the load of now."""
+        return EMPTY_V + (FULL_V - EMPTY_V) * self.charge - RESISTANCE_OHM * self.current_a
+
+    @property
+    def percent(self) -> float:
+        """By the voltage, as simple boards count it: it falls under load, and comes back."""
+        return max(0.0, min(100.0, 100 * (self.voltage_v - EMPTY_V) / (FULL_V - EMPTY_V)))
+
 
 HEARTBEAT_NS: Final = 50_000_000
 MOST_HEARTBEATS: Final = 4096 // elkapod.HEARTBEAT_BYTES
@@ -149,24 +181,6 @@ class SimulatedElkapod(DuplexDevice):
         with self._lock:
             self._advance(self._clock())
             return self._servos
-
-    @property
-    def energised(self) -> frozenset[int]:
-        """The ids of the servos that are driven now: all or none."""
-        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
-
-    def power_cycle(self, *, off_ns: int = 0, first_answer: bytes = GARBAGE) -> None:
-        """Somebody switches it off, and on after `off_ns`: servos slack, and all angles forgotten.
-
-        Meanwhile it hears nothing, sends no heartbeat, and MISO is low.
-        """
-        with self._lock:
-            now_ns = self._clock()
-            self._advance(now_ns)
-            self._servos.power_cycle()
-            self._on_ns = self._beat_ns = now_ns + off_ns
-            self._answer, self._received = first_answer, b""
-            self._say("it was switched off and on")
 
     # ---- the firmware
 

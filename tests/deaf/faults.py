@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gateway.model.framing import ZERO, Framing
-from gateway.simulation.controller import SimulatedController
 from tests.deaf.recorded import Written
 from tests.deaf.watcher import State, Watcher, pulses
+from tests.support.controllers import Controller
 from tests.support.robot import MS
 
 GIVEN_UP_NS = 2_000 * MS
@@ -111,7 +111,7 @@ def _played(
 ) -> Iterator[tuple[Fault, Watcher, frozenset[int]]]:
     """Each fault, watched to its end, and the servos that nothing stops any more. Faults come in the log's order."""
     clock = _Clock()
-    controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
+    controller = Controller(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
     watcher = Watcher(controller)
     states = _states(log, clock, copy.deepcopy(controller, {id(clock): clock}))
     played = 0
@@ -130,7 +130,7 @@ def _played(
     assert not watcher.missed, "without a fault, all is executed"
 
 
-def _states(log: list[Written], clock: _Clock, controller: SimulatedController) -> list[State]:
+def _states(log: list[Written], clock: _Clock, controller: Controller) -> list[State]:
     """The servos after each transfer."""
     states: list[State] = []
     for written in log:

@@ -4,8 +4,9 @@ import functools
 from dataclasses import dataclass, field
 
 from gateway.model.frames import Op, decode
-from gateway.simulation.controller import SimulatedController, pulse_us
+from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS
+from tests.support.controllers import Controller
 
 State = dict[int, int | None]
 Said = tuple[Op | None, int | None]
@@ -15,7 +16,7 @@ Said = tuple[Op | None, int | None]
 class Watcher:
     """Call `saw` after each transfer. Times in nanoseconds."""
 
-    controller: SimulatedController
+    controller: Controller
     fault_ns: int = 0
     missed: int = 0
     """Frames that were written and not executed as they are."""
@@ -81,7 +82,7 @@ class Watcher:
         self.unasked.append((servo_id, what, now_ns - since_ns))
 
 
-def pulses(controller: SimulatedController) -> State:
+def pulses(controller: Controller) -> State:
     """The pulse of each servo that is on; None for one that is off, whose compare value nobody sees."""
     servos = controller.servos
     return {servo_id: servos[servo_id].pulse_us if servos[servo_id].energised else None for servo_id in SERVO_IDS}

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from gateway.model.elkapod import SHUTDOWN, START, angles_of
-from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.robot import SERVO_IDS
 from tests.hil.bed import Event, Message, SpiTestbed, Transfer
+from tests.support.controllers import Elkapod
 
 BEAT_S = 0.01
 """How often the controller is asked for what it wants to say over the UART."""
@@ -54,7 +54,7 @@ class ElkapodBed(SpiTestbed):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.uart = folder / "ttyAMA1"
-        self.controller = SimulatedElkapod()
+        self.controller = Elkapod()
         self.attach_uart(self.uart)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()

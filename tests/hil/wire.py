@@ -8,9 +8,9 @@ import pytest
 
 from gateway.model.frames import STOP, STOP_REPEATS, OneServo, Op, decode, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
+from tests.support.controllers import Controller
 from tests.support.gateway_process import Gateway
 from tests.support.transfers import on_wire, preamble_of
 
@@ -162,7 +162,7 @@ class Replay:
     def __init__(self, framing: Framing, *, selects: bool = False) -> None:
         self.now_ns = 0
         self._selects = selects
-        self.controller = SimulatedController(framing, clock=lambda: self.now_ns)
+        self.controller = Controller(framing, clock=lambda: self.now_ns)
 
     def play(self, transfers: Iterable[Transfer]) -> None:
         """What of these was delivered."""

@@ -196,7 +196,7 @@ JUDGES: Final = {
     "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py", _TIMES),
     "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
     "gateway/people/console/pages/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
-    "gateway/people/walking/distance.py": (f"{_PEOPLE}test_distance.py", _TIMES),
+    "gateway/people/walking/tempo.py": (f"{_PEOPLE}test_distance.py", _TIMES),
     "gateway/people/walking/words.py": (f"{_PEOPLE}test_words.py", _TIMES),
     "gateway/people/walking/ride.py": (
         f"{_PEOPLE}test_ride_edges.py",

@@ -10,13 +10,14 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.cycle import CYCLE_HZ, Cycle
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart
+from gateway.simulation.elkapod import SimulatedUart
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
+from tests.support.controllers import Elkapod
 from tests.support.robot import MS, Robot, leg
 
 
-class FailingElkapod(SimulatedElkapod):
+class FailingElkapod(Elkapod):
     """Fails as it is told to."""
 
     spi_fails = False

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from gateway.errors import SpiError
 from gateway.model.framing import Framing
-from gateway.simulation.controller import SimulatedController
+from tests.support.controllers import Controller
 
 
-class FaultyController(SimulatedController):
+class FaultyController(Controller):
     """Each fault lasts from when it is asked for; of a transfer that fails, the controller sees no byte."""
 
     def __init__(

@@ -16,7 +16,7 @@ import zenoh
 
 from gateway.model.framing import Framing
 from gateway.robot.spi import Batch
-from gateway.simulation.controller import SimulatedController
+from tests.support.controllers import Controller
 
 PATIENCE_S: Final = 10.0
 """A thread that comes to no further point in this time hangs."""
@@ -253,7 +253,7 @@ class SteppedLoop:
         return self._timers[0][0] if self._timers else math.inf
 
 
-class SteppedController(SimulatedController):
+class SteppedController(Controller):
     """Gives way before each batch, in which nobody else may write."""
 
     stage: Stage

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from gateway.people.recorder.drawing import DRAWN
 from gateway.people.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
-from gateway.people.recorder.recording import METADATA, REPORTS
+from gateway.people.recorder.record import METADATA, REPORTS
 from tests.support.ros2_messages import decode
 
 IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_TOPICS, CommandInBox), RECORDER: Note}

@@ -17,8 +17,8 @@ import pytest
 from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError
 from gateway.geometry import load
 from gateway.people.walking import USUAL_SILENCES, Phase, Pose, Posture, Ride, RideStep, RideTask, Robot, Silences
+from gateway.people.walking.planning import margin_m
 from gateway.people.walking.ride import START_PAUSE_S
-from gateway.people.walking.stability import margin_m
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 

@@ -8,8 +8,8 @@ import tty
 from contextlib import suppress
 
 from gateway.model.power_board import CanFrame
-from gateway.simulation.adapter import SimulatedAdapter
 from gateway.simulation.board import SimulatedBoard
+from gateway.simulation.board_port import SimulatedAdapter
 
 TICK_MS = 1
 

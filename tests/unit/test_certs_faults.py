@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gateway import certs
+from gateway import certs, durable
 from gateway.certs.files import FileContent, publish
 from gateway.errors import ConfigError
 from gateway.zenoh_config import load_client_config, load_config
@@ -40,13 +40,6 @@ def test_an_existing_ca_is_never_replaced(folder: Path) -> None:
     assert "has a CA already" in fault(lambda: certs.folder.init(folder, HOSTS))
 
 
-def test_a_name_is_given_once(folder: Path) -> None:
-    certs.folder.issue(folder, "alice", "operator")
-    before = contents(folder)
-    assert "taken" in fault(lambda: certs.folder.issue(folder, "alice", "observer"))
-    assert contents(folder) == before
-
-
 def test_issue_takes_back_everything_when_the_bundle_cannot_be_made(folder: Path, tmp_path: Path) -> None:
     before = contents(folder)
     (tmp_path / "there.zip").write_text("mine")
@@ -62,7 +55,7 @@ def test_an_interruption_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.Mon
     def interrupt(*_arguments: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(os, "link", interrupt)
+    monkeypatch.setattr(durable, "sync", interrupt)
     with pytest.raises(KeyboardInterrupt):
         certs.folder.init(tmp_path / "D", HOSTS)
     assert names(tmp_path) == set()

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import pytest
 
 from gateway.geometry import MAX_SPEED_DEG_S, load
-from gateway.model.servo import NO_LOAD_DEG_S
+from gateway.model.power_board import NO_LOAD_DEG_S
 from gateway.people.walking import Engine, Range, Robot, Velocity
 from schemas.robot import SERVO_IDS
 from tests.walking.physics import heading_rad, stood_up, walk

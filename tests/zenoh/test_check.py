@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gateway.onboard.check import network
-from gateway.onboard.check.table import judged
+from gateway.onboard.check import security
+from gateway.onboard.check.table import CheckedRobot
 from tests.support.command import Ended, run_here
 from tests.support.gateway_process import free_port, write_settings
 
@@ -99,17 +99,17 @@ TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the gateway th
 )
 def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
     where = endpoint.replace("TAKEN", str(taken)).replace("FREE", str(free_port()))
-    (line,) = judged(network.PORTS, network.port(where))
+    (line,) = security.PORTS.judged(security.port(CheckedRobot(), where))
     assert line.sentence.startswith(f"{where} {sentence}")
     if sentence is TAKEN:
-        (line,) = judged(network.PORTS, network.port(where, gateway_runs=True))
+        (line,) = security.PORTS.judged(security.port(CheckedRobot(gateway_runs=True), where))
         assert line.sentence == f"{where} is in use {RUNS}"
 
 
 # ---- the machine
 
 REALTIME = (
-    "import os; from gateway.onboard.check.machine import MACHINE;"
+    "import os; from gateway.onboard.check.installation import MACHINE;"
     "from gateway.onboard.check.table import CheckedRobot, results;"
     "r, = results(MACHINE[-1:], CheckedRobot()); print(r.verdict, r.sentence, r.fix);"
     "print(os.sched_getscheduler(0))"

@@ -139,7 +139,7 @@ def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gatewa
     with moving(gateway, heard) as child:
         assert client.stop().accepted
         assert child.wait() == 1, str(child)
-    assert "rejected: servo_stopped" in child.stdout
+    assert "a set was rejected: servo_stopped: " in child.stdout
     assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
 
 

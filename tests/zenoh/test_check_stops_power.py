@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gateway.onboard.check.stops import steps
+from gateway.onboard.check import stops
 from schemas import keys
 from schemas.telemetry import GatewayState
 from tests.support.command import Ended
@@ -63,7 +63,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., Robot]]:
             robot = Robot(tmp_path, **settings)
             stack.callback(robot.close)
             client = stack.enter_context(stack.enter_context(robot.gateway).client())
-            Heard(client, keys.STATE, GatewayState).wait(lambda _: steps.is_at_rest(client))
+            Heard(client, keys.STATE, GatewayState).wait(lambda _: stops.is_at_rest(client))
             return robot
 
         yield made
@@ -74,9 +74,9 @@ def person(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str], str]], 
     """Somebody is at the simulated robot, and does this when asked."""
 
     def does(answer: Callable[[str], str]) -> None:
-        monkeypatch.setattr(steps, "by_hand", steps.board)
-        for name in ("person", "hint"):
-            monkeypatch.setattr(steps, name, answer)
+        monkeypatch.setattr(stops, "by_hand", stops.board)
+        for name in ("ask", "hint"):
+            monkeypatch.setattr(stops, name, answer)
 
     return does
 
@@ -127,13 +127,3 @@ def test_can_unplugged(robot: Callable[..., Robot], person: Callable[[Callable[[
     done = found.check("can-unplugged")
     assert done.returncode == 0, str(done)
     assert "silent_when_reported_ms" in done.stdout
-
-
-def test_what_stop_servos_says_is_counted() -> None:
-    text = (
-        "Stop written to all six legs, 4 times each, on /dev/spidev0.0\n"
-        "the power board has confirmed: all servos without supply, after 412 ms\n"
-    )
-    found = steps.said_by_stop_servos(text)
-    assert found == {"stops_of_stop_servos": 24, "supply_off_confirmed_after_ms": 412}
-    assert steps.said_by_stop_servos("") == {}

@@ -15,7 +15,7 @@ NEED_AN_EXTRA: Final = {
     "gateway.people.console": "console",
     "gateway.people.physics": "physics",
     "gateway.people.recorder.record": "record",
-    "gateway.onboard.body_process": "physics",
+    "gateway.onboard.simulation_process": "physics",
     "gateway.robot.power.slcan": "power",
 }
 """Modules that other modules load only where a person asks for what the extra is for."""

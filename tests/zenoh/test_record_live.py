@@ -14,7 +14,7 @@ from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
 from gateway.people.recorder.drawing import DRAWN, SIM_JOINT_STATES
-from gateway.people.recorder.recording import REPORTS
+from gateway.people.recorder.record import REPORTS
 from schemas.keys import SIM_BODY, STATE, TELEMETRY
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture

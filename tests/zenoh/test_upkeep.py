@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.certs import expiry
 from gateway.client import Client
 from gateway.people.commands.status import topics
 from tests.support.command import run_here
@@ -78,7 +77,7 @@ def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> 
         assert topics(state)["certificate"].startswith("The robot's gateway.pem expires on")
     assert state.certificate is not None
     assert state.certificate.file == "gateway.pem"
-    assert expiry.soon("gateway.pem", state.certificate.expires, state.time) is not None
+    assert certs.expires_soon("gateway.pem", state.certificate.expires, state.time) is not None
 
 
 def test_a_start_that_time_may_cure_pauses_under_systemd_alone(tmp_path: Path, systemd: Systemd) -> None:

@@ -1,6 +1,6 @@
 """The black box's records: their content, their bytes, and how they are written.
 
-The readers are in `people/recorder/ring_decoding.py`.
+The readers are in `people/recorder/ring_reader.py`.
 
 A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
 
@@ -26,7 +26,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from gateway.model import elkapod
 from gateway.model.frames import ServoOp
@@ -68,26 +68,23 @@ COALESCED: Final = "coalesced"
 """Verdicts of a decision, next to the reasons of rejections."""
 
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
-"""Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""
+"""Facts of a start: the times of `gateway.robot.host.runtime_files`, if `stop-servos` ran before it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(NamedTuple):
     """A gateway starts. `wall_ns`: wall-clock time at this moment."""
 
     wall_ns: int
     facts: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class End:
+class End(NamedTuple):
     """A gateway ends, after its last Stops."""
 
     why: str
 
 
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
+class CommandRecord(NamedTuple):
     """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does)."""
 
     number: int
@@ -98,8 +95,7 @@ class CommandRecord:
     targets: tuple[tuple[int, ServoOp], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(NamedTuple):
     """The outcome of a command: "accepted", "coalesced", or the reason of its rejection."""
 
     number: int
@@ -108,8 +104,7 @@ class Decision:
     source: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class FrameWritten:
+class FrameWritten(NamedTuple):
     """A written frame; the record's time is the end of its transfer. `late_ns`: a watchdog's Stop after its deadline.
 
     `number`: the command accepted with it, which then has no Decision; 0: none.
@@ -122,8 +117,7 @@ class FrameWritten:
     number: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class CarriedOut:
+class CarriedOut(NamedTuple):
     """A command and the frame that it was accepted with, in one record; the transfer ended at `frame_ns`.
 
     The record's time is the command's arrival. Readers get two records, the command's and the frame's.
@@ -134,15 +128,13 @@ class CarriedOut:
     frame_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class ModeChange:
+class ModeChange(NamedTuple):
     """The gateway's mode from now on."""
 
     mode: str
 
 
-@dataclass(frozen=True, slots=True)
-class EventPublished:
+class EventPublished(NamedTuple):
     """A published event."""
 
     kind: str
@@ -153,44 +145,38 @@ class EventPublished:
     left_out: int
 
 
-@dataclass(frozen=True, slots=True)
-class Lag:
+class Lag(NamedTuple):
     """The loop's timer ran late."""
 
     lag_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class Clock:
+class Clock(NamedTuple):
     """Wall-clock time at this moment, recorded once a second."""
 
     wall_ns: int
 
 
-@dataclass(frozen=True, slots=True)
-class IncidentBegun:
+class IncidentBegun(NamedTuple):
     """An incident begins. `wall_ns`: wall-clock time at this moment."""
 
     wall_ns: int
     incident: str
 
 
-@dataclass(frozen=True, slots=True)
-class Calibrated:
+class Calibrated(NamedTuple):
     """The calibration in force from now on; before a change, the previous one is recorded as well."""
 
     calibration: Calibration
 
 
-@dataclass(frozen=True, slots=True)
-class About:
+class About(NamedTuple):
     """Version and settings, recorded every ten seconds, so that each incident's file has them."""
 
     facts: dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class BodyState:
+class BodyState(NamedTuple):
     """What the robot measured, recorded ten times a second at most."""
 
     values: elkapod.Measured
@@ -222,8 +208,7 @@ Content = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(NamedTuple):
     """One record; `ns` is of the monotonic clock."""
 
     sequence: int
@@ -244,8 +229,7 @@ def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes
     pack_slot_into(buffer, offset, zlib.crc32(body), body)
 
 
-@dataclass(frozen=True, slots=True)
-class Slot:
+class Slot(NamedTuple):
     """A slot with a valid checksum."""
 
     kind: int

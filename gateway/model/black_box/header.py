@@ -1,4 +1,4 @@
-"""The first page of a ring's file: its format, and what readers need without searching the records.
+"""The files of the black box, and the first page of a ring's: what readers need without searching the records.
 
 | bytes   | content                                                                                       |
 |---------|-----------------------------------------------------------------------------------------------|
@@ -8,8 +8,10 @@
 | 134-    | the calibration in force, whose record the ring overwrites sooner than it changes             |
 """
 
+import re
 import struct
 import zlib
+from pathlib import Path
 from typing import Any, Final
 
 from gateway.model.black_box.format import HEADER_BYTES, SLOT, DamagedRingError
@@ -62,3 +64,26 @@ def calibration(head: bytes) -> bytes:
     checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)
     data = head[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + length]
     return data if len(data) == length and zlib.crc32(data) == checksum else b""
+
+
+RING_FILE: Final = "black-box"
+"""A link to the ring, which is in memory."""
+
+MAX_SLOTS: Final = 500_000
+"""64 MB of memory. More than 60 s at 1000 frames a second and leg, or 600 s at 125, do not fit in it."""
+
+COPIED_SHARE: Final = 8
+"""A copy has an eighth of the ring's records: 10 s of six legs at their rate, with either framing; 7.5 s of a flood."""
+MOST_COPIES: Final = 8
+"""The newest are kept: together as large as the ring."""
+
+
+def copy_path(ring: Path, newest: int) -> Path:
+    """The copy of a ring's records up to the sequence number `newest`."""
+    return ring.with_name(f"{ring.name}.{newest:019d}")
+
+
+def copies_of(ring: Path) -> list[Path]:
+    """The copies beside a ring, oldest first. Raises OSError."""
+    name = re.compile(rf"{re.escape(ring.name)}\.\d{{19}}", re.ASCII)
+    return sorted(path for path in ring.parent.iterdir() if name.fullmatch(path.name))

@@ -3,53 +3,43 @@
 It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. A power board is asked.
 """
 
+import grp
 import json
 import os
+import pwd
+import resource
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from gateway import __version__, own_command
-from gateway.errors import ConfigError
+from pydantic import ValidationError
+
+from gateway import own_command
+from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
-from gateway.host.effective import Effective
-from gateway.model.black_box.files import RING_FILE
 from gateway.onboard import stop
-from gateway.onboard.check import certificates, installation, laptop, machine, network, service_user, table, wire
-from gateway.onboard.check.table import CheckedRobot, Probe, Result, Seen, Verdict, judged, results, warning
-from gateway.people.terminal import clear_line, rows, say, show_line
+from gateway.onboard.check import installation, laptop, security, table, wire
+from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
+from gateway.people.client.blocking import Client
+from gateway.people.terminal import clear_line, say, show_line
 from gateway.robot import settings as settings_file
-from gateway.robot.blackbox import paths
-from gateway.robot.settings import FramingNotSetError, Settings
+from gateway.robot.settings import FramingNotSetError
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
-from schemas.telemetry import GatewayState, Mode
 
-_STYLES: Final = {Verdict.OK: rows.GOOD, Verdict.WARNING: rows.NOTE, Verdict.FAILURE: rows.BAD}
-_STATE_IT: Final = (
-    "state in the file what the controller needs, and take the variable out (systemctl cat hexapod-gateway)"
-)
-_RUNS: Final = "{version} runs on a simulated controller, and is {mode}"
-# fmt: off
-SIMULATED: Final = (
-    Probe("gateway", lambda seen: seen, (
-        warning(lambda r: r.version != r.own, f"{_RUNS}; this program is {{own}}", "end it, and start it again"),
-        warning(lambda r: r.mode == Mode.ESTOPPED, _RUNS, "{run[reset]} leaves the emergency stop"),
-        warning(lambda r: not r.frames, f"{_RUNS}, without frames to record", "set telemetry.frames = true"),
-    ), f"{_RUNS}. For a real robot, end it and check again"),
-    Probe("black box", lambda seen: seen, (
-        warning(lambda r: not r.keeps, "is off", "`make run` keeps one; for another gateway set state.path"),
-    ), "{folder}; hexapod-gateway incidents shows what it kept"),
-)
-CONFIGURED: Final = (
-    *wire.PROBES, *certificates.CERTIFICATES, network.ZENOH, network.ACCESS, network.PORTS, *wire.POWER,
-)
-# fmt: on
+_GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
+_LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
+"""The service's user may not be able to read the folder that this Python runs from."""
+_DRIVE: Final = "reach the gateway"
+_STYLES: Final = {Verdict.OK: table.GOOD, Verdict.WARNING: table.NOTE, Verdict.FAILURE: table.BAD}
+CONFIGURED: Final = (*wire.PROBES, *security.CERTIFICATES, security.ZENOH, security.ACCESS, security.PORTS, wire.POWER)
 """What depends on the settings."""
 
 
@@ -65,17 +55,39 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     show_line("reading the files of the installed release …")
     seen = list(results(installation.PROBES, robot)) if robot.installed else []  # root sees it all
     clear_line()
-    service_user.go_on_as(robot.unit.get("LimitRTPRIO", ""))
-    found = _simulated() if config is None else None
-    if found is None:
-        return _report(run(config, robot, seen), "This machine", "run the service", as_json=as_json)
-    return _report(chain(_beside(*found), seen), "The simulated robot", "be driven", as_json=as_json)
+    _go_on_as_the_service(robot)
+    if config is None and (endpoint := _simulated()):
+        simulated = "is simulated; for a real robot, end its gateway and check again"
+        steps = chain(laptop.checks(endpoint, None, 1.0), [Result("controller", Verdict.OK, simulated)], seen)
+        return _report(steps, "This machine", _DRIVE, as_json=as_json)
+    return _report(run(config, robot, seen), "This machine", "run the service", as_json=as_json)
 
 
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
     """The same of a laptop: whether it reaches the robot, and what it may do there."""
     steps = laptop.checks(connect, zenoh_config, timeout_s)
-    return _report(steps, "This machine", "reach the gateway", as_json=as_json)
+    return _report(steps, "This machine", _DRIVE, as_json=as_json)
+
+
+def _go_on_as_the_service(robot: CheckedRobot) -> None:
+    """As root, go on in a child that is the service's user, if there is one: what root can do shows nothing."""
+    if os.geteuid() or robot.service is None:
+        return
+    for module in _LOADED_LATE:
+        with suppress(ImportError):
+            import_module(module)
+    sys.stdout.flush()
+    if child := os.fork():
+        sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    user = pwd.getpwuid(robot.service[0])
+    groups = {each.gr_gid for each in grp.getgrall() if each.gr_name in _GROUPS_OF_THE_UNIT}
+    limit = robot.unit.get("LimitRTPRIO", "")  # "" if the unit sets none
+    with suppress(OSError, ValueError):  # without CAP_SYS_RESOURCE, as in a container: `real-time` reports it
+        resource.setrlimit(resource.RLIMIT_RTPRIO, (int(limit), int(limit)))
+    with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: the line of the user reports it
+        os.setgroups(sorted(groups | set(os.getgrouplist(user.pw_name, user.pw_gid))))
+        os.setgid(user.pw_gid)
+        os.setuid(user.pw_uid)
 
 
 def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> int:
@@ -83,7 +95,7 @@ def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> i
     lines = dict[str, Result]()
     for result in found:
         if result.sentence not in lines and not as_json:
-            rows.show(rows.row(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix))
+            table.show(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix)
         lines.setdefault(result.sentence, result)
     count = Counter(each.verdict for each in lines.values())
     passed = not count[Verdict.FAILURE]
@@ -93,7 +105,7 @@ def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> i
     worst = Verdict.WARNING if passed else Verdict.FAILURE
     many = f"{count[worst]} {worst}{'s' * (count[worst] != 1)}"
     end = f"can {can}{f', with {many}' if count[worst] else ''}" if passed else f"cannot {can}: {many}"
-    return rows.conclude(f"{what} {end}.", well=passed)
+    return table.conclude(f"{what} {end}.", well=passed)
 
 
 def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Iterator[Result]:
@@ -102,7 +114,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     While the service runs, and no file is named, its device is looked at with the settings that it uses.
     """
     path = config or CONFIGURATION
-    if os.geteuid() not in (0, service_user.uid()) and _denied(path):
+    if os.geteuid() not in (0, robot.service and robot.service[0]) and _denied(path):
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
@@ -115,10 +127,10 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
             raise
         faults = str(error).splitlines()
     robot.settings = settings or robot.settings
-    yield from results([machine.PYTHON, machine.USER], robot)
+    yield from results([installation.PYTHON, installation.USER], robot)
     yield from seen
     for fault in faults:
-        fix = table.LET_READ if certificates.DENIED in fault else "fix it there, and check again"
+        fix = table.LET_READ if security.DENIED in fault else "fix it there, and check again"
         yield Result("configuration", Verdict.FAILURE, fault, fix)
     if settings is None:
         rest = "device, ports and certificates were not looked at"
@@ -126,9 +138,15 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     else:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
-        yield from _in_use(robot, used, path)
+        if used is not None:  # the wire is looked at with the service's settings
+            uart = replace(settings.controller, uart=used.controller.uart)
+            if settings.spi.device != used.spi.device:
+                yield from results([wire.DEVICE], robot)
+            robot.settings = replace(settings, spi=used.spi, controller=uart)
+            fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
+            yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(CONFIGURED, robot)
-    yield from results([machine.CLOCK, installation.UNIT, *machine.MACHINE], robot)
+    yield from results([installation.CLOCK, installation.UNIT, *installation.MACHINE], robot)
 
 
 def _denied(path: Path) -> bool:
@@ -140,36 +158,17 @@ def _denied(path: Path) -> bool:
     return False
 
 
-def _in_use(robot: CheckedRobot, used: Effective | None, path: Path) -> Iterator[Result]:
-    """Where the service uses other settings than the file's; the wire is looked at with the service's."""
-    if used is not None:
-        stated = robot.settings
-        uart = replace(stated.controller, uart=used.controller.uart)
-        if stated.spi.device != used.spi.device:
-            yield from results([wire.DEVICE], robot)
-        robot.settings = replace(stated, spi=used.spi, controller=uart)
-        for each in effective.differences(used, path):
-            yield Result("in use", Verdict.WARNING, each, _STATE_IT)
+def _simulated() -> str:
+    """Where a gateway with a simulated controller answers, as `make run` starts it; "": nowhere.
 
-
-# ---- a gateway with a simulated controller, as `make run` starts it: it needs neither device nor framing
-
-
-def _simulated() -> tuple[Settings, GatewayState] | None:
-    """The settings that are found without a file named, and what answers there; None: no simulated gateway does."""
-    with suppress(ConfigError):
+    Its settings are those that are found without a file named. It needs neither device nor framing.
+    """
+    with suppress(ConfigError, GatewayError, ValidationError):
         settings = settings_file.load(None, simulated=True)
         for endpoint in listen_endpoints(service_config(settings.zenoh)):
-            if endpoint.startswith("tcp/") and (state := network.state_at(endpoint)) is not None and state.simulated:
-                own_command.reach_by(connect=endpoint)
-                return settings, state
-    return None
-
-
-def _beside(settings: Settings, state: GatewayState) -> Iterator[Result]:
-    robot, folder = CheckedRobot(settings, gateway_runs=True), paths.folder_to_read(settings)
-    seen = Seen(version=state.version, own=__version__, mode=state.mode, folder=folder, frames=state.telemetry.frames)
-    seen.keeps = folder is not None and (folder / RING_FILE).exists()
-    yield from results([machine.PYTHON], robot)
-    yield from chain.from_iterable(judged(probe, seen) for probe in SIMULATED)
-    yield from results([wire.CALIBRATION[0], certificates.CERTIFICATES[0], network.PORTS, machine.CLOCK], robot)
+            if endpoint.startswith("tcp/"):
+                with Client(endpoint, source="hexapod-gateway check", timeout_s=1.0) as client:
+                    if client.state().simulated:
+                        own_command.reach_by(connect=endpoint)
+                        return endpoint
+    return ""

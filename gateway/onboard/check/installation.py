@@ -1,29 +1,37 @@
-"""The service as systemd runs it: unit, drop-ins, environment, user, state directory and keys. Root sees all of it.
+"""The machine, and the service as systemd runs it: release, unit, drop-ins, user, state directory. Root sees all of it.
 
 `tests/box/test_check_faults.py` plants each fault and follows the remedy, from its first `sudo` to the line's end.
 """
 
+import array
+import ctypes
+import fcntl
 import grp
+import importlib.metadata
 import os
+import platform
 import re
+import resource
 import shlex
 import shutil
+import socket
 import stat
+import sys
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from gateway import certs
 from gateway.errors import ConfigError
-from gateway.host.mounts import FORGETS, mount_of
+from gateway.host.kernel_tables import FORGETS, mount_of
+from gateway.host.realtime import LOOP_PRIORITY
 from gateway.onboard import whole
 from gateway.onboard.check.table import INSTALL, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, text, warning
 
 ETC: Final = f"/etc/{SERVICE}"
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
-TEMPLATE: Final = Path("/usr/share/hexapod-gateway/gateway.toml")
-"""Has each setting with its default."""
 _NEEDED: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
 _FORMER: Final = (f"/usr/local/bin/{SERVICE}", f"/opt/{SERVICE}")
@@ -34,28 +42,56 @@ _MOST_FILES: Final = 20_000
 _LEAST_FREE_MB: Final = 20
 """For some calibrations and lists."""
 _LEAST_INODES: Final = 100
-_HARMLESS: Final = {
-    "Description",
-    "After",
-    "Wants",
-    "Environment",
-    "ReadWritePaths",
-    "CPUWeight",
-    "IOWeight",
-    "LogLevelMax",
-}
+_HARMLESS: Final = frozenset(
+    ("Description", "After", "Wants", "Environment", "ReadWritePaths", "CPUWeight", "IOWeight", "LogLevelMax")
+)
 """What a drop-in may set: on anything else a Stop may depend, or one after the service's end."""
 _OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_)\w+")
 """Variables that change what the service does."""
+_ASSIGNED: Final = re.compile(r"^[ \t]*(\w+)[ \t]*=[ \t]*(.*?)[ \t]*$", re.MULTILINE)
+_UNSYNCHRONISED, _TIMEX_BYTES = 5, 512  # TIME_ERROR of adjtimex(2); more than its struct has, all zeros: it only asks
+_ASK_POWER_SAVE, _DISABLED_BYTE = 0x8B2D, 21  # SIOCGIWPOWER; a struct iwreq begins with the name in 16 bytes
 
 
-# ---- what the probes read
+# ---- the machine
 
 
-def _package(robot: CheckedRobot) -> Iterator[Seen | None]:
-    """A reading for each kind of fault of the package's files."""
-    for kind, found in robot.files._asdict().items():
-        yield names(found, "/", kind=kind, again=whole.how_to_repeat(robot.package))
+def _clock(_: CheckedRobot) -> Seen | None:
+    with suppress(AttributeError, OSError):  # not Linux: a laptop
+        return Seen(adjtimex=int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(_TIMEX_BYTES))))
+    return None
+
+
+def _realtime(robot: CheckedRobot) -> Seen:
+    """What the kernel has granted the service that runs; else whether this process may be scheduled before others."""
+    seen = Seen(running=None, rejected="", limit=resource.getrlimit(resource.RLIMIT_RTPRIO)[0], to="this user")
+    with suppress(OSError):
+        threads = [int(each.name) for each in Path(f"/proc/{robot.unit.get('MainPID', 0)}/task").iterdir()]
+        seen.running, seen.to = max(os.sched_getparam(each).sched_priority for each in threads), "the service that runs"
+    if seen.running is None:
+        priority = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(LOOP_PRIORITY)
+        with ThreadPoolExecutor(1) as thread:  # so that this one keeps its priority
+            fault = thread.submit(os.sched_setscheduler, 0, *priority).exception()
+        seen.rejected = fault.strerror if isinstance(fault, OSError) else ""
+    seen.priority = seen.running or LOOP_PRIORITY
+    return seen
+
+
+def _voltage(robot: CheckedRobot) -> Iterator[Seen]:
+    for name in (robot.root / "sys/class/hwmon").glob("hwmon*/name"):
+        if text(name) == "rpi_volt":
+            yield Seen(low=text(name.with_name("in0_lcrit_alarm")) == "1")
+
+
+def _wifi(robot: CheckedRobot) -> Iterator[Seen]:
+    for folder in (robot.root / "sys/class/net").glob("*/phy80211"):
+        asked = array.array("B", folder.parent.name.encode().ljust(32, b"\0"))
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+            fcntl.ioctl(any_socket, _ASK_POWER_SAVE, asked)
+            yield Seen(wifi=folder.parent.name, saves=not asked[_DISABLED_BYTE])
+
+
+# ---- release and unit
 
 
 def names(found: Sequence[str], folder: Path | str, **more: object) -> Seen | None:
@@ -89,13 +125,13 @@ def _unit_file(robot: CheckedRobot) -> Seen | None:
 
 
 def _unit(robot: CheckedRobot) -> Seen | None:
-    unit, program = robot.unit, ""
+    """`program`: what it runs and nobody can, or the interpreter of that."""
+    unit, needs = robot.unit, list[str]()
     for path in re.findall(r"path=(\S+)", f"{unit.get('ExecStart')} {unit.get('ExecStopPost')}"):
-        script = re.match(r"#! *(\S+)", text(robot.path(path))[:_SHEBANG])
-        needs = (path, *(script.groups() if script else ()))
-        program = program or next((each for each in needs if not os.access(robot.path(each), os.X_OK)), "")
+        needs += [path, *re.findall(r"^#! *(\S+)", text(robot.path(path))[:_SHEBANG])]
     return None if unit.get("LoadState") == "masked" else Seen(
-        systemd=(robot.root / "run/systemd/system").is_dir() and shutil.which("systemctl"), program=program,
+        systemd=(robot.root / "run/systemd/system").is_dir() and shutil.which("systemctl"),
+        program=next((each for each in needs if not os.access(robot.path(each), os.X_OK)), ""),
         load=unit.get("LoadState", ""), active=unit.get("ActiveState", ""), enabled=unit.get("UnitFileState", ""),
         result=unit.get("Result", ""), stops="stop-servos" in unit.get("ExecStopPost", ""),
     )  # fmt: skip
@@ -112,16 +148,12 @@ def _reload(robot: CheckedRobot) -> Seen:
 def _drop_ins(robot: CheckedRobot) -> Iterator[Seen]:
     """Read as systemd does: a backslash at the end continues a line, # and ; begin comments."""
     for path in robot.unit.get("DropInPaths", "").split():
-        lines = [line.strip() for line in text(robot.path(path)).replace("\\\n", " ").splitlines()]
-        assigned = [(key.strip(), value.strip()) for key, is_one, value in (each.partition("=") for each in lines
-                    if each[:1] not in "#;") if is_one]  # fmt: skip
+        assigned = _ASSIGNED.findall(text(robot.path(path)).replace("\\\n", " "))
         environment = " ".join(value for key, value in assigned if key == "Environment")
-        after = [value for key, value in assigned if key == "ExecStopPost"]
-        keys = {key for key, _ in assigned}
+        after, keys = [value for key, value in assigned if key == "ExecStopPost"], {key for key, _ in assigned}
         yield Seen(
-            path=path, environment=environment, keys=", ".join(sorted(keys)),
+            path=path, environment=environment, keys=", ".join(sorted(keys)), simulates="--sim" in environment,
             emptied="" in after and not any("stop-servos" in each for each in after[after.index("") :]),
-            simulates="--sim" in environment,
             depends=", ".join(sorted(keys - _HARMLESS | set(re.findall(r"\bPYTHON\w+", environment)))),
         )  # fmt: skip
 
@@ -129,26 +161,12 @@ def _drop_ins(robot: CheckedRobot) -> Iterator[Seen]:
 def _variables(robot: CheckedRobot) -> Iterator[Seen]:
     """Those of the service that neither its unit nor a drop-in has: systemd's own, or of the process that runs."""
     process = text(robot.path(f"proc/{robot.unit.get('MainPID', 0)}/environ")).replace("\0", " ")
-    theirs = set(_OURS.findall(f"{robot.manager.get('Environment', '')} {process}"))
+    theirs = set(_OURS.findall(f"{robot.environment} {process}"))
     for name in sorted(theirs - set(_OURS.findall(robot.unit.get("Environment", "")))):
         yield Seen(name=name)
 
 
-def _new_settings(robot: CheckedRobot) -> Seen | None:
-    """Those that this release has and gateway.toml does not mention, with or without a #."""
-    mentioned, known = _mentioned(text(robot.path(f"{ETC}/gateway.toml"))), _mentioned(text(robot.path(TEMPLATE)))
-    new = sorted(known - mentioned) if mentioned else []
-    return Seen(new=", ".join(new)) if new else None
-
-
-def _mentioned(toml: str) -> set[str]:
-    section, found = "", set[str]()
-    for line in toml.splitlines():
-        if head := re.match(r"(?:# )?\[([\w.]+)\]", line):
-            section = f"{head[1]}."
-        elif name := re.match(r"(?:# ?)?([a-z_.]+) *= ", line):
-            found.add(name[1] if "." in name[1] else section + name[1])
-    return found
+# ---- user, files and disks
 
 
 def _users(robot: CheckedRobot) -> Iterator[Seen]:
@@ -158,38 +176,34 @@ def _users(robot: CheckedRobot) -> Iterator[Seen]:
     return (Seen(missing=each) for each in found)
 
 
-def _state(robot: CheckedRobot) -> Seen | None:
-    """The state directory; nothing where the service's first start makes it."""
-    folder = robot.path(STATE_FOLDER)
+def _state(robot: CheckedRobot) -> Iterator[Seen | None]:
+    """The state directory, and what in it another user owns, or its owner may not read and write.
+
+    Nothing where the service's first start makes it.
+    """
+    folder, found = robot.path(STATE_FOLDER), list[str]()
     if robot.service is None or not folder.exists():
-        return None
-    status = folder.stat()
-    own = status.st_uid == robot.service[0] and status.st_mode & stat.S_IRWXU == stat.S_IRWXU
-    return Seen(is_folder=stat.S_ISDIR(status.st_mode), kind=mount_of(folder)[1], own=own)
+        return
+    is_folder, own = folder.is_dir(), folder.stat().st_uid == robot.service[0]
+    yield Seen(is_folder=is_folder, kind=mount_of(folder)[1], own=_is_own(folder.resolve(), robot), some="")
+    for path, _ in zip(folder.rglob("*") if own and is_folder else (), range(_MOST_FILES), strict=False):
+        with suppress(OSError):
+            found += [] if _is_own(path, robot) else [str(path.relative_to(folder))]
+    yield names(found, folder, is_folder=True, own=True, kind="")
+
+
+def _is_own(path: Path, robot: CheckedRobot) -> bool:
+    status = path.lstat()
+    needed = stat.S_IRWXU if stat.S_ISDIR(status.st_mode) else stat.S_IRUSR | stat.S_IWUSR
+    return status.st_uid == (robot.service or (-1,))[0] and status.st_mode & needed == needed
 
 
 def _disks(robot: CheckedRobot) -> Iterator[Seen]:
     """Of the state directory and of all the rest."""
     for mount in dict.fromkeys(mount_of(each)[0] for each in (robot.path(STATE_FOLDER), robot.root)):
         disk = os.statvfs(mount)
-        yield Seen(
-            mount=mount, read_only=bool(disk.f_flag & os.ST_RDONLY), free_mb=disk.f_bavail * disk.f_frsize >> 20,
-            inodes=disk.f_favail if disk.f_files else _LEAST_INODES,
-        )  # fmt: skip
-
-
-def _foreign(robot: CheckedRobot) -> Seen | None:
-    """What another user owns in the state directory, or its owner may not read and write."""
-    folder, found = robot.path(STATE_FOLDER), list[str]()
-    if robot.service is None or not folder.is_dir() or folder.stat().st_uid != robot.service[0]:
-        return None
-    for path, _ in zip(folder.rglob("*"), range(_MOST_FILES), strict=False):
-        with suppress(OSError):
-            status = path.lstat()
-            needed = stat.S_IRWXU if stat.S_ISDIR(status.st_mode) else stat.S_IRUSR | stat.S_IWUSR
-            if status.st_uid != robot.service[0] or status.st_mode & needed != needed:
-                found.append(str(path.relative_to(folder)))
-    return names(found, folder)
+        free_mb, inodes = disk.f_bavail * disk.f_frsize >> 20, disk.f_favail if disk.f_files else _LEAST_INODES
+        yield Seen(mount=mount, read_only=disk.f_flag & os.ST_RDONLY, free_mb=free_mb, inodes=inodes)
 
 
 def _keys(robot: CheckedRobot) -> Iterator[Seen | None]:
@@ -197,7 +211,7 @@ def _keys(robot: CheckedRobot) -> Iterator[Seen | None]:
     of an authority, by their names as `certs` gives them or by the certificate next to them."""
     folder = robot.path(ETC)
     found = sorted(path for path in folder.rglob("*.key") if path.is_file())
-    of_authority = (each for each in found if each.stem == "ca" or each.stem.endswith("-ca") or _is_of(each))
+    of_authority = (each for each in found if each.stem == "ca" or each.stem.endswith("-ca") or _is_of_authority(each))
     yield names([str(each) for each in found if _exposed(each.stat(), robot)], folder, exposed=True)
     yield names(list(map(str, of_authority)), folder, exposed=False)
 
@@ -208,7 +222,7 @@ def _exposed(status: os.stat_result, robot: CheckedRobot) -> bool:
     return bool(others) or status.st_uid not in (0, user)
 
 
-def _is_of(key: Path) -> bool:
+def _is_of_authority(key: Path) -> bool:
     with suppress(ConfigError):
         public = certs.files.read_key(key).public_key()
         return any(public == each.public_key() for each in certs.files.read_certificates(key.with_name("ca.pem")))
@@ -224,7 +238,49 @@ _OWN_STATE: Final = (
 _AFTER: Final = f"sudo systemctl daemon-reload && sudo systemctl enable {SERVICE} && {RESTART}"
 _CANNOT_START: Final = "the service cannot start, nor stop the servos after its end"
 _NOT_KEPT: Final = "no calibration, emergency stop or list is kept"
+_LATE: Final = "on a busy machine a Stop may be late"
+_NM: Final = "/etc/NetworkManager/conf.d/hexapod-wifi.conf"
 # fmt: off
+_ZENOH: Final = importlib.metadata.version("eclipse-zenoh")
+PYTHON: Final = Probe("Python", lambda _: Seen(), (), f"{platform.python_version()} with eclipse-zenoh {_ZENOH}, "
+                      f"{sys.executable}")
+USER: Final = Probe("user", lambda r: r.service and Seen(own=os.geteuid() == r.service[0], root=not os.geteuid()), (
+    warning(lambda r: r.root and not r.own, f"all this is what root may do; the service is {SERVICE}",
+            f"outside of this container, or with its rights SETUID and SETGID: root may not become {SERVICE} here"),
+    warning(lambda r: not r.own, f"all this is what you may do; the service is {SERVICE}",
+            "sudo hexapod-gateway check"),
+), f"all this is what {SERVICE} may do, the service's user")
+CLOCK: Final = Probe("clock", _clock, (
+    warning(lambda r: r.adjtimex == _UNSYNCHRONISED, "is not synchronised",
+            "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"),
+), "is synchronised")
+MACHINE: Final = (
+    Probe("processor", lambda r: Seen(cpu=r.root / "sys/devices/system/cpu/cpu0/cpufreq"), (
+        # Drivers that choose the clock in hardware give this name to a governor that does raise it.
+        warning(lambda r: text(r.cpu / "scaling_governor") == "powersave"
+                and not text(r.cpu / "scaling_driver").endswith("pstate"),
+                f"its governor is powersave, which keeps it at its lowest clock: {_LATE}",
+                "echo 'w /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance' | "
+                "sudo tee /etc/tmpfiles.d/hexapod-governor.conf && sudo systemd-tmpfiles --create "
+                "hexapod-governor.conf"),
+    )),
+    Probe("supply", _voltage, (
+        warning(lambda r: r.low, "this Raspberry Pi's supply is under its voltage: it may slow down, or restart",
+                "use a supply of 5.1 V with enough current (a Pi 5: 5 A), and feed servos from another one"),
+    )),
+    Probe("Wi-Fi", _wifi, (
+        warning(lambda r: r.saves, "{wifi} saves power: commands arrive late and in bursts, which stops legs",
+                f"printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee {_NM} && "
+                "sudo systemctl restart NetworkManager"),
+    )),
+    Probe("real-time", _realtime, (
+        warning(lambda r: r.running == 0, f"the service that runs was granted none: {_LATE}",
+                "see its journal; a kernel with CONFIG_RT_GROUP_SCHED may reject it"),
+        warning(lambda r: r.rejected,
+                f"priority {{priority}} is not granted ({{rejected}}; RLIMIT_RTPRIO is {{limit}}): {_LATE}",
+                f"run it as the service, whose unit sets LimitRTPRIO ({INSTALL}); CONFIG_RT_GROUP_SCHED may reject it"),
+    ), "priority {priority} is granted to {to}"),
+)
 UNIT: Final = Probe("systemd unit", _unit, (
     warning(lambda r: not r.systemd, "none, for this machine does not run systemd",
             "let something start the gateway again when it ends, and run `hexapod-gateway stop-servos` then"),
@@ -242,9 +298,11 @@ UNIT: Final = Probe("systemd unit", _unit, (
     warning(lambda r: r.active != "active", "is enabled, but {active}", f"sudo systemctl start {SERVICE}"),
 ), "is enabled and active")
 PROBES: Final = (
-    Probe("package", _package, (
+    Probe("package", lambda r: (names(each, "/", kind=kind, again=whole.how_to_repeat(r.package))
+                                for kind, each in r.files._asdict().items()), (
         failure(lambda r: r.kind == "changed",
-                "not as installed: {some}. The service, or its Stops after a crash, may fail", "{again}"),
+                "not as installed: {some}. The service, or its Stops after a crash, may fail",
+                "{again}"),
         warning(lambda r: r.kind == "added", "in the release, and not installed with it: {some}. Python may load it",
                 "sudo rm {all}"),
         failure(lambda r: r.kind == "closed", "not for all to read, or not for root alone to write: {some}",
@@ -291,7 +349,6 @@ PROBES: Final = (
                 "take it out of DefaultEnvironment= in /etc/systemd/system.conf if it is there; stop the robot, then: "
                 f"sudo systemctl daemon-reexec; sudo systemctl unset-environment {{name}}; {RESTART}"),
     )),
-    Probe("settings", _new_settings, (), f"{ETC}/gateway.toml does not mention these, whose defaults hold: {{new}}"),
     Probe("state", _state, (
         failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
                 f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),
@@ -300,6 +357,7 @@ PROBES: Final = (
         warning(lambda r: r.kind in FORGETS, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
                 "revocations and the emergency stop are lost then",
                 "keep the folder on a partition of its own (docs/troubles.md)"),
+        failure(lambda r: r.some, f"in {STATE_FOLDER}, not the service's to read and write: {{some}}", _OWN_STATE),
     )),
     Probe("disk", _disks, (
         failure(lambda r: r.read_only, f"{{mount}} is a file system that is read-only: {_NOT_KEPT}",
@@ -309,9 +367,6 @@ PROBES: Final = (
                 "sudo journalctl --vacuum-size=50M"),
         failure(lambda r: r.inodes < _LEAST_INODES, f"{{mount}} has room for {{inodes}} files: {_NOT_KEPT}",
                 "find the folder with most files, and empty it: sudo du -x --inodes {mount} | sort -n | tail"),
-    )),
-    Probe("state", _foreign, (
-        failure(lambda _: True, f"in {STATE_FOLDER}, not the service's to read and write: {{some}}", _OWN_STATE),
     )),
     Probe("private key", _keys, (
         warning(lambda r: r.exposed, "others than root and the service may read {some}",

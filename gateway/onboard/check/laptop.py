@@ -2,12 +2,12 @@
 
 import datetime as dt
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from gateway import certs
-from gateway.certs import expiry
 from gateway.errors import ConfigError, ZenohError
-from gateway.onboard.check.machine import CLOCK, PYTHON
+from gateway.onboard.check.installation import CLOCK, PYTHON
 from gateway.onboard.check.table import RESTART, Result, Verdict, results
 from gateway.own_command import this_command
 from gateway.people.client import diagnosis
@@ -34,7 +34,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     yield from results([CLOCK], None)
     yield from map(_result, diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)))
     if (soon := diagnosis.own_expiry(config)) is not None:
-        fix = f"{expiry.renewal('NAME')}, then bring its files here"
+        fix = f"{certs.renewal('NAME')}, then bring its files here"
         yield Result(Stage.CERTIFICATE, Verdict.WARNING, soon, fix)
     try:
         client = Client(
@@ -51,8 +51,8 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
     if state is not None:
         theirs = state.certificate
-        if theirs is not None and (soon := expiry.soon(theirs.file, theirs.expires, state.time)) is not None:
-            fix = f"{expiry.renewal('gateway')}; copy gateway.pem to the robot, there: {RESTART}"
+        if theirs is not None and (soon := certs.expires_soon(theirs.file, theirs.expires, state.time)) is not None:
+            fix = f"{certs.renewal('gateway')}; copy gateway.pem to the robot, there: {RESTART}"
             yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
         yield from shut_out(state.revocations, identity)
 
@@ -74,14 +74,12 @@ def shut_out(there: RevocationsReport | None, identity: Identity) -> Iterator[Re
     """The list in force at the robot, and whether it is older than that in the laptop's own folder."""
     if identity.ca is None:
         return
-    said, folder, fix = "the robot names no list of revoked certificates", identity.ca.parent, ""
+    said, fix, folder = "the robot names no list of revoked certificates", "", identity.ca.parent
     if there is not None:
         said = f"the robot goes by list {there.number} of {there.date:%Y-%m-%d}"
-    try:
+    with suppress(ConfigError):
         own = certs.folder.revoked(folder)
-    except ConfigError as error:
-        own, said, fix = None, str(error), "restore it from a copy of the folder"
-    if own is not None and own.number > (0 if there is None else there.number):
-        said += f"; {folder} has list {own.number} of {own.date:%Y-%m-%d}"
-        fix = f"{this_command()} certs revoke --dir {folder}"
+        if own is not None and own.number > (0 if there is None else there.number):
+            said += f"; {folder} has list {own.number} of {own.date:%Y-%m-%d}"
+            fix = f"{this_command()} certs revoke --dir {folder}"
     yield Result("revoked", Verdict.WARNING if fix else Verdict.OK, said, fix)

@@ -9,35 +9,33 @@ that comes back to the gateway, so a person is asked whether the servo is loose.
 """
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from functools import partial
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.model.protocols import SpiProtocol
 from gateway.model.telemetry import starts_whole
+from gateway.onboard.check.bench import Commands, FailedError
 from gateway.own_command import command
-from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
-from gateway.people.commands.reach import Connection, drives, rejected, show_differences
+from gateway.people.commands.reach import Connection, drives, show_differences
 from gateway.people.terminal import ask, say
 from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
-from schemas.telemetry import Ack, GatewayState, Reason, Telemetry, WatchdogState
+from schemas.telemetry import Telemetry
 
-DEFAULT_SERVO: Final = 61
-"""Of the leg whose Stop is the last of six in a call."""
-DEFAULT_ANGLE_DEG: Final = 90.0
+_SERVO: Final = 61
+"""Unless another is named: of the leg whose Stop is the last of six in a call."""
+_ANGLE_DEG: Final = 90.0
 _HOLD_S: Final = 1.5
 """At each angle: long enough to reach it from anywhere, and to be seen."""
 _REST_S: Final = 0.5
 """For some reports of what servos draw at rest: ten a second are published."""
-LEAST_RISE_A: Final = 0.05
+_LEAST_RISE_A: Final = 0.05
 """A servo at rest draws some 8 mA, one that moves at least 100: less shows nothing."""
 _PERIOD_S: Final = 0.05
 """A fifth of the default watchdog timeout."""
-
 _HOLDS: Final = (
     "A Stop does not reach it together with others: the driver of this SPI bus does not release chip select between "
     "the transfers of one call, and of six Stops the controller obeys the first. AN EMERGENCY STOP WOULD STOP ONE LEG. "
@@ -51,39 +49,23 @@ _SILENT: Final = (
     "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
     'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
 )
-_LATE: Final = (
-    "The watchdog stopped servo {servo}: this machine's commands came some {apart:.0f} ms apart, and {timeout:g} ms of "
-    "silence are allowed. The robot is well; the way to it is slow, or this machine is. Try again on the robot itself, "
-    "or nearer to its Wi-Fi."
-)
-_FIRST: Final = (
-    "Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once more with "
-    "a servo of leg 6."
-)
 # fmt: off
 _BOARD, _ALL, _LEGS, _WHOLE = "board", "all", "legs", "whole"
 _CAUSES: Final = (
     (_BOARD, "power.servos: did another servo move, or is one stiff? Exchange them there, and restart it."),
     (_ALL, "Supply: have the servos one of their own, and is it on? A servo that runs holds against your hand."),
-    (_LEGS, "Framing: the gateway speaks {framing}. The published STM32 firmware needs length-prefixed (plain makes it "
-            "deaf), one that follows the protocol's document needs plain. Know which is there before you change it."),
+    (_LEGS, "Framing: the gateway speaks {spi.framing}. The published STM32 firmware needs length-prefixed (plain "
+            "makes it deaf), one that follows the protocol's document plain. Know which is there, then change it."),
     (_LEGS, "Reset: has the controller ever received the wrong framing? Then it is deaf until its reset: set the right "
             "one, restart the gateway, and reset the controller (its reset button, or power)."),
     (_LEGS, "Wiring: do MOSI, SCLK and GND lead from the Pi to the controller, and have the servos the same ground?"),
-    (_LEGS, "Chip select: the gateway writes to {device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1."),
+    (_LEGS, "Chip select: the gateway writes to {spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1."),
     (_WHOLE, "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire."),
     (_WHOLE, "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works."),
     (_ALL, "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."),
 )
 # fmt: on
-"""Of which robots each is, the likeliest first."""
-
-
-def causes(state: GatewayState) -> list[str]:
-    """Why a servo may stand still though every frame was written; the likeliest first."""
-    of = {_ALL, _WHOLE if starts_whole(state) else _LEGS, _ALL if state.power is None else _BOARD}
-    spi = state.spi
-    return [text.format(framing=spi.framing, device=spi.device) for robots, text in _CAUSES if robots in of]
+"""Why a servo may stand still though every frame was written: of which robots each is, the likeliest first."""
 
 
 def move(connect: Connection, *, agreed: bool) -> int:
@@ -91,10 +73,10 @@ def move(connect: Connection, *, agreed: bool) -> int:
 
     0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError.
     """
-    with connect() as client:
+    with connect() as client, ExitStack() as stack:
         state = ready(client)
         show_differences()
-        whole = starts_whole(state)
+        whole, currents = starts_whole(state), None
         if whole and not state.controller.alive:
             say(_SILENT.format(status=command("status")))
             return 1
@@ -102,18 +84,29 @@ def move(connect: Connection, *, agreed: bool) -> int:
         if not consents(motion, state, agreed=agreed):
             say("Nothing was moved.")
             return 1
-        state, name = ready(client), f"servo {motion.servo_id}"  # the questions took their time
-        stop = partial(_stop, client, None if whole else motion.servo_id)
-        with (
-            ServoCurrents.measured(client, state) as currents,
-            drives(client, _HOLD_S, moves=True),
-            stopped_after("all servos are" if whole else f"{name} is", stop),
-        ):
-            if not (_moved(client, motion, state.watchdog.timeout_ms) and _accepted(client.stop())):
+        state = ready(client)  # the questions took their time
+        if state.power is not None and state.controller.protocol == SpiProtocol.HEXAPOD_1_0:
+            # Else supply is what starts a servo, so the one at that output moves, whichever it is.
+            currents = ServoCurrents()
+            stack.callback(client.on_telemetry(currents.take).undeclare)
+            time.sleep(_REST_S)
+            currents.moves = True
+
+        def stop() -> str:  # alone in its call
+            which = "All servos are" if whole else f"Servo {motion.servo_id} is"
+            ack = client.stop() if whole else client.servo(motion.servo_id, "stop")
+            return f"{which} stopped." if ack.accepted else f"{which} not stopped: {ack.reason}: {ack.detail}"
+
+        with drives(client, _HOLD_S, moves=True), stopped_after("all servos are" if whole else "it is", stop):
+            try:
+                _move(Commands(client, motion), state.watchdog.timeout_ms)
+            except FailedError as error:
+                say(f"{error}. If the watchdog stopped it, the way to the robot is slow, or this machine is: try again "
+                    "on the robot itself, or nearer to its Wi-Fi.")  # fmt: skip
                 return 1
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
-            say(f"All six legs were stopped at once, {name} with them.")
+            say(f"All six legs were stopped at once, {motion.which} with them.")
             if currents is not None:
                 say(currents.finding(motion.servo_id))
             if agreed:
@@ -123,60 +116,49 @@ def move(connect: Connection, *, agreed: bool) -> int:
             loose = ask("Turn its horn gently with a finger: is it loose now? yes or no: ") if seen == "yes" else ""
     if seen == "no":
         say("The gateway wrote every frame, and SPI has no way back: one of these, the likeliest first.")
-        for place, cause in enumerate(causes(state), 1):
-            say(f"{place}. {cause}")
+        of = {_ALL, _WHOLE if whole else _LEGS, _ALL if state.power is None else _BOARD}
+        for place, text in enumerate((text for robots, text in _CAUSES if robots in of), 1):
+            say(f"{place}. {text.format(spi=state.spi)}")
     if loose == "no":
         say(_WHOLE_HOLDS if whole else _HOLDS)
     if loose != "yes":
         return 1
-    say(f"Then everything from here to {name} works.")
+    say(f"Then everything from here to {motion.which} works.")
     if motion.leg == LEGS[0] and not whole:
-        say(_FIRST)
+        say("Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once "
+            "more with a servo of leg 6.")  # fmt: skip
     return 0
 
 
+def _move(commands: Commands, timeout_ms: float) -> None:
+    """Start it, set it to each angle again and again for a while, and stop all. Raises FailedError."""
+    commands.start()  # only once: a set is rejected for what somebody else has stopped
+    for angle_deg in (commands.motion.start_deg, commands.motion.end_deg):
+        end_s = time.monotonic() + _HOLD_S
+        while time.monotonic() < end_s:
+            commands.ask("set", angle_deg)
+            time.sleep(min(_PERIOD_S, timeout_ms / 5000))
+    commands.demand(commands.client.stop(), "a Stop")
+
+
 class ServoCurrents:
-    """The highest current of each servo, at rest and from `moves` on, in A: the board's, of what it feeds."""
+    """The highest current of each servo, at rest and once `moves` is set, in A: the board's, of what it feeds."""
 
     def __init__(self) -> None:
-        self.rest: dict[str, float] = {}
-        self.moving: dict[str, float] = {}
-        self._seen = self.rest
-
-    @classmethod
-    @contextmanager
-    def measured(cls, client: Client, state: GatewayState) -> Iterator["ServoCurrents | None"]:
-        """Those at rest until now, those of a motion meanwhile; None where they do not show which output feeds a servo.
-
-        Where supply is what starts a servo, the one at that output moves, whichever it is.
-        """
-        if state.power is None or state.controller.protocol != SpiProtocol.HEXAPOD_1_0:
-            yield None
-            return
-        currents = cls()
-        subscriber = client.on_telemetry(currents.take)
-        try:
-            time.sleep(_REST_S)
-            currents.moves()
-            yield currents
-        finally:
-            subscriber.undeclare()
-
-    def moves(self) -> None:
-        """The servo is started now."""
-        self._seen = self.moving
+        self.moves = False
+        self._seen: dict[tuple[bool, str], float] = {}
 
     def take(self, telemetry: Telemetry) -> None:
         """What the board measured."""
         for name, servo in (telemetry.servos or {}).items():
             if servo.current_a is not None:
-                self._seen[name] = max(servo.current_a, self._seen.get(name, 0.0))
+                self._seen[self.moves, name] = max(servo.current_a, self._seen.get((self.moves, name), 0.0))
 
     def finding(self, servo_id: int) -> str:
         """What the currents show of a servo that was moved, as a sentence."""
-        name = str(servo_id)
-        rise_a = self.moving.get(name, 0.0) - self.rest[name] if name in self.rest else 0.0
-        if rise_a >= LEAST_RISE_A:
+        rest_a, moving_a = (self._seen.get((moves, str(servo_id))) for moves in (False, True))
+        rise_a = 0.0 if rest_a is None or moving_a is None else moving_a - rest_a
+        if rise_a >= _LEAST_RISE_A:
             return f"The power board's output for servo {servo_id} feeds it ({rise_a * 1000:.0f} mA more than at rest)."
         return (
             f"The power board has measured no current of servo {servo_id}: its output in power.servos feeds another "
@@ -186,47 +168,12 @@ class ServoCurrents:
 
 def _motion(held: Mapping[int, float], *, agreed: bool) -> ServoMotion:
     """Which servo goes where. Raises ConfigError for what is no servo, or no angle."""
-    text = ("" if agreed else ask(f"Which servo, 11 to 63? [{DEFAULT_SERVO}] ")) or str(DEFAULT_SERVO)
+    text = ("" if agreed else ask(f"Which servo, 11 to 63? [{_SERVO}] ")) or str(_SERVO)
     if not (text.isdigit() and int(text) in SERVO_IDS):
         raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")
-    usual_deg = held.get(int(text), DEFAULT_ANGLE_DEG)
+    usual_deg = held.get(int(text), _ANGLE_DEG)
     angle = ("" if agreed else ask(f"Start it at which angle? [{usual_deg:g}] ")) or str(usual_deg)
     with suppress(ValueError):
         if 0 <= float(angle) <= MAX_DEG:
             return ServoMotion(int(text), float(angle), held)
     raise ConfigError(f"{angle!r} is no angle: 0 to 180 degrees")
-
-
-def _moved(client: Client, motion: ServoMotion, timeout_ms: float) -> bool:
-    """Start it, and set it to each angle again and again for a while; whether all was accepted."""
-    if not _accepted(client.ask(motion.key, motion.payload("start", motion.start_deg))):
-        return False  # only one start: a set is rejected for what somebody else has stopped
-    period_s, before_s = min(_PERIOD_S, timeout_ms / 5000), time.monotonic()
-    for angle_deg in (motion.start_deg, motion.end_deg):
-        end_s = time.monotonic() + _HOLD_S
-        while before_s < end_s:
-            ack = client.ask(motion.key, motion.payload("set", angle_deg))
-            apart_ms = (time.monotonic() - before_s) * 1000
-            if ack.reason == Reason.SERVO_STOPPED and any(
-                leg.leg == motion.leg and leg.watchdog == WatchdogState.EXPIRED for leg in client.state().legs
-            ):
-                say(_LATE.format(servo=motion.servo_id, apart=apart_ms, timeout=timeout_ms))
-                return False
-            if not _accepted(ack):
-                return False
-            before_s = time.monotonic()
-            time.sleep(period_s)
-    return True
-
-
-def _stop(client: Client, servo_id: int | None) -> str:
-    """By a Stop that is alone in its call; None: of all."""
-    which = "All servos are" if servo_id is None else f"Servo {servo_id} is"
-    ack = client.stop() if servo_id is None else client.servo(servo_id, "stop")
-    return f"{which} stopped." if ack.accepted else f"{which} not stopped: {ack.reason}: {ack.detail}"
-
-
-def _accepted(ack: Ack) -> bool:
-    if not ack.accepted:
-        rejected(ack)
-    return ack.accepted

@@ -6,7 +6,7 @@ A remedy's commands help as printed; a word in capitals is for a person to fill 
 
 import pwd
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -15,10 +15,14 @@ from pathlib import Path
 from types import SimpleNamespace as Seen
 from typing import Any, Final, NamedTuple
 
+from rich.console import Console
+from rich.text import Text
+
 from gateway.onboard import whole
 from gateway.own_command import command
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
+from gateway.text import visible
 
 __all__ = ["Seen"]
 SERVICE: Final = "hexapod-gateway"
@@ -29,6 +33,7 @@ LET_READ: Final = (
     f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} /etc/{SERVICE}; "
     f"sudo chmod -R u=rwX,g=rX,o= /etc/{SERVICE}; {RESTART}"
 )
+GOOD, NOTE, BAD = "green", "yellow", "bold red"
 
 
 class Verdict(StrEnum):
@@ -48,17 +53,26 @@ class Result(NamedTuple):
     fix: str = ""
 
 
+def shown(*arguments: str) -> dict[str, str]:
+    """What `systemctl show` prints, the values of one name together; nothing where it fails."""
+    found = dict[str, str]()
+    with suppress(OSError, subprocess.SubprocessError):
+        asked = ["systemctl", "show", *arguments]
+        lines = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=5).stdout.splitlines()
+        for name, _, value in (line.partition("=") for line in lines):
+            found[name] = f"{found.get(name, '')} {value}".strip()
+    return found
+
+
 @dataclass
 class CheckedRobot:
-    """What the probes look at, and what they find out for each other."""
+    """What the probes look at, and what they find out for each other. `root` and `shown`: a test's own machine."""
 
     settings: Settings = field(default_factory=Settings)
     root: Path = ROOT_DIR
-    """Where the machine's files are: another folder in tests."""
+    shown: Callable[..., dict[str, str]] = shown
     gateway_runs: bool = False
     """Whether a gateway holds the SPI device. The device's probe finds it out."""
-    locked: bool = False
-    """Whether another program has locked it."""
 
     def path(self, absolute: str | Path) -> Path:
         """A path of the machine."""
@@ -82,12 +96,12 @@ class CheckedRobot:
     @cached_property
     def unit(self) -> Mapping[str, str]:
         """What systemd shows of the service; nothing where it shows nothing."""
-        return shown(SERVICE)
+        return self.shown(SERVICE)
 
     @cached_property
-    def manager(self) -> Mapping[str, str]:
-        """What systemd shows of the environment that it gives to all services."""
-        return shown("--property=Environment")
+    def environment(self) -> str:
+        """The variables that systemd gives to all services."""
+        return self.shown("--property=Environment").get("Environment", "")
 
     @cached_property
     def service(self) -> tuple[int, int] | None:
@@ -95,17 +109,6 @@ class CheckedRobot:
         with suppress(KeyError):
             return pwd.getpwnam(SERVICE)[2:4]
         return None
-
-
-def shown(*arguments: str) -> dict[str, str]:
-    """What `systemctl show` prints, the values of one name together; nothing where it fails."""
-    found = dict[str, str]()
-    with suppress(OSError, subprocess.SubprocessError):
-        asked = ["systemctl", "show", *arguments]
-        lines = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=5).stdout.splitlines()
-        for name, _, value in (line.partition("=") for line in lines):
-            found[name] = f"{found.get(name, '')} {value}".strip()
-    return found
 
 
 def text(path: Path) -> str:
@@ -136,37 +139,45 @@ class Probe(NamedTuple):
     faults: tuple[Fault, ...]
     well: str = ""
 
+    def readings(self, looked_at: object) -> Iterator[Seen]:
+        """Read, and leave out what does not concern this machine."""
+        found = self.read(looked_at) or ()
+        yield from filter(None, [found] if isinstance(found, Seen) else found)
 
-def readings(probe: Probe, looked_at: object) -> Iterator[Seen]:
-    """Read, and leave out what does not concern this machine."""
-    found = probe.read(looked_at) or ()
-    yield from filter(None, [found] if isinstance(found, Seen) else found)
+    def judged(self, seen: Seen) -> Iterator[Result]:
+        """The line for one reading. `{run[check --move]}` is this program's command, with what reaches the gateway."""
+        values = {"run": _OwnCommands(), **vars(seen)}
+        for fault in self.faults:
+            if fault.when(seen):
+                sentence, remedy = fault.sentence.format_map(values), fault.remedy.format_map(values).strip()
+                yield Result(self.name, fault.verdict, sentence, remedy)
+                return
+        if self.well:
+            yield Result(self.name, Verdict.OK, self.well.format_map(values))
 
 
-def results(probes: Sequence[Probe], looked_at: object) -> Iterator[Result]:
+class _OwnCommands:
+    def __getitem__(self, arguments: str) -> str:
+        return command(arguments)
+
+
+def results(probes: Iterable[Probe], looked_at: object) -> Iterator[Result]:
     """Read each, and judge it. What this user may not look at is a warning."""
     for probe in probes:
         try:
-            for seen in readings(probe, looked_at):
-                yield from judged(probe, seen)
+            for seen in probe.readings(looked_at):
+                yield from probe.judged(seen)
         except OSError as error:
             yield Result(probe.name, Verdict.WARNING, f"cannot be looked at: {error}", "sudo hexapod-gateway check")
 
 
-def judged(probe: Probe, seen: Seen) -> Iterator[Result]:
-    """The line for one reading."""
-    values = {"run": _OwnCommands(), **vars(seen)}
-    for fault in probe.faults:
-        if fault.when(seen):
-            sentence, remedy = fault.sentence.format_map(values), fault.remedy.format_map(values).strip()
-            yield Result(probe.name, fault.verdict, sentence, remedy)
-            return
-    if probe.well:
-        yield Result(probe.name, Verdict.OK, probe.well.format_map(values))
+def show(word: str, style: str, name: str, sentence: str, fix: str = "") -> None:
+    """Print `word  name  sentence → fix` in columns, in colour on a terminal. It is never wrapped, for programs."""
+    line = Text().append(f"{word:8}", style).append(f" {name:14} ", "bold").append(visible(sentence))
+    Console(highlight=False, soft_wrap=True).print(line.append(f" → {visible(fix)}", "cyan") if fix else line)
 
 
-class _OwnCommands:
-    """`{run[check --move]}` in a text is this program's command, with what it needs to reach the gateway."""
-
-    def __getitem__(self, arguments: str) -> str:
-        return command(arguments)
+def conclude(sentence: str, *, well: bool) -> int:
+    """Print the sentence at the end; return the exit code."""
+    Console(highlight=False, soft_wrap=True).print(Text(sentence, "bold green" if well else BAD))
+    return 0 if well else 1

@@ -10,7 +10,6 @@ import fcntl
 import grp
 import os
 import pwd
-import re
 import stat
 import sys
 import time
@@ -27,8 +26,6 @@ from gateway.model import power_board
 from gateway.model.elkapod import FRAME_BYTES, Heartbeats
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.model.power_board import ASK_RAILS, CONVERTERS_1_TO_3_MV, SUPPLY_BATTERY_MV, TEMPERATURES_C, Rails
-from gateway.onboard.check import service_user
 from gateway.onboard.check.table import RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
@@ -47,15 +44,24 @@ SLOW_STOPS_MS: Final = 20.0
 elkapod-2025 than its default cycle."""
 _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_RD_MAX_SPEED_HZ."""
+_ALLOWED: Final = "ttyAMA"
+"""The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
+_CYCLE_S: Final = 0.02
+"""The robot's own driver has this cycle. Heartbeats come within 0.1 s, after which that driver starts again."""
+_PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
+_ROUNDS, _ROUND_S = 4, 0.1
+"""A question to the board may be lost. It answers within 2 ms."""
+_CAN: Final = "280"
+"""ARPHRD_CAN, in /sys/class/net/…/type."""
 
 
 # ---- nodes
 
 
-def node(path: str) -> Seen:
+def node(robot: CheckedRobot, path: str) -> Seen:
     """A device node. `lack`: why it is none, `denied`: this user cannot open it."""
-    seen = Seen(path=path, lack="", denied=False, rights="", group=None, user=_name(pwd.getpwuid, os.geteuid()))
-    seen.service, seen.error = service_user.uid() is not None, ""
+    seen = Seen(path=path, lack="", denied=False, rights="", group=None, error="", service=robot.service is not None)
+    seen.user = _name(pwd.getpwuid, os.geteuid())
     try:
         status = os.stat(path)
     except OSError as error:
@@ -88,39 +94,27 @@ def _node_faults(group: str) -> tuple[Fault, ...]:
     )
 
 
-def _locked_by(path: str) -> str:
-    """The program that has locked a node, by the kernel's list; "" where a gateway has, or the list does not say."""
-    status = os.stat(path)
-    where = rf"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
-    found = re.search(rf"FLOCK +ADVISORY +WRITE (\d+) {where} ", text(Path("/proc/locks")))
-    if found is None or outside.is_gateways(path):
-        return ""
-    return f"{text(Path(f'/proc/{found[1]}/comm')) or 'another program'} (process {found[1]})"
-
-
-# ---- the device
+# ---- SPI
 
 
 def _device(robot: CheckedRobot) -> Seen:
     """Set it up as the service does it, and close it at once."""
     spi = robot.settings.spi
-    seen, path = node(spi.device), Path(spi.device)
-    seen.locked, seen.opens = "", f"opens, as {seen.user}"
-    others = ", ".join(sorted(map(str, path.parent.glob("spidev*"))))
+    seen, held = node(robot, spi.device), False
+    others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
     seen.absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
     seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
-    robot.gateway_runs = False
     if not (seen.lack or seen.denied):
         try:
             KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
         except SpiError as error:
             held = isinstance(error.__cause__, BlockingIOError)
-            seen.locked, seen.error = (_locked_by(spi.device), "") if held else ("", str(error))
-            robot.gateway_runs = held and not seen.locked
-        seen.opens += f"; {ioctls.USED}" if ioctls.are_used() else ""
+            seen.error = "" if held else str(error)
+    robot.gateway_runs = held and outside.is_gateways(spi.device)
+    seen.locked = held and not robot.gateway_runs
+    seen.opens = f"opens, as {seen.user}" + (f"; {ioctls.USED}" if ioctls.are_used() else "")
     if robot.gateway_runs:
         seen.opens = "is held by a running gateway; a second one would be rejected"
-    robot.locked = bool(seen.locked)
     return seen
 
 
@@ -131,57 +125,40 @@ def _carrier(robot: CheckedRobot) -> Seen:
     selects = {True: ", chip select is a GPIO", False: ", the controller drives chip select", None: ""}
     found = f"{machine.computer(root) or 'a computer without a device tree'}, Linux {release or 'of unknown release'}, "
     found += f"driver {machine.driver_of(device, root) or 'unknown'}{selects[machine.gpio_selects(device, root)]}"
-    return Seen(
-        found=found,
-        when="that was built at an unknown time" if built is None else f"of {built}",
-        loses=machine.on_rp1(device, root) and (built is None or built < machine.RP1_FIXED),
-    )
+    old, when = built is None or built < machine.RP1_FIXED, "that was built at an unknown time"
+    return Seen(found=found, when=f"of {built}" if built else when, loses=machine.on_rp1(device, root) and old)
 
 
-def _neighbours(robot: CheckedRobot) -> Seen:
-    found = machine.neighbours(robot.settings.spi.device, robot.root)
-    return Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in found))
-
-
-def kernel_hz(path: str) -> int | None:
-    """The clock that the kernel gives the device where nobody has set one: what device tree and controller allow.
-
-    While another program has the device open it is what that one has set.
-    """
+def _speed(robot: CheckedRobot) -> Seen:
+    """The clock that the kernel gives where nobody has set one, as device tree and controller allow."""
     with suppress(OSError):
-        fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
+        fd = os.open(robot.settings.spi.device, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
-            return int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None
+            return speed(robot, int.from_bytes(fcntl.ioctl(fd, _READ_SPEED, bytes(4)), sys.byteorder) or None)
         finally:
             os.close(fd)
-    return None
+    return speed(robot, None)
 
 
 def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
-    """The clock that is set, and that which the protocol and the kernel (with the device tree) allow.
+    """The clock that is set, and that which the protocol and the kernel allow.
 
     `takes_ms`: six Stops on the wire; where these do not go over SPI, a frame.
     """
-    spi, known_hz, runs = robot.settings.spi, robot.settings.spi.protocol.speed_hz, robot.gateway_runs
+    spi, runs = robot.settings.spi, robot.gateway_runs
     differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
     slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
     transfers = 1 + (spi.framing is Framing.LENGTH_PREFIXED)
     bits, pause_ms = 8 * (ONE_LEG_LEN + transfers - 1), transfers * (spi.frame_gap_us / 1e3 + CS_CHANGE_NS / 1e6)
-    takes_ms = len(LEGS) * (bits / slowest_hz * 1e3 + pause_ms)
+    what, takes_ms = "an emergency stop", len(LEGS) * (bits / slowest_hz * 1e3 + pause_ms)
     if spi.protocol.measures:
-        takes_ms = 8 * FRAME_BYTES / slowest_hz * 1e3
+        what, takes_ms = "a frame", 8 * FRAME_BYTES / slowest_hz * 1e3
     return Seen(
-        hz=spi.speed_hz, known_hz=known_hz, differs=differs, takes_ms=takes_ms,
-        set=_megahertz(spi.speed_hz), known=_megahertz(known_hz), kernel=_megahertz(given_hz or 0),
-        takes=f"{'a frame' if spi.protocol.measures else 'an emergency stop'} takes {takes_ms:.1f} ms to write",
+        spi=spi, differs=differs, takes_ms=takes_ms, takes=f"{what} takes {takes_ms:.1f} ms to write",
+        set=_megahertz(spi.speed_hz), known=_megahertz(spi.protocol.speed_hz), kernel=_megahertz(given_hz or 0),
         given=f", and the kernel gives {_megahertz(slowest_hz)}" if given_hz is not None else "",
         fix="sudo systemctl restart hexapod-gateway" if runs else f"set spi.speed_hz = {given_hz} or less",
     )  # fmt: skip
-
-
-def _speed(robot: CheckedRobot) -> Seen:
-    """A program that has locked the device has its own clock there, which is none of ours."""
-    return speed(robot, None if robot.locked else kernel_hz(robot.settings.spi.device))
 
 
 def _megahertz(hz: int) -> str:
@@ -196,47 +173,29 @@ def _frames(robot: CheckedRobot) -> Seen | None:
     driver = machine.driver_of(spi.device, robot.root) or "this driver"
     gpio, (low, high) = machine.gpio_selects(spi.device, robot.root), spi.avoid_cdeg or (0, 0)
     how = f"{driver} may keep chip select within a call; {spi.framing.controller} ignores it"
-    released = "chip select is a GPIO, which Linux releases between the transfers of a call"
-    return Seen(
-        framing=spi.framing, wants=spi.framing.controller, low=low / 100, high=high / 100, driver=driver,
-        how=released if gpio else how, unseen=not gpio and spi.framing.needs_chip_select,
-    )  # fmt: skip
-
-
-# ---- the calibration
+    how = "chip select is a GPIO, which Linux releases between the transfers of a call" if gpio else how
+    unseen = not gpio and spi.framing.needs_chip_select
+    return Seen(framing=spi.framing, low=low / 100, high=high / 100, driver=driver, how=how, unseen=unseen)
 
 
 def _calibration(robot: CheckedRobot) -> Seen:
     """Without one that can be used, the service starts, and moves nothing."""
-    path = path_to_read(robot.settings)
+    seen, path = Seen(hidden=False, fault="", late_at=""), path_to_read(robot.settings)
+    seen.which, seen.path = "is kept in memory only, until the gateway ends (state.path)", path
     if path is None:
-        return Seen(
-            hidden=False, fault="", late_at="", which="is kept in memory only, until the gateway ends (state.path)"
-        )
-    if path.parent.exists() and not os.access(path.parent, os.X_OK):
-        return Seen(path=path, hidden=True)
-    found, fault = load(path)
-    seen = Seen(path=path, hidden=False, fault=fault, late_at="", revision=found.revision)
-    seen.which = f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"
-    with suppress(OSError):  # a change that was begun to be written, and not ended
-        begun_s = staged_for(path).lstat().st_mtime
-        if time.time() - begun_s > SLOW_S:
-            seen.late_at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
+        return seen
+    seen.hidden = path.parent.exists() and not os.access(path.parent, os.X_OK)
+    if not seen.hidden:
+        found, seen.fault = load(path)
+        seen.which = f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"
+        with suppress(OSError):  # a change that was begun to be written, and not ended
+            begun_s = staged_for(path).lstat().st_mtime
+            if time.time() - begun_s > SLOW_S:
+                seen.late_at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
     return seen
 
 
 # ---- the UART of elkapod-2025
-
-_ALLOWED: Final = "ttyAMA"
-"""The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
-_CYCLE_S: Final = 0.02
-"""The robot's own driver has this cycle. Heartbeats come within 0.1 s, after which that driver starts again."""
-_PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
-_SWITCH_ON: Final = "switch it on and reboot: sudo hexapod-gateway setup --wire elkapod-2025; or set controller.uart"
-_NO_PI_5: Final = (
-    "switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in config.txt), reboot, "
-    "and set controller.uart to its node; here there is {}"
-)
 
 
 def _uart(robot: CheckedRobot) -> Seen | None:
@@ -244,34 +203,21 @@ def _uart(robot: CheckedRobot) -> Seen | None:
     path, root = robot.settings.controller.uart, robot.root
     if not robot.settings.spi.protocol.measures:
         return None
-    seen, name = node(path), Path(path).resolve().name
+    seen, name = node(robot, path), Path(path).resolve().name
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
     seen.absent = _SWITCH_ON if machine.computer(root).startswith(_PI_5) else _NO_PI_5.format(here)
     seen.tty, seen.kind, seen.opens = name, name.rstrip("0123456789"), f"opens, as {seen.user}"
-    seen.console = seen.login = seen.held = ""
-    if not (seen.lack or seen.denied):
-        seen.console = name in text(root / "sys/class/tty/console/active").split()
-        seen.login = next(_logins(os.stat(path).st_rdev, root), "")
-        if robot.gateway_runs:
-            seen.opens, seen.service = "is the running gateway's, which reports whether the controller answers", False
-        elif not (seen.console or seen.login):
-            try:
-                SerialUart(path).close()
-            except SpiError as error:
-                cause = error.__cause__
-                seen.held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
-                seen.error = str(error)
+    seen.console, seen.held = name in text(root / "sys/class/tty/console/active").split(), False
+    seen.login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
+    if robot.gateway_runs:
+        seen.opens, seen.service = "is the running gateway's, which reports whether the controller answers", False
+    elif not (seen.lack or seen.denied or seen.console or seen.login):
+        try:
+            SerialUart(path).close()
+        except SpiError as error:
+            cause, seen.error = error.__cause__, str(error)
+            seen.held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
     return seen
-
-
-def _logins(rdev: int, root: Path) -> Iterator[str]:
-    """The programs whose controlling terminal it is: /proc shows that of everybody's."""
-    major, minor = os.major(rdev), os.minor(rdev)
-    terminal = str(minor & 0xFF | major << 8 | (minor & ~0xFF) << 12)
-    for file in (root / "proc").glob("[0-9]*/stat"):
-        head, _, rest = text(file).rpartition(") ")
-        if rest.split()[4:5] == [terminal]:  # state, parent, group, session, terminal
-            yield head.partition(" (")[2]
 
 
 def _heartbeat(robot: CheckedRobot) -> Seen | None:
@@ -291,25 +237,16 @@ def heartbeat(
     pause: Callable[[float], None] = time.sleep,
 ) -> Seen:
     """What comes within `silent_ns`."""
-    heartbeats, beats, received, until_ns = Heartbeats(), 0, 0, clock() + silent_ns
+    heartbeats, seen, until_ns = Heartbeats(), Seen(beats=0, bytes=0, ms=silent_ns // NS_PER_MS), clock() + silent_ns
     while clock() < until_ns:
         pause(_CYCLE_S)
         data = read()
-        received += len(data)
-        beats += heartbeats.feed(data)
-    return Seen(beats=beats, bytes=received, ms=silent_ns // NS_PER_MS)
+        seen.bytes += len(data)
+        seen.beats += heartbeats.feed(data)
+    return seen
 
 
 # ---- the power board
-
-_ROUNDS: Final = 4
-"""One question may be lost."""
-_ROUND_S: Final = 0.1
-"""The board answers within 2 ms."""
-_CAN: Final = "280"
-"""ARPHRD_CAN, in /sys/class/net/…/type."""
-_NETWORKD: Final = ("etc", "run", "usr/lib")
-"""Where systemd-networkd has its files."""
 
 
 def _board(robot: CheckedRobot) -> Seen | None:
@@ -317,7 +254,7 @@ def _board(robot: CheckedRobot) -> Seen | None:
     power = robot.settings.power
     if not power.interface:
         return None
-    seen = node(power.channel) if power.interface == "slcan" else Seen(path=power.channel, lack="", denied=False)
+    seen = node(robot, power.channel) if power.interface == "slcan" else Seen(path=power.channel, lack="", denied=False)
     seen.absent = "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
     seen.where, seen.simulated = f"{power.interface} {power.channel}", power.interface == "sim"
     seen.off, seen.error, seen.silent = False, "", False
@@ -330,8 +267,9 @@ def _board(robot: CheckedRobot) -> Seen | None:
     if not (robot.gateway_runs or seen.simulated or seen.lack or seen.denied or seen.off):
         try:
             with open_bus(power) as bus:
-                rails = _asked(bus, power)
-            seen.silent, seen.answers = not rails, f"answers on {seen.where}: {_values(rails)}"
+                supply_mv = next(_supply_mv(bus, power), None)
+            seen.silent = supply_mv is None
+            seen.answers = f"answers on {seen.where}: supply {(supply_mv or 0) / 1e3:.1f} V"
         except GatewayError as error:
             seen.error = str(error)
         except Exception as error:  # from any of python-can's interfaces
@@ -339,54 +277,32 @@ def _board(robot: CheckedRobot) -> Seen | None:
     return seen
 
 
-def _kept(robot: CheckedRobot) -> Seen | None:
-    """A CAN interface that is on: whether systemd-networkd switches it on at each boot."""
-    power, net = robot.settings.power, robot.root / "sys/class/net"
-    if power.interface != "socketcan" or not int(text(net / power.channel / "flags") or "0", 16) & 1:
-        return None
-    files = (file for each in _NETWORKD for file in (robot.root / each / "systemd/network").glob("*.network"))
-    return Seen(path=power.channel, kept=any(f"Name={power.channel}" in text(file) for file in files))
-
-
-def _asked(bus: "can.BusABC", settings: PowerSettings) -> dict[int, tuple[int, ...]]:
-    """The rails that the board answers, by the question's identifier."""
-    rails: dict[int, tuple[int, ...]] = {}
+def _supply_mv(bus: "can.BusABC", settings: PowerSettings) -> Iterator[int]:
+    """Ask for the supply's voltage until the board answers."""
     for _ in range(_ROUNDS):
-        for question in (each for each in ASK_RAILS if each.id not in rails):
-            send(bus, question, _ROUND_S)
+        send(bus, power_board.CanFrame(power_board.SUPPLY_BATTERY_MV), _ROUND_S)
         end_s = time.monotonic() + _ROUND_S
-        while (left_s := end_s - time.monotonic()) > 0 and len(rails) < len(ASK_RAILS):
+        while (left_s := end_s - time.monotonic()) > 0:
             message = bus.recv(left_s)
             frame = None if message is None else received(message, settings)
             read = None if frame is None else power_board.read(frame)
-            if isinstance(read, Rails):
-                rails[read.question] = read.values
-    return rails
+            if isinstance(read, power_board.Rails):
+                yield read.values[0]
 
 
-def _values(rails: dict[int, tuple[int, ...]]) -> str:
-    supply, converters, hottest = (
-        rails.get(each) for each in (SUPPLY_BATTERY_MV, CONVERTERS_1_TO_3_MV, TEMPERATURES_C)
-    )
-    said = [f"supply {supply[0] / 1000:.1f} V"] if supply else []
-    said += [f"the servos' converters {', '.join(f'{mv / 1000:.1f}' for mv in converters)} V"] if converters else []
-    return "; ".join([*said, *([f"{max(hottest)} °C at most"] if hottest else [])])
+# ---- the table
 
-
-# ---- the tables
-
-_OFF: Final = "free it, and reboot: sudo hexapod-gateway setup --wire elkapod-2025"
-_ON: Final = (
-    f"printf '[Match]\\nName={{path}}\\n[CAN]\\nBitRate={BITRATE}\\nRestartSec=100ms\\n' | sudo tee "
-    "/etc/systemd/network/80-{path}.network && sudo systemctl enable systemd-networkd && "
-    "sudo systemctl restart systemd-networkd"
+_SWITCH_ON: Final = "switch it on and reboot: sudo hexapod-gateway setup --wire elkapod-2025; or set controller.uart"
+_NO_PI_5: Final = (
+    "switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in config.txt), reboot, "
+    "and set controller.uart to its node; here there is {}"
 )
-"""Now and at each boot."""
+_OFF: Final = "free it, and reboot: sudo hexapod-gateway setup --wire elkapod-2025"
 # fmt: off
 DEVICE: Final = Probe("SPI device", _device, (
     *_node_faults("spi"),
-    failure(lambda r: r.locked, "{path} is locked by {locked}, which is no gateway",
-            f"end that program, then: {RESTART}"),
+    failure(lambda r: r.locked, "{path} is locked by another program, which is no gateway",
+            f"end that program (sudo lslocks names it), then: {RESTART}"),
     failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),
 ), "{path} {opens}")
 BUS: Final = (
@@ -395,17 +311,20 @@ BUS: Final = (
                 "transfers that only send; the controller then takes in nothing until it is reset",
                 "update the kernel (sudo apt full-upgrade) and reboot"),
     ), "{found}"),
-    Probe("SPI bus", _neighbours, (
+    Probe("SPI bus", lambda r: Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in machine.neighbours(
+        r.settings.spi.device, r.root))), (
         # A neighbour's transfer of 2 ms is what docs/safety.md allows.
         warning(lambda r: r.others, "on it, too: {others}: an emergency stop waits for two to four of its transfers",
                 "move it to another bus, or see that none of its transfers takes more than 2 ms"),
     ), "no other driver uses it"),
     Probe("SPI speed", _speed, (
-        warning(lambda r: r.hz > r.known_hz, "{set} is above the {known} up to which the protocol was measured",
-                "set spi.speed_hz = {known_hz} or less, or measure the clock on your wires"),
+        warning(lambda r: r.spi.speed_hz > r.spi.protocol.speed_hz, "{set} is above the {known} up to which the "
+                "protocol was measured",
+                "set spi.speed_hz = {spi.protocol.speed_hz} or less, or measure the clock on your wires"),
         warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: another program has set it, or the "
                 "controller takes no more, or the configuration was changed since; {takes}", "{fix}"),
-        warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}", "set spi.speed_hz = {known_hz}"),
+        warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}",
+                "set spi.speed_hz = {spi.protocol.speed_hz}"),
     ), "{set}{given}; {takes}"),
 )
 FRAMES: Final = (
@@ -413,27 +332,25 @@ FRAMES: Final = (
         warning(lambda r: r.framing is Framing.PLAIN,
                 "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
                 'set spi.framing = "length-prefixed" for that firmware, and reset it'),
-    ), "{framing}, as {wants} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
+    ), "{framing}, as {framing.controller} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
     Probe("SPI lists", _frames, (
         warning(lambda r: r.unseen, "nobody has seen whether {driver} releases chip select between the transfers of a "
                 "call", "{run[check --move]} shows it: if servo 61 still holds when all are stopped, "
                 f"{machine.SELECT_BY_GPIO}"),
     ), "{how}"),
 )
-CALIBRATION: Final = (
-    Probe("calibration", _calibration, (
-        warning(lambda r: r.hidden, "{path} is not for you to read", "sudo hexapod-gateway check"),
-        failure(lambda r: r.fault, "{fault}; nothing can be started",
-                f"put a good one in its place and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
-        warning(lambda r: r.late_at, "a change of {late_at} was not kept, and revision {revision} is ({path})",
-                "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"),
-    ), "{which}"),
-)
+CALIBRATION: Final = Probe("calibration", _calibration, (
+    warning(lambda r: r.hidden, "{path} is not for you to read", "sudo hexapod-gateway check"),
+    failure(lambda r: r.fault, "{fault}; nothing can be started",
+            f"put a good one in its place and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
+    warning(lambda r: r.late_at, "a change of {late_at} was not kept; in force is {which}",
+            "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"),
+), "{which}")
 CONTROLLER: Final = (
     Probe("UART", _uart, (
         *_node_faults("dialout"),
         failure(lambda r: r.console, "{path} is the Linux console: the kernel's messages go to the controller", _OFF),
-        failure(lambda r: r.login, "{path} is the terminal of {login}, which takes the controller's bytes", _OFF),
+        failure(lambda r: r.login, "{path} is the terminal of a login, which takes the controller's bytes", _OFF),
         failure(lambda r: r.held, "{path} is held by another program",
                 "end that program, which is named by: sudo fuser -v {path}"),
         failure(lambda r: r.error, "{error}", "is {path} a UART? see dmesg"),
@@ -447,19 +364,17 @@ CONTROLLER: Final = (
                 'controller of HexapodProtocol v1.0.0 needs spi.protocol = "hexapod-1.0"'),
     ), "{beats} came in {ms} ms, so the controller speaks elkapod-2025"),
 )
-POWER: Final = (
-    Probe("power board", _board, (
-        warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),
-        *_node_faults("dialout"),
-        failure(lambda r: r.off, "{path} is switched off", _ON),
-        failure(lambda r: r.error, "{error}", "see dmesg, and the settings of [power]"),
-        failure(lambda r: r.silent, "{where} opens, and the board does not answer",
-                "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a "
-                "resistor of 120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
-    ), "{answers}"),
-    Probe("power board", _kept, (
-        warning(lambda r: not r.kept, "{path} is switched on until the next boot only", _ON),
-    )),
-)
-PROBES: Final = (DEVICE, *BUS, *CONTROLLER, *FRAMES, *CALIBRATION)
+POWER: Final = Probe("power board", _board, (
+    warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),
+    *_node_faults("dialout"),
+    failure(lambda r: r.off, "{path} is switched off",  # now and at each boot
+            f"printf '[Match]\\nName={{path}}\\n[CAN]\\nBitRate={BITRATE}\\nRestartSec=100ms\\n' | sudo tee "
+            "/etc/systemd/network/80-{path}.network && sudo systemctl enable systemd-networkd && "
+            "sudo systemctl restart systemd-networkd"),
+    failure(lambda r: r.error, "{error}", "see dmesg, and the settings of [power]"),
+    failure(lambda r: r.silent, "{where} opens, and the board does not answer",
+            "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a resistor of "
+            "120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
+), "{answers}")
+PROBES: Final = (DEVICE, *BUS, *CONTROLLER, *FRAMES, CALIBRATION)
 # fmt: on

@@ -22,7 +22,6 @@ from typing import Any, Final
 import zenoh
 
 from gateway import certs
-from gateway.certs import expiry
 from gateway.errors import ConfigError
 from gateway.own_command import DEFAULT_ENDPOINT
 from gateway.people.client.requests import Identity
@@ -151,7 +150,7 @@ def own_expiry(config: zenoh.Config) -> str | None:
     with suppress(ConfigError):
         first = first_expiry(config)
         if first is not None:
-            return expiry.soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
+            return certs.expires_soon(first.file.name, first.end, dt.datetime.now(dt.UTC))
     return None
 
 
@@ -172,7 +171,7 @@ def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) 
             sentence = f"{clock}, which is before any certificate was made"
         return Finding(Stage.CERTIFICATE, sentence, _CLOCK)
     if now >= end:
-        fix = f"is this clock right? Then {expiry.renewal('NAME')}"
+        fix = f"is this clock right? Then {certs.renewal('NAME')}"
         return Finding(Stage.CERTIFICATE, f"{name} expired on {end:%Y-%m-%d}", fix)
     return Finding(Stage.CERTIFICATE, f"{name} is good until {end:%Y-%m-%d}")
 
@@ -303,7 +302,7 @@ def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
     sentence = f"does not do ({error.verify_message})"
     if code == _EXPIRED:
         sentence = "has expired"
-        fix = f"{expiry.renewal('gateway')}, and copy gateway.pem to the robot; or {fix}"
+        fix = f"{certs.renewal('gateway')}, and copy gateway.pem to the robot; or {fix}"
     elif code == _NOT_YET_VALID:
         sentence = "is not valid yet"
     elif code in _UNKNOWN_CA:
@@ -325,7 +324,7 @@ def _alert(error: ssl.SSLError) -> Finding:
         fix = "get one from the folder that made the robot's (`hexapod-gateway certs issue`)"
     elif "EXPIRED" in reason:
         sentence = "your certificate has expired, or is not valid yet, by the robot's clock"
-        fix = f"{expiry.renewal('NAME')}; or set the robot's clock ({_SETS_CLOCK})"
+        fix = f"{certs.renewal('NAME')}; or set the robot's clock ({_SETS_CLOCK})"
     elif "CERTIFICATE_REQUIRED" in reason:
         sentence, fix = _SHOWS_NONE, _GIVE_CERTIFICATE
     elif "ALERT" in reason:

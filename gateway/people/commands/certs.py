@@ -3,16 +3,18 @@
 import datetime as dt
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import typer
 
 from gateway import certs
-from gateway.certs import expiry
+from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.own_command import this_command
 from gateway.people.commands.options import JsonOption
+from gateway.people.terminal import hint, say
+from schemas.revocation import MAX_REVOCATION_BYTES
 
-WIDE = 100
+_ANSWER_S: Final = 5.0
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -21,23 +23,14 @@ app = typer.Typer(
     "changes nothing on the robot. `revoke` shuts a lost laptop out.\n\n"
     "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.",
 )
-
+_DAYS: Final = "Days that the certificate is valid, at most until its CA expires."
+_HOSTS: Final = "A name or address by which the robot or the console is reached; repeat it for each."
 Directory = Annotated[
     Path, typer.Option("--dir", metavar="D", callback=Path.expanduser, help="The folder with the CA.")
 ]
-DEFAULT_FOLDER = Path("~/hexapod-certs")
-Days = Annotated[
-    int,
-    typer.Option(
-        metavar="N", min=1, max=certs.CA_DAYS, help="Days that the certificate is valid, at most until its CA expires."
-    ),
-]
-Hosts = Annotated[
-    list[str],
-    typer.Option(
-        metavar="HOST", help="A name or address by which the robot or the console is reached; repeat it for each."
-    ),
-]
+DEFAULT_FOLDER: Final = Path("~/hexapod-certs")
+Days = Annotated[int, typer.Option(metavar="N", min=1, max=certs.CA_DAYS, help=_DAYS)]
+Hosts = Annotated[list[str], typer.Option(metavar="HOST", help=_HOSTS)]
 
 
 @app.command(epilog="Example: hexapod-gateway certs init --dir ~/hexapod-certs --host robot.local --host 192.0.2.7")
@@ -52,23 +45,19 @@ def init(
     Laptops reach the robot by its --host only. No file is overwritten: a folder that has a CA already is an error.
     """
     certs.folder.init(directory, host, days=days, port=port)
-    typer.echo(f"Made a CA and the robot's files in {directory}. Leave ca.key here, and keep a copy somewhere safe.")
-    _echo_installation(host[0], directory)
-    typer.echo(
-        f"Next, for each laptop: {this_command()} certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
-    )
+    say(f"Made a CA and the robot's files in {directory}. Leave ca.key here, and keep a copy somewhere safe.")
+    _say_installation(host[0], directory)
+    next_step = f"certs issue NAME --role operator --dir {directory} --bundle NAME.zip"
+    say(f"Next, for each laptop: {this_command()} {next_step}")
 
 
-def _echo_installation(host: str, directory: Path, bundle: Path | None = None) -> None:
+def _say_installation(host: str, directory: Path, bundle: Path | None = None) -> None:
     """How a robot gets its files: the zip, or those of its folder without ca.key."""
-    typer.echo("The robot's files, and how its service gets them:")
-    if bundle is not None:
-        typer.echo(f"  scp {bundle} {host}:")
-    else:
-        files = " ".join(str(directory / name) for name in certs.folder.ROBOT_FILES)
-        typer.echo(f"  ssh {host} mkdir -p -m 700 robot-certs")
-        typer.echo(f"  scp {files} {host}:robot-certs/")
-    typer.echo(f"and on the robot: sudo hexapod-gateway setup --certs {bundle.name if bundle else 'robot-certs'}")
+    say("The robot's files, and how its service gets them:")
+    files = " ".join(str(directory / name) for name in certs.folder.ROBOT_FILES)
+    made = f"  ssh {host} mkdir -p -m 700 robot-certs\n  scp {files} {host}:robot-certs/"
+    typer.echo(f"  scp {bundle} {host}:" if bundle else made)
+    say(f"and on the robot: sudo hexapod-gateway setup --certs {bundle.name if bundle else 'robot-certs'}")
 
 
 @app.command(
@@ -86,10 +75,7 @@ def issue(
     directory: Directory = DEFAULT_FOLDER,
     host: Hosts = [],  # noqa: B006 (read only)
     bundle: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="ZIP", help="Also put all that the laptop or robot needs into this zip, its key included."
-        ),
+        Path | None, typer.Option(metavar="ZIP", help="Also put all that it needs into this zip, its key included.")
     ] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
@@ -100,22 +86,20 @@ def issue(
     """
     paths = certs.folder.issue(directory, name, role, hosts=host, bundle=bundle, days=days)
     files = " ".join(path.name for path in paths if path != bundle)
-    typer.echo(f"Made {name}, {role}, in {directory}: {files}")
+    say(f"Made {name}, {role}, in {directory}: {files}")
     if role == certs.folder.ROBOT:
-        _echo_installation(host[0], directory / name, bundle)
-        typer.echo(f"Laptops issued before reach it with --connect tls/{host[0]}:PORT --zenoh-config …")
+        _say_installation(host[0], directory / name, bundle)
+        say(f"Laptops issued before reach it with --connect tls/{host[0]}:PORT --zenoh-config …")
     elif role == certs.authority.CONSOLE:
-        typer.echo(f"Copy {name}.pem and {name}.key to the machine of the console, and there:")
+        say(f"Copy {name}.pem and {name}.key to the machine of the console, and there:")
         command = f"hexapod-gateway console --listen 0.0.0.0:8443 --cert {name}.pem --key {name}.key"
-        typer.echo(f"  {command} --zenoh-config PERSON.json5")
-        typer.echo(f"In each browser, import {directory / f'{name}-ca.pem'} as an authority, once.")
+        say(f"  {command} --zenoh-config PERSON.json5")
+        say(f"In each browser, import {directory / f'{name}-ca.pem'} as an authority, once.")
     else:
         if bundle is not None:
-            typer.echo(
-                f"All that the laptop needs is in {bundle}, its key too: hand it over in private, then delete it."
-            )
+            say(f"All that the laptop needs is in {bundle}, its key too: hand it over in private, then delete it.")
         config = next(path for path in paths if path.suffix == ".json5")
-        typer.echo(f"Try it: {this_command()} check --zenoh-config {config}")
+        say(f"Try it: {this_command()} check --zenoh-config {config}")
 
 
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")
@@ -132,55 +116,33 @@ def renew(
     made = certs.folder.describe(path)
     is_robot = made.role == certs.authority.GATEWAY
     where = "" if is_robot else f": copy it over the old one on {name}'s machine"
-    typer.echo(f"{path} is valid until {made.not_after:%Y-%m-%d}{where}.")
+    say(f"{path} is valid until {made.not_after:%Y-%m-%d}{where}.")
     if is_robot:
-        _echo_installation(certs.folder.hosts_of(path)[0], path.parent)
-    if host and is_robot:
-        typer.echo(f"Laptops issued before reach that address with --connect tls/{host[0]}:PORT --zenoh-config …")
+        _say_installation(certs.folder.hosts_of(path)[0], path.parent)
+    if host:
+        say(f"Laptops issued before reach that address with --connect tls/{host[0]}:PORT --zenoh-config …")
 
 
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
 def show(directory: Directory = DEFAULT_FOLDER, as_json: JsonOption = False) -> None:
-    """List all certificates: name, role, expiry, days left, serial number, common name, and state.
-
-    The state is good, expired or revoked. Tab-separated if not on a terminal.
-    """
-    from rich.console import Console
-    from rich.table import Table
-
-    now = dt.datetime.now(dt.UTC)
-    head = ("NAME", "ROLE", "EXPIRES", "DAYS LEFT", "SERIAL", "COMMON NAME", "STATE")
-    found = [(each, each.days_left(now), state) for each, state in certs.folder.states(directory, now)]
-    rows = [
-        (each.name, each.role, f"{each.not_after:%Y-%m-%d}", str(left), each.serial, each.common_name, state)
-        for each, left, state in found
-    ]
-    console = Console()
+    """List all certificates, a line each: name, role, expiry, common name, and state (good, expired or revoked)."""
+    names = ("name", "role", "expires", "common_name", "state")
+    found = certs.folder.states(directory, dt.datetime.now(dt.UTC))
+    rows = [(each.name, each.role, f"{each.not_after:%Y-%m-%d}", each.common_name, state) for each, state in found]
     if as_json:
-        names = [title.lower().replace(" ", "_") for title in head]
         typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
         return
-    if not console.is_terminal:
-        for row in (head, *rows):
-            typer.echo("\t".join(row))
-        return
-    table = Table(padding=(0, 0) if console.width < WIDE else (0, 1))
-    for title in head:
-        table.add_column(title.capitalize(), overflow="fold", no_wrap=title != "SERIAL")
-    for row, (_, left, state) in zip(rows, found, strict=True):
-        table.add_row(*row, style="red" if state != "good" else "yellow" if left < expiry.WARN_DAYS else None)
-    console.print(table)
+    rows.insert(0, ("NAME", "ROLE", "EXPIRES", "COMMON NAME", "STATE"))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
 @app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
 def revoke(
     directory: Directory = DEFAULT_FOLDER,
     name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[NAME]",
-            help="The laptop, or a common name such as operator-07. Without one, the robots get the present list.",
-        ),
+        str | None, typer.Argument(metavar="[NAME]", help="The laptop, or a common name such as operator-07.")
     ] = None,
     to: Annotated[
         list[str] | None,
@@ -202,6 +164,64 @@ def revoke(
     A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
     /etc/hexapod-gateway/zenoh and a restart of the service.
     """
-    from gateway.people.commands import revoking
+    config, robots = zenoh_config or _operators_file(directory, but=name), _endpoints(directory, to or [])
+    known = certs.folder.revoked(directory) if name is None else certs.folder.revoke(directory, name)
+    if known is None:
+        say(f"{directory} has no list: nobody was revoked.")
+        return
+    file, missing = certs.revocation.REVOCATION_FILE, []
+    say(f"{directory / file}: list {known.number} shuts out {', '.join(sorted(known.common_names))}.")
+    for robot, endpoints in robots.items():
+        faults = []
+        for endpoint in endpoints:
+            try:
+                say(f"{robot}: list {_send(directory, endpoint, config)} is in force.")
+                break
+            except GatewayError as error:
+                faults.append(str(error).splitlines()[0])
+        else:
+            missing.append(robot)
+            hint(f"{robot}: {'; '.join(faults)}")
+    if missing:
+        hint(f"Not confirmed by {', '.join(missing)}. Later: {this_command()} certs revoke --dir {directory}")
+        hint(f"or copy {file} to /etc/hexapod-gateway/zenoh/ there: sudo systemctl restart hexapod-gateway")
+        raise typer.Exit(1)
 
-    raise typer.Exit(revoking.revoke(directory, name, to or [], zenoh_config))
+
+def _endpoints(directory: Path, to: list[str]) -> dict[str, list[str]]:
+    """How to reach each robot: `to` has names of the folder, hosts or endpoints; without it, all of the folder."""
+    robots, found = certs.folder.robots_of(directory), dict[str, list[str]]()
+    for each in to or robots:
+        home = robots.get(each)
+        if "/" in each:
+            found[each] = [each]
+        else:
+            hosts = [each] if home is None else certs.folder.hosts_of(home / "gateway.pem")
+            port = certs.folder.port_of((home or directory) / "gateway.json5")
+            found[each] = [certs.zenoh_files.endpoint(host, port) for host in hosts]
+    return found
+
+
+def _send(directory: Path, endpoint: str, config: Path) -> int:
+    """Return the number of the list that this robot now has in force. Raises GatewayError."""
+    from gateway.people.client.blocking import Client  # slow to load, which --help need not wait for
+
+    with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs revoke", timeout_s=_ANSWER_S) as client:
+        client.state()  # a robot that is starting is awaited
+        newest = certs.folder.newest(directory, client.revocation().revoked)
+        if len(newest.pem) > MAX_REVOCATION_BYTES - 100:
+            raise ConfigError(f"the list is too long for a message: copy {certs.revocation.REVOCATION_FILE} there")
+        ack = client.revocation(newest.pem.decode())
+    if not ack.accepted:
+        raise RejectedError(str(ack.reason), ack.detail or "")
+    return newest.number
+
+
+def _operators_file(directory: Path, but: str | None) -> Path:
+    """The Zenoh file of an operator of the folder whose certificate is valid, and who is not to be shut out."""
+    for each, state in certs.folder.states(directory, certs.folder.now_utc()):
+        config = directory / f"{each.path.stem}.json5"
+        usable = each.role == certs.OPERATOR and state == "good" and but not in (each.name, each.common_name)
+        if usable and config.exists():
+            return config
+    raise ConfigError(f"{directory} has no files of another operator: issue one, or use --zenoh-config NAME.json5")

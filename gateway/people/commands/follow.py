@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
 
+from gateway import certs
 from gateway.allowance import NS_PER_S
-from gateway.certs import expiry
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm
@@ -182,7 +182,7 @@ def follow(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
     unreached = partial(why.unreached, connect, zenoh_config)
     link = Live(client, follower, lambda found: [] if found is not None and found.connected else unreached())
     if (expiring := diagnosis.own_expiry(config)) is not None:
-        hint(f"{expiring}; {expiry.renewal('NAME')}")
+        hint(f"{expiring}; {certs.renewal('NAME')}")
     with on_end_signals(ended.set):
         link.start()
         while not ended.wait(_LOOK_S):

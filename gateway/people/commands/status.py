@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from gateway.certs import expiry
+from gateway import certs
 from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.commands.reach import connection
 from gateway.people.terminal import say
@@ -26,7 +26,7 @@ def topics(state: GatewayState) -> dict[str, str]:
     """What a person asks of a robot that moves, a sentence each; "": there is nothing to say."""
     lease, buttons, certificate = state.lease, state.buttons, state.certificate
     drives = "drives" if lease.held_s is not None else "is handed the lease"
-    soon = None if certificate is None else expiry.soon(certificate.file, certificate.expires, state.time)
+    soon = None if certificate is None else certs.expires_soon(certificate.file, certificate.expires, state.time)
     missing = ", ".join(state.missing_endpoints)
     watched = f"Stop buttons: {buttons.alive} alive, {buttons.required} required."
     return {
@@ -37,7 +37,7 @@ def topics(state: GatewayState) -> dict[str, str]:
         "controller": _controller(state.controller),
         "power": "" if state.power is None else f"Power ({state.power.interface}): {power_now(state.power)}.",
         "address": f"Does not listen on {missing} yet: the address is not there." if missing else "",
-        "certificate": "" if soon is None else f"The robot's {soon}; {expiry.renewal('gateway')}",
+        "certificate": "" if soon is None else f"The robot's {soon}; {certs.renewal('gateway')}",
     }
 
 

@@ -4,10 +4,10 @@ import math
 from typing import Final, NamedTuple, Self
 
 from gateway.errors import ConfigError
-from gateway.geometry.masses import MASSES
+from gateway.geometry.model import MASSES
 
 MASS_KG: Final = round(MASSES.total_kg, 2)
-"""An assumption (gateway/geometry/masses.py). The Elkapod's own description adds up to 5.03 kg."""
+"""An assumption (gateway/geometry/model.py). The Elkapod's own description adds up to 5.03 kg."""
 TORQUE_NM: Final = 2.0
 """A servo of 20 kg·cm, the usual one in robots of this size. (An MG996R has 9.4 kg·cm at 4.8 V.)"""
 FRICTION: Final = 0.8

@@ -12,7 +12,7 @@ import numpy as np
 from gateway.errors import ConfigError
 from gateway.geometry import Geometry, joint_name, urdf
 from gateway.geometry.kinematics import BASE, about
-from gateway.geometry.masses import MASSES
+from gateway.geometry.model import MASSES
 from gateway.people.physics.assumed import TORQUE_NM, Assumed, Terrain
 from schemas.robot import SERVO_IDS
 

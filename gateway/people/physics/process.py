@@ -254,7 +254,7 @@ def _say(sentence: str) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """What `onboard/body_process.py` starts. Ctrl-C and the terminal's end go to the gateway, whose end ends this."""
+    """Ctrl-C and the terminal's end go to the gateway, whose end ends this process."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
@@ -279,3 +279,7 @@ def _run(given: dict[str, Any]) -> int:
         _say(overlap)
     simulate(simulated, ServoPage(given["page"]), SensedPage(given["sensed"]), Link())
     return 0
+
+
+if __name__ == "__main__":
+    os._exit(main(sys.argv[1:]))  # not by the interpreter's own end, which aborts while a thread is inside Zenoh

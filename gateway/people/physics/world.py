@@ -14,7 +14,7 @@ import numpy as np
 from gateway.geometry import Geometry
 from gateway.geometry.kinematics import Quaternion, Vector, about, rotated
 from gateway.host.shared_page import Sensed
-from gateway.model.servo import NO_LOAD_DEG_S
+from gateway.model.power_board import NO_LOAD_DEG_S
 from gateway.people.physics.assumed import USUAL, Assumed
 from gateway.people.physics.model import TIMESTEP_S, built
 from schemas.robot import LEGS, SERVO_IDS

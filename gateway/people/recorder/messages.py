@@ -3,7 +3,6 @@
 from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -228,7 +227,7 @@ def _published(content: form.Calibrated | form.BodyState | form.EventPublished, 
         case form.BodyState(values=values):
             return keys.TELEMETRY, report_of(values, time, 0.0)
         case form.EventPublished() as event:
-            return keys.EVENT, Event(time=time, **asdict(event))
+            return keys.EVENT, Event(time=time, **event._asdict())
 
 
 def _verdict(record: form.Record) -> str:

@@ -11,7 +11,7 @@ and body move the same way, only slower.
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Final
 
 from gateway.errors import WalkError
@@ -245,11 +245,6 @@ class Engine:
         return self._state.odometry
 
     @property
-    def velocity(self) -> Velocity:
-        """Its present velocity over the ground."""
-        return self._state.velocity
-
-    @property
     def stance(self) -> Stance:
         """The stance in which it stands and walks."""
         return self._stance
@@ -263,11 +258,6 @@ class Engine:
     def corrected_rad(self) -> float:
         """How far the body leans against its feet, so as to be level."""
         return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
-
-    @property
-    def feet(self) -> Mapping[int, Vector]:
-        """The positions of the feet, in the ground frame."""
-        return self._state.feet
 
     @property
     def hanging(self) -> frozenset[int]:

@@ -13,7 +13,7 @@ from typing import Final
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
 from gateway.geometry.kinematics import Vector, from_rpy, plus
-from gateway.people.walking.vectors import (
+from gateway.people.walking.motion import (
     angle_about,
     apply,
     back,

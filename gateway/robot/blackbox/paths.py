@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.host.directories import runtime_directory, state_directory, state_to_read
-from gateway.model.black_box.files import MAX_SLOTS, RING_FILE
+from gateway.model.black_box.header import MAX_SLOTS, RING_FILE
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 

@@ -1,4 +1,7 @@
-"""Writes the gateway's records into the black box, of each source no more than its share (`shares.py`).
+"""Writes the gateway's records into the black box, of each source no more than its share.
+
+A flood must not overwrite what precedes an incident: all sources together may make as many records a second as the
+ring has room for (`paths.client_records_a_second`), and one source SHARE of that. What is left out is counted.
 
 Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
 command that is carried out at once shares a record with its frame.
@@ -9,28 +12,168 @@ Called by the owner of the state, like the supervisor.
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from gateway import __version__
-from gateway.allowance import Allowance
+from gateway import __version__, durable
+from gateway.allowance import NS_PER_S, Allowance
 from gateway.errors import GatewayError
+from gateway.host.worker import Worker
 from gateway.model.black_box import format as form
+from gateway.model.black_box import header
 from gateway.model.black_box.format import ACCEPTED
-from gateway.model.black_box.incidents import INCIDENT_NAMES, LONGEST_INCIDENT_NS, MISTAKE, follow_ns, incident_id
+from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, copies_of, copy_path
+from gateway.model.black_box.incidents import (
+    FOLLOW_NS,
+    INCIDENT_NAMES,
+    LONGEST_INCIDENT_NS,
+    MISTAKE,
+    follow_ns,
+    incident_id,
+)
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import paths
-from gateway.robot.blackbox.copies import IncidentCopies
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.blackbox.shares import RecordShares
 from gateway.robot.core.events import Announce, Request, Transmit
 from gateway.robot.core.outcome import Result
 from gateway.robot.core.rejection_limit import LIMITED
 from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
 from schemas.telemetry import Cause, Kind, Mode
+
+CHUNK: Final = 4096
+"""Records copied at a time: half a megabyte of memory."""
+CLOSE_S: Final = 1.0
+"""A copy of the largest ring takes some 10 ms."""
+
+
+class IncidentCopies:
+    """Decides which copies are made, and makes them on a thread of its own. A copy that fails stops nothing.
+
+    A flood of emergency stops makes one copy: none follows another before servos have run, and none within FOLLOW_NS.
+    """
+
+    def __init__(self) -> None:
+        self._ring: Path | None = None
+        self._due = self._running = False
+        self._ran = True
+        """Whether servos ran since the latest copy."""
+        self._copied_ns = -FOLLOW_NS
+
+    def open(self, ring: Path) -> None:
+        """The ring is open at this path, and has no other writer."""
+        self._ring = ring
+        self._worker = Worker("copy incident")
+
+    def servos_run(self, running: bool) -> None:
+        """Servos run from now on, or no longer."""
+        self._running = running
+        self._ran |= running
+
+    def happened(self) -> None:
+        """An incident begins, or goes on: what preceded this is to be copied, not now but behind its Stops."""
+        self._due |= self._ran
+
+    def look(self, now_ns: int, newest: int) -> None:
+        """Have the newest records copied, up to this sequence number, if that is due. Returns at once."""
+        if self._ring is not None and self._due and now_ns - self._copied_ns >= FOLLOW_NS:
+            self._due, self._ran, self._copied_ns = False, self._running, now_ns
+            self._worker.do(partial(_take, self._ring, newest))
+
+    def close(self, newest: int) -> None:
+        """Make a copy that is due, and wait for it, CLOSE_S at most."""
+        if self._ring is not None:
+            self.look(self._copied_ns + FOLLOW_NS, newest)
+            self._worker.close(CLOSE_S)
+
+
+def _take(ring: Path, newest: int) -> None:
+    try:
+        copy(ring, newest)
+        for old in copies_of(ring)[:-MOST_COPIES]:
+            old.unlink()
+    except (OSError, form.DamagedRingError) as error:
+        logger.warning("what precedes this incident is kept for a minute only: %s", error)
+
+
+def copy(ring: Path, newest: int) -> None:
+    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError."""
+    staged = durable.staged_for(ring)
+    staged.unlink(missing_ok=True)  # of a process that was killed meanwhile
+    with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
+        head = source.read(form.HEADER_BYTES)
+        slots = header.slots_of(head, os.fstat(source.fileno()).st_size)
+        count = max(1, slots // COPIED_SHARE)
+        made = bytearray(header.new(count))
+        header.put_calibration(made, header.calibration(head))
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        with os.fdopen(os.open(staged, flags, 0o600), "wb") as target:
+            target.write(made)
+            number = max(1, newest + 1 - count)
+            while number <= newest:
+                run = min(CHUNK, newest + 1 - number, slots - number % slots, count - number % count)
+                target.seek(form.HEADER_BYTES + number % count * form.SLOT)
+                target.write(os.pread(source.fileno(), run * form.SLOT, form.HEADER_BYTES + number % slots * form.SLOT))
+                number += run
+            target.truncate(header.file_bytes(count))
+
+
+SHARE: Final = 0.75
+"""Of all records that messages may make. In `plain` and in `length-prefixed`, a stream of six legs at the limit makes a
+quarter and a half of them."""
+SOURCES_COUNTED: Final = 64
+"""Sources with a share of their own at a time; all further ones have one together. Sources can be made up."""
+
+
+@dataclass(slots=True)
+class _Share:
+    full_ns: int = 0
+    """When its share will be whole again."""
+    left_out: int = 0
+
+
+class RecordShares:
+    """Admits records. Two token buckets of one second, written out: it is asked for each setpoint."""
+
+    def __init__(self, a_second: int) -> None:
+        """`a_second` records at once and a second, of all sources together."""
+        self._of_all_ns = NS_PER_S // a_second
+        self._of_one_ns = int(NS_PER_S / (a_second * SHARE))
+        self._all_full_ns = 0
+        self._sources: dict[str | None, _Share] = {}
+
+    def admit(self, source: str | None, count: int, now_ns: int) -> bool:
+        """Whether this source's next `count` records are written; if not, they are counted."""
+        known = self._sources[source] if source in self._sources else self._known(source, now_ns)
+        one_ns, all_ns = known.full_ns, self._all_full_ns
+        one_ns = (now_ns if one_ns < now_ns else one_ns) + count * self._of_one_ns
+        all_ns = (now_ns if all_ns < now_ns else all_ns) + count * self._of_all_ns
+        if one_ns > now_ns + NS_PER_S or all_ns > now_ns + NS_PER_S:
+            known.left_out += count
+            return False
+        known.full_ns, self._all_full_ns = one_ns, all_ns
+        return True
+
+    def left_out(self) -> list[tuple[str | None, int]]:
+        """Each source of which records were left out since the last call, and how many."""
+        found = [(name, each.left_out) for name, each in self._sources.items() if each.left_out]
+        for name, _ in found:
+            self._sources[name].left_out = 0
+        return found
+
+    def _known(self, source: str | None, now_ns: int) -> _Share:
+        if len(self._sources) >= SOURCES_COUNTED:
+            self._sources = {
+                name: each for name, each in self._sources.items() if each.left_out or each.full_ns > now_ns
+            }
+            if len(self._sources) >= SOURCES_COUNTED:
+                source = None
+        return self._sources.setdefault(source, _Share())
+
 
 LAG_NS: Final = 10_000_000
 """A timer later than this is recorded: it would have delayed a Stop as much."""

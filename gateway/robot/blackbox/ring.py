@@ -17,8 +17,8 @@ from zlib import crc32
 from gateway.host.file_lock import lock_to_write
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
-from gateway.model.black_box.files import copies_of
 from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
+from gateway.model.black_box.header import copies_of
 
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
 

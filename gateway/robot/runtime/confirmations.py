@@ -40,11 +40,6 @@ class Confirmations:
         self._token = 0
         self._open: dict[int, _Question] = {}
 
-    @property
-    def waiting(self) -> int:
-        """How many askers wait."""
-        return sum(len(each.askers) for each in self._open.values())
-
     def wait(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
         """Call `then` once the board has confirmed that these are off, or it is too late for it."""
         wanted = frozenset(servos)

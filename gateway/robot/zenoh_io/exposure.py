@@ -5,6 +5,7 @@ A listen endpoint that is not loopback needs TLS with client certificates, or us
 """
 
 import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
@@ -32,22 +33,28 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
             f"{', '.join(open_to_anyone)} would let anyone on the network move the robot: {_way_on(config)}, "
             "or set zenoh.allow_insecure = true"
         )
+    for each in warnings(config):
+        logger.warning(each)
+
+
+def warnings(config: zenoh.Config) -> Iterator[str]:
+    """What lets others move the robot, of a configuration that is not rejected; a sentence each."""
+    open_to_anyone = [endpoint for endpoint in listen_endpoints(config) if is_open_to_anyone(endpoint, config)]
     if open_to_anyone:
-        logger.warning("zenoh.allow_insecure: anyone who reaches %s can move the robot", ", ".join(open_to_anyone))
+        yield f"zenoh.allow_insecure: anyone who reaches {', '.join(open_to_anyone)} can move the robot"
     for endpoint in connect_endpoints(config):
         if not is_local(endpoint) and not _knows_whom_it_dials(endpoint, config):
-            logger.warning(
-                "%s is dialled without TLS, or without checking the name in its certificate: anyone on the way to it "
-                "or behind it can move the robot",
-                endpoint,
+            yield (
+                f"{endpoint} is dialled without TLS, or without checking the name in its certificate: anyone on the "
+                "way to it or behind it can move the robot"
             )
     if _dials_whom_it_finds(config):
-        logger.warning(
+        yield (
             "the Zenoh file turns scouting on, and not only for TLS: the gateway dials every Zenoh program that it "
             "finds on the network, and these can move the robot"
         )
     if get(config, "access_control/rules") and get(config, "access_control/enabled") is not True:
-        logger.warning("access_control has rules, but is not enabled; Zenoh ignores them")
+        yield "access_control has rules, but is not enabled; Zenoh ignores them"
 
 
 def _check_links(endpoints: list[str], config: zenoh.Config) -> None:

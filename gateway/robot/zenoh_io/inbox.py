@@ -23,16 +23,40 @@ import zenoh
 from zenoh.handlers import Handler, RingChannel
 
 from gateway.host.realtime import LOOP_PRIORITY
+from gateway.host.worker import Worker
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.zenoh_io.questions import QUESTIONS_DEPTH, Knows, QuestionRing
 from gateway.robot.zenoh_io.receiver import Deal, Reader, ReceiverThread
-from gateway.robot.zenoh_io.replies import ReplySender
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
 from schemas.telemetry import Ack, Reason
+
+
+class ReplySender(Worker):
+    """Sends replies and ends queries in order. Only `close` blocks its caller."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name, priority=None)
+
+    def to(self, query: zenoh.Query, key: str) -> Reply:
+        """A function that replies to this query, once; the client waits until then."""
+
+        def send(payload: bytes) -> None:
+            try:
+                with query:  # the client waits as long as a reference to its query exists
+                    query.reply(key, payload, encoding="application/json")
+            except zenoh.ZError as error:
+                logger.warning("a reply on %s could not be sent: %s", key, error)
+
+        return lambda payload: self.do(lambda: send(payload))
+
+    def let_go(self, query: zenoh.Query) -> None:
+        """Release a query that is answered elsewhere. Releasing the last reference sends its end, which may block."""
+        self.do(query.drop)
+
 
 OTHER_DEPTH: Final = 16
 """The same for what names no key of ours; it is rejected one by one, so there is no use in more."""

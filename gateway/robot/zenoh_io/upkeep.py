@@ -14,7 +14,6 @@ from typing import Final
 import zenoh
 
 from gateway import certs
-from gateway.certs import expiry
 from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
@@ -126,7 +125,7 @@ class Upkeep:
         if first is None:
             return None
         now = self._wall_clock()
-        soon = expiry.soon(first.file.name, first.end, now)
+        soon = certs.expires_soon(first.file.name, first.end, now)
         if soon is None:
             return None
         result = "then nobody can connect" if now < first.end else "nobody can connect (is this clock right?)"
@@ -141,7 +140,7 @@ class Upkeep:
             found = certs.folder.describe(first.file)
         except ConfigError as error:
             return str(error)
-        return f"{expiry.remedy(first.file.name, found.role, found.name)}, and {restart}"
+        return f"{certs.how_to_renew(first.file.name, found.role, found.name)}, and {restart}"
 
 
 def _ports(endpoints: list[str]) -> set[str]:

@@ -8,7 +8,7 @@ from typing import IO
 
 import pytest
 
-from gateway.host.log_writer import MAX_LINES_WAITING, LogStream, LogWriter
+from gateway.host.logs import MAX_LINES_WAITING, LogStream, LogWriter
 
 
 class Pipe:

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import RING_FILE
+from gateway.model.black_box.header import RING_FILE
 from gateway.onboard import black_box
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs
-from gateway.onboard.check import certificates, laptop
+from gateway.onboard.check import laptop, security
 from gateway.onboard.check.installation import PROBES, UNIT
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
@@ -27,7 +27,6 @@ DROP_IN = "/etc/systemd/system/hexapod-gateway.service.d/own.conf"
 STATE = "var/lib/hexapod-gateway"
 LIBRARY = "usr/lib/hexapod-gateway"
 UNIT_FILE = "usr/lib/systemd/system/hexapod-gateway.service"
-TEMPLATE = Path(__file__).parents[3] / "deploy/gateway.toml"
 
 
 class Installed(CheckedRobot):
@@ -44,7 +43,7 @@ class Installed(CheckedRobot):
         self.service = os.getuid(), os.getgid()
         self.package, self.files = "1.1.0", Whole()
         self.unit: dict[str, str] = dict(UP)
-        self.manager: dict[str, str] = {}
+        self.environment = ""
 
     def drop_in(self, text: str) -> None:
         path = self.path(DROP_IN)
@@ -52,7 +51,7 @@ class Installed(CheckedRobot):
         path.write_text(f"[Service]\n{text}\n")
         self.unit["DropInPaths"] = DROP_IN
 
-    def shown(self, **properties: str) -> None:
+    def show(self, **properties: str) -> None:
         self.unit.update(properties)
 
     def write(self, name: str, text: str = "", mode: int = 0o600) -> None:
@@ -72,16 +71,16 @@ class Installed(CheckedRobot):
 
     def replace_unit(self) -> None:
         self.write("etc/systemd/system/hexapod-gateway.service", "[Service]")
-        self.shown(FragmentPath="/etc/systemd/system/hexapod-gateway.service")
+        self.show(FragmentPath="/etc/systemd/system/hexapod-gateway.service")
 
     def runs(self, variables: str, maps: str = "") -> None:
         self.write("proc/7/environ", variables)
         self.write("proc/7/maps", maps)
-        self.shown(MainPID="7")
+        self.show(MainPID="7")
 
     def forget_python(self) -> None:
         self.write("x", "#!/usr/bin/python3.1 -I\n", 0o755)
-        self.shown(ExecStart="{ path=/x ; argv[]=/x }")
+        self.show(ExecStart="{ path=/x ; argv[]=/x }")
 
     def forget(self, name: str) -> None:
         (self.root / name).unlink()
@@ -101,11 +100,11 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} is not as this release"),
     (lambda robot: robot.write(UNIT_FILE, "x"), "hexapod-gateway.service is not as this release"),
     (lambda robot: robot.replace_unit(), "/etc/systemd/system/hexapod-gateway.service is in force in place of"),
-    (lambda robot: robot.shown(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
+    (lambda robot: robot.show(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
     (lambda robot: robot.forget_python(), "/usr/bin/python3.1 cannot be run"),
-    (lambda robot: robot.shown(ExecStopPost="{ path=/run/program ; }"), "runs no stop-servos after its end"),
-    (lambda robot: robot.shown(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
-    (lambda robot: robot.shown(NeedDaemonReload="yes"), "hexapod-gateway was edited, and systemd still"),
+    (lambda robot: robot.show(ExecStopPost="{ path=/run/program ; }"), "runs no stop-servos after its end"),
+    (lambda robot: robot.show(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
+    (lambda robot: robot.show(NeedDaemonReload="yes"), "hexapod-gateway was edited, and systemd still"),
     (lambda robot: robot.drop_in("Environment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simu"),
     (lambda robot: robot.drop_in("ExecStopPost="), "empties ExecStopPost="),
     (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "has settings, which hold in place of"),
@@ -113,7 +112,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.drop_in("Environment=A=1 PYTHONPATH=/x\nMemoryMax=64M"), "depend on: MemoryMax, PYTHONPATH"),
     (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
     (lambda robot: robot.runs("A=1\0HEXAPOD_SPI__FRAMING=plain\0"), "HEXAPOD_SPI__FRAMING is in the service's env"),
-    (lambda robot: robot.manager.update(Environment="PATH=/bin HEXAPOD_LOG__LEVEL=debug"), "HEXAPOD_LOG__LEVEL is in"),
+    (lambda robot: setattr(robot, "environment", "PATH=/bin HEXAPOD_LOG__LEVEL=debug"), "HEXAPOD_LOG__LEVEL is in"),
     (lambda robot: robot.runs("PYTHONPATH=/x\0"), "PYTHONPATH is in the service's environment"),
     (lambda robot: robot.file_for_folder(), "is no folder"),
     (lambda robot: robot.path(STATE).chmod(0o500), "is not the service's to write"),
@@ -126,7 +125,6 @@ FINE: tuple[Plant, ...] = (
     lambda _: None,
     lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nCPUWeight=9"),
     lambda robot: robot.drop_in("Environment=LANG=C"),
-    lambda robot: robot.write("etc/hexapod-gateway/gateway.toml", "[spi]\nframing = 7\n"),
 )
 
 
@@ -151,15 +149,6 @@ def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
     robot = Installed(tmp_path)
     plant(robot)
     assert found(robot) == []
-
-
-def test_settings_that_are_new_are_named(tmp_path: Path) -> None:
-    robot = Installed(tmp_path)
-    text = TEMPLATE.read_text()
-    robot.write("usr/share/hexapod-gateway/gateway.toml", text)
-    robot.write("etc/hexapod-gateway/gateway.toml", text.replace("# max_age_ms = ", "# ").replace("# speed_hz =", "#"))
-    (line,) = (each for each in results(PROBES, robot) if each.name == "settings")
-    assert line.sentence.endswith("whose defaults hold: limits.max_age_ms, spi.speed_hz")
 
 
 def test_a_state_directory_in_memory_is_known() -> None:
@@ -191,7 +180,7 @@ class Folders:
         """What is not well once these of the other's files have taken the place of the robot's own."""
         for name in names:
             (self.own / name).write_bytes((self.other / name).read_bytes())
-        found = results(certificates.CERTIFICATES[1:], of(self.own, self.state))
+        found = results(security.CERTIFICATES[1:], of(self.own, self.state))
         lines = [each for each in found if each.verdict is not Verdict.OK]
         assert all("sudo " in each.fix for each in lines)
         return [each.sentence.replace(f"{self.own}/", "") for each in lines]
@@ -210,11 +199,11 @@ def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: P
     ]
     (folders.own / "ca.pem").write_text("")
     assert folders.bring() == [], "another line says it"
-    assert list(results(certificates.CERTIFICATES[1:], CheckedRobot(Settings()))) == []
+    assert list(results(security.CERTIFICATES[1:], CheckedRobot(Settings()))) == []
 
 
 def test_the_list_in_force_is_named_with_its_number_and_date_and_that_there_is_none(folder: Path) -> None:
-    shut_out = partial(results, certificates.CERTIFICATES[2:], of(folder))
+    shut_out = partial(results, security.CERTIFICATES[2:], of(folder))
     certs.folder.issue(folder, "anna", "operator", now=NOW)
     (none,) = shut_out()
     assert (none.verdict, none.sentence.partition(":")[0]) == (Verdict.OK, "there is no list")

@@ -10,7 +10,7 @@ import pytest
 
 from gateway.onboard.check import wire
 from gateway.onboard.check.move import ServoCurrents
-from gateway.onboard.check.table import CheckedRobot, Result, judged, results
+from gateway.onboard.check.table import CheckedRobot, Result, results
 from gateway.robot.settings import Settings
 from gateway.robot.spi.uart import SerialUart
 from gateway.simulation.elkapod import SimulatedElkapod
@@ -32,7 +32,8 @@ class Terminal:
         os.write(self.ours, BYTES)
         self.path = os.ttyname(self._theirs)
         settings = Settings.of({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": self.path}})
-        self.robot = CheckedRobot(settings, root)
+        self.units: dict[str, dict[str, str]] = {}
+        self.robot = CheckedRobot(settings, root, lambda unit: self.units.get(unit, {}))
         MachineTree(root)
 
     def console(self, names: str) -> None:
@@ -40,14 +41,8 @@ class Terminal:
         folder.mkdir(parents=True)
         (folder / "active").write_text(f"{names}\n")
 
-    def process(self, program: str, minor: int) -> None:
-        """As the kernel writes it to /proc/N/stat: pseudo terminals have the major number 136, and small minors."""
-        (self.robot.root / "proc/7").mkdir()
-        (self.robot.root / "proc/7/stat").write_text(f"7 ({program}) S 1 7 7 {136 << 8 | minor} -1 4194560 0\n")
-
-    @property
-    def minor(self) -> int:
-        return os.minor(os.stat(self.path).st_rdev)
+    def login(self) -> None:
+        self.units[f"serial-getty@{Path(self.path).name}.service"] = {"ActiveState": "active"}
 
     def unread(self) -> bytes:
         reader = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)
@@ -77,10 +72,9 @@ def nothing(_: Terminal) -> None:
     [
         (nothing, "ok", "opens, as"),
         (lambda each: each.console("tty1"), "ok", "opens, as"),
-        (lambda each: each.process("bash) S 1 7 7 0 (", 200), "ok", "opens, as"),
         (lambda each: setattr(each.robot, "gateway_runs", True), "ok", "is the running gateway's"),
         (lambda each: each.console(f"tty1 {Path(each.path).name}"), "failure", "is the Linux console"),
-        (lambda each: each.process("agetty", each.minor), "failure", "is the terminal of agetty"),
+        (Terminal.login, "failure", "is the terminal of a login"),
     ],
 )
 def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: str, says: str) -> None:
@@ -121,7 +115,7 @@ def test_its_heartbeat_is_awaited(sends: bytes | None, line: str) -> None:
 
     simulated = SimulatedElkapod(clock=lambda: now_ns)
     read = simulated.uart_read if sends is None else lambda: sends
-    (found,) = judged(wire.CONTROLLER[1], wire.heartbeat(read, 300_000_000, lambda: now_ns, pause))
+    (found,) = wire.CONTROLLER[1].judged(wire.heartbeat(read, 300_000_000, lambda: now_ns, pause))
     assert f"{found.verdict} {found.sentence}" == line
 
 
@@ -137,14 +131,14 @@ def adapter(tmp_path: Path) -> Iterator[Adapter]:
 
 def board(tmp_path: Path, *, gateway_runs: bool = False) -> Result:
     settings = Settings.of({"power": {"interface": "slcan", "channel": str(tmp_path / "adapter")}})
-    (found,) = results(wire.POWER, CheckedRobot(settings, gateway_runs=gateway_runs))
+    (found,) = results([wire.POWER], CheckedRobot(settings, gateway_runs=gateway_runs))
     return found
 
 
 def test_a_board_that_answers_and_one_that_is_silent(adapter: Adapter, tmp_path: Path) -> None:
     adapter.board.battery_mv = 15_200
     said = board(tmp_path).sentence
-    assert said.endswith(": supply 15.2 V; the servos' converters 7.4, 7.4, 7.4 V; 30 °C at most")
+    assert said.endswith(": supply 15.2 V")
     assert all(not line.startswith((b"t06A", b"t096")) for line in adapter.received), "it only asks"
     adapter.silent = True
     silent = board(tmp_path)
@@ -184,7 +178,7 @@ def test_the_highest_currents_show_which_output_feeds_a_servo(moving: dict[str, 
 
     take({"11": 0.008, "12": 0.008, "61": 0.008})
     take({"61": 0.003, "12": None})
-    currents.moves()
+    currents.moves = True
     take(dict(moving))
     take(dict.fromkeys(moving, 0.001))
     assert says in currents.finding(61)

@@ -14,7 +14,7 @@ from gateway import certs
 from gateway.certs import zenoh_files
 from gateway.errors import ConfigError, GatewayError
 from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_overlay, with_spi, without_console
-from gateway.onboard.setup.toml_text import with_value
+from gateway.onboard.setup.configuration import with_value
 from gateway.people.commands import certs as commands
 from tests.unit.onboard.computer import CONFIG_TXT, TEMPLATE, TOML, Computer
 

@@ -7,8 +7,7 @@ import pytest
 
 from gateway.errors import WalkError
 from gateway.people.walking import LONGEST_S, STILL, Distance, Odometry, Posture, Ride, Velocity, WalkState
-from gateway.people.walking.distance import MOST_M, MOST_RAD
-from gateway.people.walking.tempo import SLEW_M_S2
+from gateway.people.walking.tempo import MOST_M, MOST_RAD, SLEW_M_S2
 from tests.support.ridden import TICK_S, Ridden, standing
 
 

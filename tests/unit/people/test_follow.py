@@ -5,7 +5,7 @@ from datetime import timedelta
 
 import pytest
 
-from gateway.certs import expiry
+from gateway import certs
 from gateway.people.client.dangers import UNCONFIRMED
 from gateway.people.commands.follow import SILENT_AFTER_NS, NewsLine, StatusChanges
 from schemas.telemetry import (
@@ -77,7 +77,7 @@ def followed() -> Followed:
         ),
         (
             {"certificate": CertificateReport(file="gateway.pem", expires=WALL + timedelta(days=3))},
-            [f"The robot's gateway.pem expires on 2026-01-05, in 2 days; {expiry.renewal('gateway')}"],
+            [f"The robot's gateway.pem expires on 2026-01-05, in 2 days; {certs.renewal('gateway')}"],
         ),
     ],
 )

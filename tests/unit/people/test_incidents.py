@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from gateway import __version__
 from gateway.geometry import load
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import RING_FILE
+from gateway.model.black_box.header import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.people.recorder import ring_reader

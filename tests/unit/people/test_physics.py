@@ -8,7 +8,7 @@ from gateway.cli import run as run_command
 from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.geometry.kinematics import about, rotated
-from gateway.geometry.masses import MASSES
+from gateway.geometry.model import MASSES
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
 from gateway.people.physics.process import MOST_BEHIND_S, WINDOW_S, Pace, Simulated

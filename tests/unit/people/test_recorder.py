@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import RING_FILE
+from gateway.model.black_box.header import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import Op, ServoOp, decode
 from gateway.model.framing import Framing

@@ -21,8 +21,7 @@ from gateway.people.recorder.drawing import (
     Drawing,
     definition,
 )
-from gateway.people.recorder.record import MOST_WAITING, ReportQueue, Table
-from gateway.people.recorder.recording import REPORTS, Recording
+from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, ReportQueue, Table
 from gateway.people.ros2.messages import Message, String
 from schemas import keys
 from schemas.robot import SERVO_IDS

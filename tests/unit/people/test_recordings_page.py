@@ -10,7 +10,7 @@ from typing import Any, Final
 import pytest
 
 from gateway.people.recorder.drawing import DRAWN, FRAMES
-from gateway.people.recorder.recording import REPORTS
+from gateway.people.recorder.record import REPORTS
 from tests.support.mcap_file import checked
 from tests.unit.people.test_recordings import frames_of, recorded
 

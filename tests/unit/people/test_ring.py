@@ -12,6 +12,7 @@ from gateway.people.recorder import ring_reader
 from gateway.people.recorder.ring_reader import NoRingError
 from gateway.robot.blackbox.ring import RecordRing
 from schemas.robot import SERVO_IDS
+from tests.support.ring import parse
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
@@ -96,14 +97,14 @@ def test_every_byte_counts(path: Path) -> None:
     """Each byte of a record changed once: it is never read as something else."""
     filled(path, 3)
     data = path.read_bytes()
-    whole, damaged, missing = ring_reader.parse(data)
+    whole, damaged, missing = parse(data)
     assert damaged == missing == 0
     begin = form.HEADER_BYTES + 2 * form.SLOT
     used = 4 + 20 + len(b"2")
     for offset in range(used):
         changed = bytearray(data)
         changed[begin + offset] ^= 0x10
-        left, damaged, missing = ring_reader.parse(bytes(changed))
+        left, damaged, missing = parse(bytes(changed))
         assert (list(left), damaged, missing) == ([record for record in whole if record.sequence != 2], 1, 1)
 
 
@@ -170,5 +171,5 @@ def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
     for each in bad:
         image = bytearray(header.new(5).ljust(header.file_bytes(5), b"\0"))
         form.put(image, form.HEADER_BYTES + form.SLOT, form.CARRIED_OUT, 1, 0, each)
-        records, damaged, missing = ring_reader.parse(bytes(image))
+        records, damaged, missing = parse(bytes(image))
         assert (len(records), damaged, missing) == (0, 1, 0)

@@ -10,6 +10,7 @@ from gateway.model.black_box import header
 from gateway.people.recorder import ring_reader
 from gateway.people.recorder.incidents import MOST, find, is_id
 from gateway.robot.blackbox.ring import RecordRing
+from tests.support.ring import parse
 from tests.support.robot import WALL_NS
 
 
@@ -29,7 +30,7 @@ def begun(number: int) -> tuple[int, bytes]:
 
 @pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
 def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int], tuple[int, bytes]]) -> None:
-    records, _, _ = ring_reader.parse(ring_of(5_000, what))
+    records, _, _ = parse(ring_of(5_000, what))
     decoded: list[int] = []
 
     def counted(index: int) -> form.Record:
@@ -99,7 +100,7 @@ def image(*records: tuple[int, int, bytes]) -> bytes:
 def test_a_calibration_that_no_gateway_published_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
     ring = bytearray(image((form.CALIBRATION, 1, told[: form.ROOM])))
     header.put_calibration(ring, told)
-    records, damaged, _ = ring_reader.parse(bytes(ring))
+    records, damaged, _ = parse(bytes(ring))
     assert (len(records), damaged) == (0, 1)
     assert records.calibration_at(1) is None
 
@@ -109,14 +110,14 @@ def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
     header.put_calibration(ring, b"{}" * 2000)
     assert header.calibration(bytes(ring)) == b""
     header.put_calibration(ring, b'{"revision":1,"servos":{},"landing":{}}')
-    assert ring_reader.parse(bytes(ring))[0].calibration_at(1) is not None
+    assert parse(bytes(ring))[0].calibration_at(1) is not None
     ring[140] ^= 1
     assert header.calibration(bytes(ring)) == b"", "half of it was written"
 
 
 @pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
 def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
-    records, damaged, _ = ring_reader.parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
+    records, damaged, _ = parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
     assert (len(records), damaged) == (0, 1)
-    records, damaged, _ = ring_reader.parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
+    records, damaged, _ = parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
     assert (len(records), damaged) == (0, 1)

@@ -16,7 +16,7 @@ from gateway.people.walking.robot import LIFT_M
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.support.ridden import Ridden
-from tests.support.walked import TICK_S, Walked, standing
+from tests.support.walked import TICK_S, Walked, feet_of, standing, velocity_of
 
 ROBOT: Final = Robot(load())
 AHEAD: Final = Velocity(0.06)
@@ -42,7 +42,9 @@ class Ground:
 
     def read(self) -> Telemetry:
         engine = self.engine
-        deep_m = [self._height_m(leg, engine.odometry.x_m + engine.feet[leg][0]) - engine.feet[leg][2] for leg in LEGS]
+        deep_m = [
+            self._height_m(leg, engine.odometry.x_m + feet_of(engine)[leg][0]) - feet_of(engine)[leg][2] for leg in LEGS
+        ]
         carried_m = sorted(deep_m)[-3] - 0.001  # the body sinks until three feet touch
         feet = [self.stuck.get(leg, float(depth > carried_m)) for leg, depth in zip(LEGS, deep_m, strict=True)]
         body = engine.body
@@ -111,7 +113,7 @@ def test_a_foot_on_a_stone_is_lifted_no_higher_than_its_disc_allows() -> None:
     ground = Ground(walked, lambda leg, _: 0.02 if leg in (1, 6) else 0.0)
     for _ in range(300):
         ground.run(TICK_S, AHEAD)
-        assert max(foot[2] for foot in walked.engine.feet.values()) < LIFT_M + 0.002
+        assert max(foot[2] for foot in feet_of(walked.engine).values()) < LIFT_M + 0.002
     assert walked.engine.odometry.x_m > 0.2
 
 
@@ -121,8 +123,8 @@ def test_below_a_body_that_leans_feet_rest_further_out_and_keep_their_strides() 
     ground.run(8.0, AHEAD)
     engine = walked.engine
     assert math.degrees(engine.corrected_rad) > 10.0
-    assert engine.velocity.forward_m_s == pytest.approx(AHEAD.forward_m_s)
-    further_m = [math.hypot(*engine.feet[leg][:2]) - math.hypot(*engine.stance.feet[leg][:2]) for leg in LEGS]
+    assert velocity_of(engine).forward_m_s == pytest.approx(AHEAD.forward_m_s)
+    further_m = [math.hypot(*feet_of(engine)[leg][:2]) - math.hypot(*engine.stance.feet[leg][:2]) for leg in LEGS]
     assert sum(further_m) / len(LEGS) > 0.04
 
 
@@ -132,7 +134,7 @@ def test_a_walk_begins_with_the_feet_that_are_furthest_behind(ahead_m: float) ->
     walked = standing(ROBOT)
     engine = walked.engine
     for leg in (2, 3, 6):
-        x, y, z = engine.feet[leg]
+        x, y, z = feet_of(engine)[leg]
         engine._state.feet[leg] = x - math.copysign(engine._within_m + 0.003, ahead_m), y, z
     engine._state.place(ROBOT, LEGS)
     ground = Ground(walked, flat)

@@ -19,7 +19,7 @@ from gateway.people.walking.robot import check_mirrored_once
 from gateway.robot.settings import load as load_settings
 from schemas.calibration import Calibration
 from schemas.robot import LEGS
-from tests.support.walked import legs_that_carry, standing
+from tests.support.walked import feet_of, legs_that_carry, standing
 
 pytestmark = pytest.mark.full
 
@@ -70,7 +70,7 @@ def test_a_walk_ends_in_any_phase_within_a_stride_on_six_feet(of: str) -> None:
         ended = walked.copy()
         ended.until(Posture.STANDING, GAITS[of].period_s)
         assert len(legs_that_carry(ended.engine)) == 6
-        assert all(foot[2] == 0 for foot in ended.engine.feet.values())
+        assert all(foot[2] == 0 for foot in feet_of(ended.engine).values())
         walked.run(0.46, Velocity(0.3, 0.05))
 
 

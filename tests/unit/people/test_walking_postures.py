@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gateway.geometry import load
 from gateway.people.walking import Engine, Posture, Robot, Velocity
 from schemas.robot import LEGS
-from tests.support.walked import Walked, standing
+from tests.support.walked import Walked, feet_of, standing
 
 pytestmark = pytest.mark.full
 
@@ -70,7 +70,7 @@ def lose(walked: Walked, lost: tuple[int, ...]) -> None:
     walked.run(1.5, Velocity(0.1))
     assert walked.engine.posture is Posture.HALTED
     assert walked.engine.pose.keys() == set(LEGS) - set(lost)
-    assert all(walked.engine.feet[leg][2] == pytest.approx(0, abs=1e-9) for leg in walked.engine.pose)
+    assert all(feet_of(walked.engine)[leg][2] == pytest.approx(0, abs=1e-9) for leg in walked.engine.pose)
     still = walked.engine.pose
     walked.run(1.0, Velocity(0.1))
     assert walked.engine.pose == still

@@ -7,8 +7,8 @@ import pytest
 from gateway.model.frames import STOP, OneServo, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
-from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS, SERVO_IDS
+from tests.support.controllers import Controller
 
 LEG_STOPS = tuple(stop_leg(leg).to_bytes() for leg in LEGS)
 STOPS = (*LEG_STOPS, *(OneServo(servo_id, STOP).to_bytes() for servo_id in SERVO_IDS))
@@ -18,9 +18,9 @@ def transfers_of(stop: bytes) -> tuple[bytes, ...]:
     return (ZERO,) if stop == ZERO else (stop[:1], stop)
 
 
-def awaiting(count: int) -> SimulatedController:
+def awaiting(count: int) -> Controller:
     """A controller with no servo on that awaits so many bytes."""
-    controller = SimulatedController(Framing.LENGTH_PREFIXED, clock=lambda: 0)
+    controller = Controller(Framing.LENGTH_PREFIXED, clock=lambda: 0)
     controller.take(bytes((count,)))
     assert controller.missing == count
     return controller

@@ -15,8 +15,8 @@ from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi import ByteDevice
 from gateway.robot.spi.bus import IDLE_NS, RESYNC_NS, Bus
-from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS
+from tests.support.controllers import Controller
 from tests.support.transfers import on_wire, preamble_of
 
 PREFIXED = Framing.LENGTH_PREFIXED
@@ -30,7 +30,7 @@ STOP_ALL = [stop_leg(leg) for leg in LEGS]
 class FailingDevice(ByteDevice):
     """Hands transfers on to a controller, and fails those whose number is told, counted from `begin`."""
 
-    def __init__(self, controller: SimulatedController) -> None:
+    def __init__(self, controller: Controller) -> None:
         self._controller = controller
         self.begin(())
 
@@ -51,7 +51,7 @@ class Scene:
 
     def __init__(self, framing: Framing) -> None:
         self.framing = framing
-        self.controller = SimulatedController(framing, clock=lambda: 0)
+        self.controller = Controller(framing, clock=lambda: 0)
         self.device = FailingDevice(self.controller)
         self.bus = Bus(
             SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us), lambda: self.device, clock=lambda: 0
@@ -205,7 +205,7 @@ class Bed(ByteDevice):
 
     def __init__(self, framing: Framing = PREFIXED, *, resync_ns: int = RESYNC_NS) -> None:
         self.now_ns = 7_000 * MS
-        self.controller = SimulatedController(framing, clock=lambda: self.now_ns)
+        self.controller = Controller(framing, clock=lambda: self.now_ns)
         self.log: list[bytes] = []
         settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us)
         self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns, resync_ns=resync_ns)

@@ -8,9 +8,9 @@ import pytest
 from gateway.host.shared_page import ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import START, Measured
-from gateway.simulation.battery import SimulatedBattery
-from gateway.simulation.elkapod import SimulatedElkapod
+from gateway.simulation.elkapod import SimulatedBattery
 from schemas.robot import SERVO_IDS
+from tests.support.controllers import Elkapod
 
 MS = 1_000_000  # ns
 ALL = frozenset(SERVO_IDS)
@@ -34,7 +34,7 @@ class Bench:
         self.now_ns = 7_000_000 * MS
         self.said: list[str] = []
         self.page = ServoPage()
-        self.controller = SimulatedElkapod(
+        self.controller = Elkapod(
             clock=lambda: self.now_ns, on_change=self.said.append, page=self.page, battery=battery
         )
 

@@ -12,14 +12,15 @@ import pytest
 
 from gateway import durable
 from gateway.model.black_box import format as form
-from gateway.model.black_box.files import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
+from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader
-from gateway.robot.blackbox import copies
+from gateway.robot.blackbox import recorder
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
 from tests.support.full_disk import disk_that_takes
+from tests.support.ring import parse
 from tests.support.robot import Robot, leg, servo
 from tests.unit.people.test_recorder import contents, recorded
 
@@ -73,7 +74,7 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
         await asyncio.sleep(1)
     robot.conductor.recorder.close()
     assert len(copied(folder, 1)) == 1, "a flood makes no copies"
-    ring_alone = ring_reader.parse((folder / RING_FILE).read_bytes())[0]
+    ring_alone = parse((folder / RING_FILE).read_bytes())[0]
     assert not [each for each in ring_alone if getattr(each.content, "source", None) == "anna"]
     assert len([each for each in contents(folder, form.CommandRecord) if each.source == "anna"]) == 11
     first = black_box._find(folder)[0].name
@@ -149,9 +150,9 @@ def sequences(file: Path) -> list[int]:
 def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path: Path, newest: int) -> None:
     ring = tmp_path / RING_FILE
     filled(ring, newest)
-    copies.copy(ring, newest)
+    recorder.copy(ring, newest)
     (copy,) = copies_of(ring)
-    records, damaged, _ = ring_reader.parse(copy.read_bytes())
+    records, damaged, _ = parse(copy.read_bytes())
     kept = list(range(max(1, newest - SLOTS // COPIED_SHARE + 1), newest + 1))
     assert [record.sequence for record in records] == kept
     assert damaged == 0
@@ -178,7 +179,7 @@ def test_a_copy_that_is_not_whole_is_left_out(
     monkeypatch.chdir(tmp_path)
     ring = tmp_path / RING_FILE
     filled(ring, 100)
-    copies.copy(ring, 100)
+    recorder.copy(ring, 100)
     filled(ring, 400, 101)
     assert sequences(ring)[0] == 81
     spoil(copies_of(ring)[0])
@@ -188,7 +189,7 @@ def test_a_copy_that_is_not_whole_is_left_out(
 def test_a_ring_that_is_begun_anew_has_no_copies_of_another(tmp_path: Path) -> None:
     ring = tmp_path / RING_FILE
     filled(ring, 100)
-    copies.copy(ring, 100)
+    recorder.copy(ring, 100)
     RecordRing(ring, SLOTS).close()
     assert copies_of(ring)
     RecordRing(ring, SLOTS + 1).close()
@@ -205,7 +206,7 @@ def test_a_folder_that_may_not_be_written_is_an_error_and_the_ring_stays(tmp_pat
     os.seteuid(65534)
     try:
         with pytest.raises(PermissionError):
-            copies.copy(ring, 100)
+            recorder.copy(ring, 100)
         assert len(sequences(ring)) == 100
     finally:
         os.seteuid(0)
@@ -225,11 +226,11 @@ def test_a_process_that_is_killed_meanwhile_leaves_no_half_copy(
         patched.setattr(os, "pread", read)
         child = os.fork()
         if not child:
-            copies.copy(ring, 1000)
+            recorder.copy(ring, 1000)
             os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     assert durable.staged_for(ring).stat().st_size > 0, "it was half done"
     assert copies_of(ring) == []
-    copies.copy(ring, 1000)
+    recorder.copy(ring, 1000)
     assert copies_of(ring) == [copy_path(ring, 1000)]
     assert not durable.staged_for(ring).exists()

@@ -393,11 +393,8 @@ async def test_one_question_serves_a_flood_of_emergency_stops_beside_a_silent_bo
     """Each waiting answer keeps a query and the buffer that it came in, so few may wait, and all are answered."""
     robot = await runs()
     robot.line.unplugged = True
-    supply = robot.conductor.supply
-    assert supply is not None
     answers = [robot.get(keys.ESTOP) for _ in range(1000)]
     assert len(robot.line.board._off._waits) == 1
-    assert supply.confirmations.waiting == MOST_ASKERS
     assert sum(len(each) for each in answers) == 1000 - MOST_ASKERS, "the others are not confirmed, and know it"
     await asyncio.sleep(0.5)
     assert [[(ack.accepted, ack.confirmed, ack.stop_frames) for ack in each] for each in answers] == [

@@ -8,7 +8,7 @@ from typing import Final
 import pytest
 
 from gateway.model.black_box import format as form
-from gateway.robot.blackbox.shares import SHARE, RecordShares
+from gateway.robot.blackbox.recorder import SHARE, RecordShares
 from schemas import keys
 from schemas.telemetry import Cause
 from tests.support.robot import Robot, leg, servo

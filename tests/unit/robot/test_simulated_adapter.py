@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.model.power_board import CanFrame
-from gateway.simulation.adapter import SimulatedAdapter, frame_of
+from gateway.simulation.board_port import SimulatedAdapter, frame_of
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.robot.power.currents import IDLE_MA
-from gateway.simulation.draw import HOLDS_MA, WAITS_MA, SimulatedDraw
+from gateway.simulation.board_port import HOLDS_MA, WAITS_MA, SimulatedDraw
 from schemas.robot import SERVO_IDS
 
 MS = 1_000_000  # ns

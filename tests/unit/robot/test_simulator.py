@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.model.framing import Framing
-from gateway.simulation.controller import SimulatedController
-from gateway.simulation.servos import ServoState
+from gateway.simulation.controller import ServoState
 from tests.fuzz.targets import PAUSES_NS, fuzz_simulator
+from tests.support.controllers import Controller
 from tests.support.transfers import on_wire
 from tests.unit.model.test_frames import bytes_near_a_frame, frames
 
@@ -25,7 +25,7 @@ class Bench:
         self.framing = framing
         self.now_ns = 5_000_000 * MS
         self.said: list[str] = []
-        self.controller = SimulatedController(
+        self.controller = Controller(
             framing,
             clock=lambda: self.now_ns,
             on_change=self.said.append,

@@ -1,0 +1,53 @@
+"""By the kernel's tables: whether a boot empties a folder, and which sockets of this machine listen on a port."""
+
+import ipaddress
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+FORGETS: Final = frozenset({"overlay", "tmpfs", "ramfs"})
+"""File systems that are empty, or as before, after a boot."""
+_MOUNTS: Final = Path("/proc/self/mountinfo")
+
+
+def mount_of(path: Path, mounts: str | None = None) -> tuple[str, str]:
+    """Where the path's file system is mounted, and of which kind it is.
+
+    A bind mount is on the same device as what is above it, so the paths are compared.
+    """
+    lines = (line.split() for line in (_MOUNTS.read_text() if mounts is None else mounts).splitlines())
+    found = [(words[4].replace("\\040", " "), words[words.index("-") + 1]) for words in lines]
+    # Of two at one place, the later one hides the earlier one.
+    return max(reversed(found), key=lambda each: len(each[0]) if path.is_relative_to(each[0]) else -1)
+
+
+def forgets(folder: Path) -> str:
+    """The kind of a file system that a boot empties; "" if the folder is on another one, or nobody can tell."""
+    try:
+        kind = mount_of(folder.resolve())[1]
+    except (OSError, ValueError):
+        return ""
+    return kind if kind in FORGETS else ""
+
+
+_LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
+
+
+def listening(port: int, kind: socket.SocketKind) -> Iterator[tuple[str, int]]:
+    """Address and user (a number) of each socket of this machine that listens on a port."""
+    for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
+        with suppress(OSError):
+            for line in Path("/proc/net", file).read_text().splitlines()[1:]:
+                _, local, _, state, _, _, _, uid, *_ = line.split()
+                address, _, number = local.rpartition(":")
+                if state in _LISTENS and int(number, 16) == port:
+                    yield _address(address), int(uid)
+
+
+def _address(shown: str) -> str:
+    """As the kernel shows it: words of 32 bits in hex, each in this machine's byte order."""
+    words = [int(shown[place : place + 8], 16).to_bytes(4, sys.byteorder) for place in range(0, len(shown), 8)]
+    return str(ipaddress.ip_address(b"".join(words)))

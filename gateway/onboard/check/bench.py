@@ -1,0 +1,183 @@
+"""The means of `check --stops`: one servo, a client, and all that the gateway writes and publishes meanwhile."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gateway.errors import GatewayError, UnansweredError
+from gateway.model.calibration import RobotCalibration, calibration_of
+from gateway.model.frames import Frame, FrameError, decode
+from gateway.people.client.blocking import Client
+from gateway.people.client.subscriptions import reports, subscribed
+from gateway.people.commands.moving import ServoMotion
+from schemas import keys
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
+
+_POLL_S: Final = 0.01
+_SETPOINT_S: Final = 0.02
+STREAM_S: Final = 0.3  # for this long setpoints stream before the step acts
+_QUIET_S: Final = 0.15  # after this time all pending frames are sent: a leg's rate slot comes every 20 ms
+
+Figures = dict[str, float | int | str]
+"""Measured by a step; names carry the units."""
+
+
+class FailedError(Exception):
+    """A step fails; the sentence states what was seen instead."""
+
+
+class Skipped(Exception):  # noqa: N818  (it is no error)
+    """A step cannot be done here; the sentence states why."""
+
+
+def demand(true: object, sentence: str) -> None:
+    """Fail the step with this sentence, unless it is true."""
+    if not true:
+        raise FailedError(sentence)
+
+
+class StopsOptions(NamedTuple):
+    """What the command line states. Stops came 2.9 ms late at most with every core busy; 100 ms are a fault."""
+
+    leg: int
+    agreed: bool
+    only: Sequence[str]
+    late_ms: float
+    restart: bool
+    unplug: bool
+    config: Path | None
+    as_json: bool
+
+
+class WrittenFrame(NamedTuple):
+    """A frame that the gateway wrote. `moves`: it starts or sets a servo."""
+
+    at_ns: int
+    frame: Frame
+    cause: str
+    moves: bool
+
+
+@dataclass
+class Commands:
+    """Commands for one servo, which fail the step unless they are accepted, or rejected for the expected reason."""
+
+    client: Client
+    motion: ServoMotion
+
+    def ask(self, op: str, angle_deg: float, reason: Reason | None = None) -> None:
+        """An acknowledged start or set."""
+        self.demand(self.client.ask(self.motion.key, self.motion.payload(op, angle_deg)), f"a {op}", reason)
+
+    def start(self, reason: Reason | None = None) -> None:
+        """An acknowledged start."""
+        self.ask("start", self.motion.start_deg, reason)
+
+    def demand(self, ack: Ack, what: str, reason: Reason | None = None) -> None:
+        """Raises FailedError."""
+        found = "accepted" if ack.accepted else f"rejected: {ack.reason}: {ack.detail}"
+        demand(ack.reason == reason, f"{what} was {found}" + (f"; wanted: {reason or 'accepted'}" if reason else ""))
+
+
+@dataclass
+class Bench(Commands):
+    """The means of a step: one servo, and all that the gateway writes and publishes meanwhile."""
+
+    options: StopsOptions
+    calibration: RobotCalibration = field(default_factory=RobotCalibration)
+    frames_published: bool = False
+    answer_ms: float = 0.0
+    """How long the gateway takes to answer at rest."""
+    estop: int = 0
+    """The number of this program's own emergency stop."""
+    frames: list[WrittenFrame] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+
+    def reset(self) -> None:
+        """Leave this program's own emergency stop: nothing moves then."""
+        mark = len(self.frames)
+        self.demand(self.client.ask(keys.RESET, {"estop": self.estop}), "the reset")
+        self.demand_no_motion("after the reset", mark)
+
+    def rest(self) -> None:
+        """Stop all legs, and leave the emergency stop that this program has engaged."""
+        self.client.stop()
+        if self.estop and self.client.state().mode == Mode.ESTOPPED:
+            with suppress(FailedError):  # rejected where somebody else has engaged a newer one
+                self.reset()
+        self.wait(lambda: self.client.state().mode in (Mode.IDLE, Mode.ESTOPPED), 2.0)
+
+    @contextmanager
+    def streaming(self, lead_s: float = STREAM_S) -> Iterator[None]:
+        """Start the leg, and publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
+        self.start()
+        ended = threading.Event()
+
+        def stream() -> None:
+            with suppress(GatewayError):
+                while not ended.wait(_SETPOINT_S):
+                    self.client.publish(self.motion.key, self.motion.payload("set", self.motion.start_deg))
+
+        thread = threading.Thread(target=stream, name="stream")
+        thread.start()
+        try:
+            time.sleep(lead_s)
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    def wait(self, condition: Callable[[], object], timeout_s: float) -> object:
+        """Wait until it holds, or for `timeout_s`. Returns the last value."""
+        end_s = time.monotonic() + timeout_s
+        while not (found := condition()) and time.monotonic() < end_s:
+            time.sleep(_POLL_S)
+        return found
+
+    def wait_for_event(self, kind: Kind, since: int, timeout_s: float) -> object:
+        """Wait for an event behind the first `since` ones."""
+        return self.wait(lambda: any(each.kind == kind for each in self.events[since:]), timeout_s)
+
+    def caused(self, cause: Cause, since: int, *, moves: bool) -> list[WrittenFrame]:
+        """The frames of the leg since a mark that were written for this reason."""
+        found = (each for each in self.frames[since:] if each.cause == cause and each.moves is moves)
+        return [each for each in found if each.frame.leg == self.motion.leg]
+
+    def running(self, state: GatewayState | None = None) -> list[int]:
+        """The servos that run, of all legs, as the gateway reports them."""
+        return [servo.id for leg in (state or self.client.state()).legs for servo in leg.servos if servo.running]
+
+    def demand_no_motion(self, when: str, since: int | None = None) -> None:
+        """Fail the step if a frame since the mark, or from now on, starts or sets a servo, or one runs."""
+        since = len(self.frames) if since is None else since
+        time.sleep(_QUIET_S)
+        moving = [seen.frame.to_bytes().hex() for seen in self.frames[since:] if seen.moves]
+        demand(not moving, f"{when}, {len(moving)} frames moved a servo: {moving[:1]}")
+        demand(not (running := self.running()), f"{when}, servos run: {running}")
+
+    @contextmanager
+    def receives(self) -> Iterator[None]:
+        """Keep frames and events meanwhile. A first Stop shows whether frames come, and how soon an answer does."""
+        taken = {keys.FRAME: reports(FrameRecord, self._take_frame), keys.EVENT: reports(Event, self.events.append)}
+        with subscribed(self.client.session, taken):
+            self.client.state()  # its reply shows that it knows the subscriptions, which were declared before
+            begun_s = time.monotonic()
+            self.demand(self.client.stop(), "a Stop")
+            self.answer_ms = ms_since(begun_s)
+            self.frames_published = bool(self.wait(lambda: self.frames, 1.0))
+            with suppress(UnansweredError):  # a gateway that knows of no calibration
+                self.calibration = calibration_of(self.client.calibration())
+            yield
+
+    def _take_frame(self, record: FrameRecord) -> None:
+        with suppress(FrameError, ValueError):
+            frame = decode(bytes.fromhex(record.bytes))
+            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause), not frame.is_stop))
+
+
+def ms_since(begun_s: float) -> float:
+    return (time.monotonic() - begun_s) * 1000

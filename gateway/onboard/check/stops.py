@@ -1,0 +1,401 @@
+"""`check --stops`: prove on this robot, step by step, that it stops. Ends with everything stopped."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from gateway.errors import ConfigError, GatewayError
+from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
+from gateway.model.telemetry import starts_whole
+from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Skipped, StopsOptions, demand, ms_since
+from gateway.onboard.check.table import BAD, GOOD, NOTE, SERVICE, conclude, show, shown
+from gateway.people.client.blocking import Client
+from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
+from gateway.people.commands.reach import Connection, drives, show_differences
+from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say
+from schemas.robot import LEGS
+from schemas.telemetry import Ack, Cause, Kind, Mode, PowerReport, Reason
+
+_START_DEG, _AGAIN_S = 90.0, 0.02
+_LEASE_S: Final = 1.0  # any time: a step holds the lease until it ends
+EVIDENCE_S: Final = 5.0
+_ANSWER_MS: Final = 100.0  # the answer to an emergency stop, beyond that to any other question
+_PROGRAM_S: Final = 20.0  # for 15° at 1° a second, stop-servos, systemctl, and a new start of the service
+_SAME_START_S: Final = 15.0  # from the begin of a process to that of its uptime: loading Python, on a slow board
+_REST_S: Final = 3.0  # the board's errors are deleted behind a reset, for 2 s at most
+_SILENT_MS: Final = 200.0  # a power board that is silent for so long is reported
+_PLUGGED_S: Final = 60.0  # for a person to unplug something
+_STYLES: Final = {"PASS": GOOD, "FAIL": BAD, "SKIPPED": NOTE}
+
+
+def stops(connect: Connection, options: StopsOptions) -> int:
+    """Do the steps. Return the exit code.
+
+    Raises ConfigError if nothing may be moved, ZenohError if no gateway answers, also where it is lost on the way.
+    """
+    names = [step.name for step in STEPS]
+    if unknown := set(options.only) - set(names):
+        raise ConfigError(f"no step {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+    steps = [step for step in STEPS if not options.only or step.name in options.only]
+    outcomes: list[dict[str, object]] = []
+    with connect() as client:
+        state = ready(client)
+        show_differences(options.config)
+        motion = ServoMotion(10 * options.leg + 1, _START_DEG, lying(client, state) if starts_whole(state) else {})
+        bench = Bench(client, motion, options)
+        if not (state.simulated or options.agreed or sys.stdin.isatty()):
+            raise ConfigError(NOBODY)
+        if not (state.simulated or consents(motion, state, agreed=options.agreed)):
+            raise ConfigError("nothing was moved")
+        with bench.receives():  # no motion yet: without the right to command it ends here
+            if not bench.frames_published:
+                hint("The gateway publishes no frames (telemetry.frames), so what is measured comes from its state.")
+            with _ended_stopped(bench):
+                for number, step in enumerate(steps, 1):
+                    hint(f"{number}/{len(steps)} {step.name}: {step.does} …")
+                    outcomes.append(_do(bench, step))
+    failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
+    passed = len(outcomes) == len(steps) and not failed
+    if options.as_json:
+        say(json.dumps({"passed": passed, "steps": outcomes}))
+        return 0 if passed else 1
+    return conclude("all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}", well=passed)
+
+
+def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
+    """The step's outcome, as `--json` prints it."""
+    result, figures = "PASS", Figures()
+    try:
+        with drives(bench.client, _LEASE_S, moves=True):
+            figures = step.run(bench)
+        each = {name: f"{value:.1f}" if isinstance(value, float) else value for name, value in figures.items()}
+        detail = ", ".join(f"{name} {value}" for name, value in each.items())
+    except (FailedError, Skipped) as ended:
+        result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
+    except GatewayError as error:
+        result, detail = "FAIL", f"the check could not go on: {error}"
+    if not bench.options.as_json:
+        show(result, _STYLES[result], step.name, detail)
+    with suppress(GatewayError, FailedError):  # the end tries again, and reports it
+        bench.rest()
+    return {"step": step.name, "result": result, "detail": detail, "figures": figures}
+
+
+@contextmanager
+def _ended_stopped(bench: Bench) -> Iterator[None]:
+    """However it ends, also by a signal, all legs are stopped, and a sentence reports it."""
+    stopping = False
+
+    def end() -> None:
+        nonlocal stopping
+        if not stopping:  # a second Ctrl-C must not cost the Stop that the first one asks for
+            stopping = True
+            raise KeyboardInterrupt
+
+    def stop() -> str:
+        bench.rest()
+        running = ", ".join(map(str, bench.running()))
+        return f"Servos still run: {running}: switch their power off." if running else "All legs are stopped."
+
+    with on_end_signals(end), stopped_after("all legs are", stop):
+        try:
+            yield
+        except KeyboardInterrupt:
+            hint("The check was ended.")
+        finally:
+            stopping = True
+
+
+# ---- the steps: each returns its figures, or raises FailedError or Skipped
+
+
+def command(bench: Bench) -> Figures:
+    """Start, set and stop; their frames are written, none that goes back, and no others."""
+    mark, motion, begun_s = len(bench.frames), bench.motion, time.monotonic()
+    bench.start()
+    start_ms, arrived = ms_since(begun_s), False
+    while not arrived:  # several steps where max_speed_deg_s limits it
+        bench.ask("set", motion.end_deg)
+        state = bench.client.state()
+        running = bench.running(state)
+        demand(running == motion.started_ids, f"these servos were started: {motion.started_ids}; these run: {running}")
+        (servo,) = (each for leg in state.legs for each in leg.servos if each.id == motion.servo_id)
+        arrived = servo.angle_deg == motion.end_deg
+        on_the_way = servo.target_deg == motion.end_deg and ms_since(begun_s) < _PROGRAM_S * 1000
+        demand(arrived or on_the_way, f"set to {motion.end_deg:g}°, and the state has {servo.angle_deg}")
+        time.sleep(0 if arrived else _AGAIN_S)
+    bench.demand(bench.client.stop(), "a Stop")
+    if bench.frames_published:
+        stopped = bench.wait(lambda: bench.caused(Cause.COMMAND, mark, moves=False), EVIDENCE_S)
+        moves = [each.frame for each in bench.frames[mark:] if each.moves]
+        demand(_as_commanded(bench, moves), f"these frames moved it: {[each.to_bytes().hex() for each in moves]}")
+        demand(stopped, "no Stop was written")
+    bench.demand_no_motion("after the Stop")
+    return {"start_to_answer_ms": start_ms}
+
+
+def _as_commanded(bench: Bench, moves: list[Frame]) -> bool:
+    """Whether frames start the servo, set it to the end in one direction, and have all others hold."""
+    motion, ops = bench.motion, dict[int, list[ServoOp]]()
+    for servo_id, op in (each for frame in moves for each in frame.servos):
+        ops.setdefault(servo_id, []).append(op)
+    if sorted(ops) != motion.started_ids or not all(op.op is Op.SET for each in ops.values() for op in each[1:]):
+        return False
+    ends = ((Op.START, motion.start_deg), (Op.SET, motion.end_deg))
+    wanted = [OneServo(motion.servo_id, ServoOp(op, centidegrees(angle_deg))) for op, angle_deg in ends]
+    servos = [pair for each in wanted for pair in bench.calibration.frame(each).servos]
+    own = ops.pop(motion.servo_id)
+    angles = [each.angle_cdeg for each in own]
+    holds = all(len({op.angle_cdeg for op in each}) == 1 for each in ops.values())
+    one_way = angles in (sorted(angles), sorted(angles, reverse=True))
+    return [own[0], own[-1]] == [op for _, op in servos] and one_way and holds
+
+
+def silence(bench: Bench) -> Figures:
+    """Start, and send nothing more."""
+    watchdog, mark = bench.client.state().watchdog, len(bench.frames)
+    bench.start()
+    begun_s = time.monotonic()
+    stopped = bench.wait(lambda: not bench.running(), watchdog.stops_after_ms / 1000 + 1)
+    took_ms, slack_ms = ms_since(begun_s) - bench.answer_ms, bench.options.late_ms + bench.answer_ms
+    demand(stopped, f"it still runs, {took_ms:.0f} ms after its last command")
+    now = bench.client.state().watchdog
+    demand(now.expirations > watchdog.expirations, "it stopped, but not by the watchdog")
+    if bench.frames_published:
+        bench.wait(lambda: bench.caused(Cause.WATCHDOG, mark, moves=False), EVIDENCE_S)
+        started, stops = bench.caused(Cause.COMMAND, mark, moves=True), bench.caused(Cause.WATCHDOG, mark, moves=False)
+        demand(started and stops, "no Stop of the watchdog was written for the leg")
+        took_ms, slack_ms = (stops[0].at_ns - started[-1].at_ns) / 1e6, bench.options.late_ms
+        bench.demand_no_motion("after the watchdog's Stop")
+    late_ms, silent = took_ms - watchdog.stops_after_ms, f"{watchdog.timeout_ms:g} ms of silence"
+    silent += f" and {watchdog.landing_ms:g} ms of landing" if watchdog.landing_ms else ""
+    demand(abs(late_ms) <= slack_ms, f"the Stop came {took_ms:.1f} ms after the last command, not after {silent}")
+    return {"timeout_ms": watchdog.timeout_ms, "landing_ms": watchdog.landing_ms, "later_us": late_ms * 1000}
+
+
+def estop(bench: Bench) -> Figures:
+    """An emergency stop while setpoints go on streaming, and its reset."""
+    with bench.streaming():
+        demand(bench.running(), "the leg does not run in a stream of setpoints")
+        mark, begun_s = len(bench.frames), time.monotonic()
+        ack = bench.client.estop()
+        took_ms = ms_since(begun_s)
+        time.sleep(STREAM_S)
+    bench.estop, latency_us, limit_ms = ack.estop or 0, ack.latency_us or 0.0, _ANSWER_MS + bench.answer_ms
+    state = bench.client.state()
+    demand(not bench.running(state), f"servos run after the emergency stop: {bench.running(state)}")
+    demand(state.mode == Mode.ESTOPPED, f"the mode is {state.mode} after the emergency stop")
+    _demand_six(ack)
+    late = f"the sixth Stop came {latency_us / 1000:.1f} ms after the request"
+    demand(latency_us <= bench.options.late_ms * 1000, late)
+    demand(took_ms <= limit_ms, f"the answer took {took_ms:.1f} ms, where any other takes {bench.answer_ms:.1f} ms")
+    if bench.frames_published:
+        frames = bench.frames[mark:]
+        stops = [place for place, each in enumerate(frames) if each.cause == Cause.ESTOP and not each.moves]
+        legs = {frames[place].frame.leg for place in stops}
+        demand(legs == set(LEGS), f"Stops were written for the legs {sorted(legs)} only")
+        after = [each for each in frames[stops[0] :] if each.moves]
+        demand(not after, f"{len(after)} frames moved a servo after the emergency stop")
+    bench.start(Reason.ESTOPPED)
+    bench.reset()
+    return {"request_to_sixth_stop_us": latency_us, "request_to_answer_ms": took_ms, "stop_frames": len(LEGS)}
+
+
+def _demand_six(ack: Ack) -> None:
+    demand(ack.stop_frames == len(LEGS), f"{ack.stop_frames} Stops were written, not {len(LEGS)}")
+
+
+def stop_servos(bench: Bench) -> Figures:
+    """`stop-servos`, while the gateway runs."""
+    state = bench.client.state()
+    if state.simulated or not Path(state.spi.device).exists():
+        raise Skipped(f"{'a simulated controller' if state.simulated else state.spi.device} is not on this machine")
+    with bench.streaming():
+        mark, events, begun_s = len(bench.frames), len(bench.events), time.monotonic()
+        config = bench.options.config
+        _run(sys.executable, "-m", "gateway", "stop-servos", *(() if config is None else ("--config", str(config))))
+        took_ms = ms_since(begun_s)
+        demand(bench.wait_for_event(Kind.STOPPED_OUTSIDE, events, EVIDENCE_S), "the gateway did not notice it")
+        own = [each for each in bench.frames[mark:] if each.cause == Cause.REPEAT]
+        demand(own or not bench.frames_published, "the gateway wrote no Stops of its own")
+        bench.demand_no_motion("after stop-servos")
+    return {"took_ms": took_ms}
+
+
+def killed(bench: Bench) -> Figures:
+    """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
+    if not bench.options.restart:
+        raise Skipped("only with --restart, on the robot itself")
+    before = shown(SERVICE)
+    begun_s = int(before.get("ExecMainStartTimestampMonotonic") or 0) / 1e6
+    if before.get("LoadState") != "loaded":
+        raise Skipped(f"this machine has no {SERVICE}.service; run it on the robot")
+    if abs(time.monotonic() - bench.client.state().uptime_s - begun_s) > _SAME_START_S:
+        raise Skipped(f"{SERVICE}.service of this machine is not the gateway that answers; run it on the robot")
+    demand("stop-servos" in before.get("ExecStopPost", ""), "no stop-servos runs after its end, so it is not killed")
+
+    def how_stop_servos_ended() -> str:
+        """As systemd shows it until the new start."""
+        now = shown(SERVICE)
+        found = re.search(r"stop-servos[^}]* code=(\w+) ; status=(\d+)", now.get("ExecStopPost", ""))
+        new = "it did not run" if now.get("InvocationID") != before.get("InvocationID") else ""
+        return " ".join(found.groups()) if found else new
+
+    def back() -> bool:
+        with suppress(GatewayError):
+            state = bench.client.state(1.0)
+            return state.uptime_s < time.monotonic() - begun_s and state.mode == Mode.IDLE
+        return False
+
+    with bench.streaming():
+        begun_s = time.monotonic()
+        _run("systemctl", "kill", "--signal=KILL", f"{SERVICE}.service")
+        ended = bench.wait(how_stop_servos_ended, _PROGRAM_S)
+        answers, took_s = bench.wait(back, _PROGRAM_S), time.monotonic() - begun_s
+        demand(answers, f"no new gateway has answered for {_PROGRAM_S:g} s; stop the robot by the switch of its supply")
+        frames = bench.client.state().spi.frames
+        demand(frames >= len(LEGS), f"the new gateway wrote {frames} frames, not a Stop for each leg")
+        bench.demand_no_motion("after the new start")
+        demand(ended == "exited 0", f"stop-servos did not stop the servos after the end: {ended}")
+    return {"answers_again_after_s": took_s}
+
+
+def _run(*words: str) -> None:
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=_PROGRAM_S, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise FailedError(f"{' '.join(words)}: {error}") from error
+    demand(done.returncode == 0, f"{' '.join(words)} ended with {done.returncode}: {done.stderr.strip()}")
+
+
+# ---- a power board: what it confirms, and one of its two ways unplugged
+
+
+def confirmed_off(bench: Bench) -> Figures:
+    """An emergency stop: the board confirms that no servo is fed, and a reset feeds none."""
+    board(bench)
+    with bench.streaming(0.0):
+        figures = _cut(bench, own=True)
+        bench.start(Reason.ESTOPPED)
+        _demand_unfed(bench, "the emergency stop is engaged")
+    _give_back(bench)
+    return figures
+
+
+def spi_unplugged(bench: Bench) -> Figures:
+    """The controller cannot be reached while a servo runs: the emergency stop takes its supply all the same."""
+    by_hand(bench)
+    with bench.streaming():
+        ask("Unplug the servo controller from the Pi (SPI), and press Enter. The servo goes on holding: ")
+        figures = _cut(bench, own=False)
+    loose = ask("Turn the servo's horn gently with a finger: is it loose? yes or no: ")
+    # The controller has not received its Stop: fed again, the servo would run.
+    ask("Plug the controller in again, and press Enter: ")
+    again = bench.client.estop()  # six Stops, which arrive now
+    _demand_six(again)
+    bench.estop = again.estop or 0
+    demand(loose == "yes", "the board has confirmed that it feeds no servo, and one is not loose")
+    _give_back(bench)
+    return figures
+
+
+def can_unplugged(bench: Bench) -> Figures:
+    """The board cannot be reached while a servo runs: that is reported, and the robot stopped over SPI."""
+    by_hand(bench)
+    with bench.streaming():
+        events = len(bench.events)
+        hint("Unplug the power board's CAN now, and leave its supply on …")
+        seen = bench.wait_for_event(Kind.POWER_UNCONFIRMED, events, _PLUGGED_S)
+        silent_ms = _power(bench).age_ms or 0.0
+        demand(seen, f"no event power_unconfirmed has come within {_PLUGGED_S:g} s")
+        stopped = bench.wait(lambda: not bench.running(), bench.client.state().watchdog.stops_after_ms / 1000 + 1)
+        demand(stopped, "it still runs, and the board does not answer")
+        bench.start(Reason.NO_POWER)
+        bench.demand_no_motion("while the board does not answer")
+        ask("Plug it in again, and press Enter: ")
+        back = bench.wait(lambda: _power(bench).alive, EVIDENCE_S)
+        demand(back, "the board does not answer; is it in standby?")
+        bench.demand_no_motion("once the board answers again")
+    in_time = silent_ms - _SILENT_MS <= bench.options.late_ms + bench.answer_ms
+    demand(in_time, f"it was reported {silent_ms:.0f} ms after the last answer")
+    return {"silent_when_reported_ms": silent_ms}
+
+
+def _power(bench: Bench) -> PowerReport:
+    power = bench.client.state().power
+    if power is None:
+        raise FailedError("the gateway has no power board any more")
+    return power
+
+
+def board(bench: Bench) -> None:
+    """Raises Skipped where no servo's supply can be taken."""
+    if bench.client.state().power is None:
+        raise Skipped("this robot has no power board")
+    demand(_power(bench).alive, "the power board does not answer")
+
+
+def by_hand(bench: Bench) -> None:
+    """Raises Skipped where nobody has agreed to unplug anything, or nothing can be unplugged."""
+    if not bench.options.unplug or not sys.stdin.isatty():
+        raise Skipped("only with --unplug, and a person at the robot")
+    board(bench)
+    if bench.client.state().simulated:
+        raise Skipped("a simulated controller has no plug")
+
+
+def _cut(bench: Bench, *, own: bool) -> Figures:
+    """An emergency stop that the board confirms. `own`: to be left at the step's end, whatever happens."""
+    ack = bench.client.estop()
+    bench.estop = (ack.estop or 0) if own else 0
+    demand(ack.confirmed, "the board has not confirmed that the servos have no supply: SWITCH IT OFF BY HAND")
+    _demand_unfed(bench, "the board has confirmed that it feeds nothing")
+    return {"confirmed_after_ms": ack.confirmed_ms or 0.0}
+
+
+def _demand_unfed(bench: Bench, when: str) -> None:
+    fed = _power(bench).supplied
+    demand(not fed, f"{when}, and the board feeds {fed}")
+
+
+def _give_back(bench: Bench) -> None:
+    """Leave the emergency stop: nothing is fed then, and nothing runs."""
+    bench.reset()
+    demand(bench.wait(lambda: is_at_rest(bench.client), _REST_S), "servos are fed after the reset; none was started")
+
+
+def is_at_rest(client: Client) -> bool:
+    """Whether nothing runs, and the board answers and feeds nothing."""
+    state = client.state()
+    return state.mode is Mode.IDLE and state.power is not None and state.power.alive and not state.power.supplied
+
+
+class CheckStep(NamedTuple):
+    """One step: what a person reads before it, and what does it."""
+
+    name: str
+    does: str
+    run: Callable[[Bench], Figures]
+
+
+# fmt: off
+STEPS: Final = (
+    CheckStep("command", "starts the servo, moves it by 5°, and stops it", command),
+    CheckStep("silence", "falls silent after a start: the watchdog must stop the servo", silence),
+    CheckStep("estop", "engages the emergency stop while setpoints stream: six Stops, nothing after, a reset", estop),
+    CheckStep("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
+    CheckStep("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
+    CheckStep("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
+    CheckStep("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
+              "confirm it", spi_unplugged),
+    CheckStep("can-unplugged", "the power board is unplugged while the servo runs: must be reported, and stopped "
+              "over SPI", can_unplugged),
+)
+# fmt: on
+"""In their order. Each leaves all legs stopped, or `check --stops` does."""

@@ -1,0 +1,56 @@
+"""The simulated controllers, with what a person at one sees and does."""
+
+from gateway.simulation.controller import SimulatedController, SimulatedServos
+from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
+
+
+def _power_cycle(servos: SimulatedServos) -> None:
+    """All are off, and know no angle."""
+    for servo_id, servo in servos.items():
+        servo.target_deg = servo.pulse_us = None
+        servos.stop(servo_id)
+
+
+class Controller(SimulatedController):
+    """Of HexapodProtocol v1.0.0."""
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The ids of the servos whose PWM output is on now."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
+
+    @property
+    def missing(self) -> int:
+        """Bytes of a body that it still awaits; 0 if it awaits a length."""
+        self._expire_receive(self._clock())
+        return self._body_len - len(self._body)
+
+    def reset(self) -> None:
+        """Somebody presses its reset button: it awaits a length, and all servos are off."""
+        self.dead = None
+        self._body.clear()
+        self._body_len = 0
+        self._servos.move(self._clock())
+        _power_cycle(self._servos)
+
+
+class Elkapod(SimulatedElkapod):
+    """Of elkapod-2025."""
+
+    @property
+    def energised(self) -> frozenset[int]:
+        """The ids of the servos that are driven now: all or none."""
+        return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
+
+    def power_cycle(self, *, off_ns: int = 0, first_answer: bytes = GARBAGE) -> None:
+        """Somebody switches it off, and on after `off_ns`: servos slack, and all angles forgotten.
+
+        Meanwhile it hears nothing, sends no heartbeat, and MISO is low.
+        """
+        with self._lock:
+            now_ns = self._clock()
+            self._advance(now_ns)
+            _power_cycle(self._servos)
+            self._on_ns = self._beat_ns = now_ns + off_ns
+            self._answer, self._received = first_answer, b""
+            self._say("it was switched off and on")
