@@ -71,6 +71,7 @@ def test_a_restarted_gateway_is_the_cause_and_a_phone_is_sent_to_a_person_and_no
         phone["stand"].click()
         expect(phone["walk-known"]).to_contain_text("It stands")
         robot.gateway.close()
+        expect(phone["driver"]).to_have_text("unknown", timeout=WITHOUT_GATEWAY_MS)
         for told in (phone["driver"], phone.said):
             expect(told).not_to_have_text(re.compile("^[Yy]ou( drive.*)?$|^It stands"), timeout=WITHOUT_GATEWAY_MS)
         expect_grey(phone, grey=True)
