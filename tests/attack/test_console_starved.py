@@ -82,18 +82,6 @@ def confirmed(page: Page, number: int) -> bool:
     return bool(found["stop_frames"] == 6)
 
 
-@pytest.mark.parametrize(("kind", "count"), [("garbage", 100), ("silent", 700)])
-def test_a_stderr_that_nobody_reads(tmp_path: Path, kind: str, count: int) -> None:
-    """Also while there are no descriptors, which is what the console has to say most about."""
-    with Gateway(tmp_path) as gateway, BareConsole(tmp_path, gateway.endpoint) as console, console.page() as page:
-        page.state()
-        console.use_up_descriptors()
-        with strangers(kind, console.port, count, "plain"):
-            for _ in range(10):
-                assert page.stop_all()["stop_frames"] == 6
-        assert page.stop_all()["stop_frames"] == 6
-
-
 def test_without_descriptors_and_with_the_link_lost(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listens = {"zenoh": {"listen": [endpoint]}}

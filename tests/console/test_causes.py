@@ -68,8 +68,12 @@ def test_a_restarted_gateway_is_the_cause_and_a_phone_is_sent_to_a_person_and_no
         phone, desk = visitor.open(**PHONE), visitor.open()
         phone.get_lease()
         expect_grey(phone, grey=False)
+        phone["stand"].click()
+        expect(phone["walk-known"]).to_contain_text("It stands")
         robot.gateway.close()
         expect(phone["driver"]).to_have_text("unknown", timeout=WITHOUT_GATEWAY_MS)
+        for told in (phone["driver"], phone.said):
+            expect(told).not_to_have_text(re.compile("^[Yy]ou( drive.*)?$|^It stands"), timeout=WITHOUT_GATEWAY_MS)
         expect_grey(phone, grey=True)
         expect(phone.said).to_contain_text("You do not drive any more: the gateway ", timeout=2 * WITHOUT_GATEWAY_MS)
         for page, next_step, reason in (

@@ -33,7 +33,7 @@ window.setInterval = (run, ms) => {
 SHOW: Final = """([messages, state]) => {
   window.situation = true;
   // as long as what they say; nothing stands behind them
-  const LINES = ".facts div, dt, dd, #robot, #said, #stop-known, #stop-known *, #walk-known";
+  const LINES = ".facts div, dt, dd, #robot, #said, #stop-known, #stop-known *, #walk-known, #quality, #quality *";
   const { newest } = window;
   for (const message of messages) hear(message);
   hear({ ...newest, now: state.now ?? newest.now, state: { ...newest.state, ...state } });

@@ -35,7 +35,8 @@ def no_emergency_stop(gateway: Gateway) -> None:
     [
         (("leg", "3", "start", "90", "45", "120"), "0e011f015a0020012d0021017800", True),
         (("leg", "3", "stop"), "0e011f0200002002000021020000", False),
-        (("servo", "32", "start", "12.345"), "060220010c22", True),
+        # Another servo than the leg's: soon behind its Stop, one goes to its target at a limited speed.
+        (("servo", "12", "start", "12.345"), "06020c010c22", True),
         (("servo", "32", "stop"), "060220020000", False),
     ],
 )

@@ -63,7 +63,14 @@ const hold = new Hold(link, model, {
 const lease = new Lease(link, model, {
   say,
   got: () => targets.follow(model.lastDeg, false),
-  lost: (why) => (walk.active ? walk.end(why) : calibrate.active ? calibrate.stop(why) : hold.active ? hold.drop(why) : say(sentence(why))),
+  lost: (why) => {
+    if (calibrate.active) calibrate.stop(why);
+    else if (hold.active) hold.drop(why);
+    else {
+      walk.end(why);
+      say(sentence(why));
+    }
+  },
 });
 const calibrate = new Calibrate(link, model, { mine: () => lease.mine, holds: () => hold.active || walk.active, say });
 const walk = new Walk(link, model, {
@@ -137,6 +144,9 @@ function received(message) {
       break;
     case "link":
       model.gateway = message;
+      if (lease.mine && message.status !== "connected" && !(walk.moved || hold.active || calibrate.active)) {
+        say(`You cannot drive now: ${ended({ cause: message.status }).line}.`); // the others say so themselves
+      }
       break;
     case "event":
       model.takeEvent({ ...message.event, tone: message.tone });

@@ -126,7 +126,8 @@ export class Walk {
     if (!this.active || !moved) return;
     this.dropped = true;
     shake(LOST_MS);
-    this.callbacks.say(`It stands still: ${why}.`);
+    const known = this.link.open && this.model.gateway.status === "connected"; // else nobody knows what it does
+    this.callbacks.say(`${known ? "It stands still" : "This page no longer moves it"}: ${why}.`);
   }
 
   /** The connection to the console ended, or STOP ALL was pressed: the walk is over here. @param {string} why */
