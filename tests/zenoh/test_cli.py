@@ -12,7 +12,7 @@ import typer.main
 
 from gateway import cli
 from gateway.people.commands.reach import me
-from schemas.telemetry import Kind, Mode
+from schemas.telemetry import Cause, Kind, Mode
 from tests.support.command import run_here
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway, free_port
@@ -173,3 +173,19 @@ def test_ctrl_c_while_it_loads_is_no_traceback(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     end = subprocess.run([*COMMAND, "stop"], env=environment, capture_output=True, text=True, check=False, timeout=60)
     assert (end.returncode, end.stdout, end.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize("angles", [["90", "45", "120"], ["90", "45", "120"] * 6], ids=["one pose", "18 angles"])
+def test_all_six_legs_are_one_command(gateway: Gateway, angles: list[str]) -> None:
+    with gateway.client() as client:
+        heard = frames(client)
+        end = run_here("send", "legs", "start", *angles, "--connect", gateway.endpoint)
+        assert (end.returncode, end.stdout) == (0, "accepted\n"), end
+        heard.wait(lambda record: record.cause is Cause.COMMAND, count=6)
+    assert run_here("send", "legs", "stop", "--connect", gateway.endpoint).returncode == 0
+
+
+def test_another_count_of_angles_for_all_legs_names_what_is_wanted() -> None:
+    end = run_here("send", "legs", "start", "90", "45", *NOBODY)
+    assert end.returncode == 2
+    assert "start takes 3 angles, or 18, and there are 2; for example: " in end.stderr
