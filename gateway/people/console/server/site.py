@@ -145,12 +145,9 @@ def share_no_port(own: socket.socket) -> None:
 
 
 def _is_loopback(address: str) -> bool:
-    if address == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
+    with suppress(ValueError):
+        return address == "localhost" or ipaddress.ip_address(address).is_loopback
+    return False
 
 
 def _check_pair(certificate: Path, key: Path) -> None:
