@@ -369,7 +369,7 @@ def _inbox(
         loop,
         conductor.owner,
         on_wakeup=conductor.tick,
-        on_estop=lambda received: conductor.tick((received,)),
+        on_estop=conductor.serve_estops,
         on_state_query=conductor.answer_state,
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},

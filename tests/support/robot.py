@@ -7,6 +7,7 @@ from timer to timer (async-solipsism), so a test of ten seconds takes a millisec
 import asyncio
 import itertools
 import json
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
@@ -69,6 +70,7 @@ class Robot:
         self.reports: list[tuple[str, BaseModel]] = []
         self._waiting: list[Received] = []
         self.instant_open = False
+        self.estops = deque[Received]()
         self.conductor = Conductor(
             self.settings,
             Supervisor(replace(rules(self.settings), **changed)),
@@ -136,7 +138,10 @@ class Robot:
         """The inbox's side."""
         taken, self._waiting = self._waiting, []
         for received in taken:
-            yield received
+            if received.key == keys.ESTOP:
+                self.estops.append(received)
+            else:
+                yield received
             self._instants += self.each_takes_ns
 
     # ---- commands

@@ -54,8 +54,9 @@ class Held:
     def wake(self) -> None:
         self._loop.call_soon_threadsafe(self.wakeups.set)
 
-    def _stop(self, received: Received) -> None:
-        self.estops.append(received)
+    def _stop(self) -> None:
+        while self.inbox.estops:
+            self.estops.append(self.inbox.estops.popleft())
         self.wake()
 
     async def woken(self) -> None:
@@ -94,8 +95,10 @@ async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dea
         taking = iter(held.inbox.take())
         assert next(taking).key == LEG_1
         session.put(ESTOP, b"")
-        await held.until(lambda: bool(held.inbox._estops))
-        assert [each.key for each in taking] == [ESTOP, LEG_1, LEG_1, LEG_1]
+        await held.until(lambda: bool(held.inbox.estops))
+        assert [each.key for each in held.inbox.estops] == [ESTOP], "before the others are dealt with"
+        held.inbox.estops.clear()
+        assert [each.key for each in taking] == [LEG_1, LEG_1, LEG_1]
     session.put(ESTOP, b"again")
     await held.until(lambda: bool(held.estops))
     assert [each.payload for each in held.estops] == [b"again"], "the other was taken, and once is enough"
@@ -106,8 +109,9 @@ async def test_an_emergency_stop_that_waits_for_the_state_is_taken_without_any_c
 ) -> None:
     with held.owner:
         session.put(ESTOP, b"")
-        await held.until(lambda: bool(held.inbox._estops))
-        assert [each.key for each in held.inbox.take()] == [ESTOP]
+        await held.until(lambda: bool(held.inbox.estops))
+        assert [each.key for each in held.inbox.take()] == []
+        assert held.inbox.estops.popleft().key == ESTOP
     assert not held.estops
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.robot.core.message import Received, Reply, Verb
+from gateway.robot.core.message import Reply, Verb
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.inbox import LOOK_AFTER_FLOOD, LOOK_AGAIN_S, OTHER_DEPTH, Inbox
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
@@ -48,8 +48,9 @@ class Taker:
         self.taken += [received.key for received in self.inbox.take()]
         self._loop.call_soon_threadsafe(self._changed.set)
 
-    def _stop(self, received: Received) -> None:
-        self.taken.append(received.key)
+    def _stop(self) -> None:
+        while self.inbox.estops:
+            self.taken.append(self.inbox.estops.popleft().key)
 
     def _answer(self, reply: Reply) -> None:
         reply(b"{}")

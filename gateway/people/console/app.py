@@ -114,7 +114,6 @@ class Console:
     async def _receive(self, websocket: WebSocket, page: Page) -> None:
         while True:
             page.take(await websocket.take())
-            await asyncio.sleep(0)  # lets the other pages go first
 
     async def _send(self, websocket: WebSocket, page: Page) -> None:
         while True:

@@ -3,6 +3,7 @@
 No Zenoh here, so that whatever carries messages can be exchanged.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from enum import StrEnum
 from typing import Protocol
@@ -51,14 +52,20 @@ class Messages(Protocol):
     instant_open: bool
     """Whether what is taken next is of the same instant as what was taken last."""
 
+    estops: deque[Received]
+    """Emergency stops that are not carried out yet. Whoever owns the state empties it before each message."""
+
     def take(self) -> Iterable[Received]:
-        """What has come, in the order in which it applies."""
+        """What else has come, in the order in which it applies."""
 
 
 class NoMessages:
     """Before the inbox is connected."""
 
     instant_open = False
+
+    def __init__(self) -> None:
+        self.estops = deque[Received]()
 
     def take(self) -> Iterable[Received]:
         """Nothing."""

@@ -188,24 +188,39 @@ class Conductor:
         """Whether nothing is written any more."""
         return self._closed
 
-    def tick(self, only: tuple[Received, ...] | None = None) -> None:
-        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came.
-
-        `only` these messages, if given: what waits in the rings belongs to a later instant.
-        """
+    def tick(self) -> None:
+        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
         if self._closed:
             return
         now_ns = self._clock()
         instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else now_ns
-        looked = False
-        for received in self._messages.take() if only is None else only:
+        estops = self._messages.estops
+        looked = bool(estops)
+        for received in self._messages.take():
+            while estops:
+                self._emergency_stop(estops.popleft(), instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
+            looked = True
+        while estops:
+            self._emergency_stop(estops.popleft(), instant_ns)
+            self._do_what_is_due(instant_ns)
             looked = True
         if self._losses.key:
             self._stop_what_lost_stops_named(instant_ns)
             looked = False
         if not looked:
+            self._do_what_is_due(instant_ns)
+        self._arm()
+
+    def serve_estops(self) -> None:
+        """Carry out the emergency stops that no tick has. What waits in the rings belongs to a later instant."""
+        estops = self._messages.estops
+        if self._closed or not estops:
+            return
+        instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else self._clock()
+        while estops:
+            self._emergency_stop(estops.popleft(), instant_ns)
             self._do_what_is_due(instant_ns)
         self._arm()
 
@@ -289,9 +304,6 @@ class Conductor:
     def _receive(self, received: Received, instant_ns: int) -> None:
         if self._losses.key and (received.key != self._losses.key or received.verb is Verb.GET):
             self._stop_what_lost_stops_named(instant_ns)
-        if received.key == keys.ESTOP:
-            self._emergency_stop(received, instant_ns)
-            return
         if received.verb is _LOST:
             self._losses.note(received.key)
             self.metrics.overflows += 1

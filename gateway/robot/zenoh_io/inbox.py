@@ -93,14 +93,14 @@ class Inbox:
         owner: Ownership,
         *,
         on_wakeup: Callable[[], None],
-        on_estop: Callable[[Received], None],
+        on_estop: Callable[[], None],
         on_state_query: Callable[[Reply], None],
         readers: Mapping[str, Reader] = MappingProxyType({}),
         tokens: Mapping[str, Knows] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
         on_estop_heard: Callable[[], None] | None = None,
     ) -> None:
-        """`on_wakeup`: there is something to `take`. `on_estop`: an emergency stop that no `take` has given.
+        """`on_wakeup`: there is something to `take`. `on_estop`: there is an emergency stop in `estops`.
 
         `on_estop_heard` is called on the thread that has received one, which does not own the state: a transfer that
         hangs may hold that, and the second way to stop must not wait for it.
@@ -111,9 +111,9 @@ class Inbox:
         self._loop = loop
         self._passed_over = depth - RING_DEPTH  # of a full ring
         self._wake = on_wakeup
-        self._engage = on_estop
+        self._serve_estops = on_estop
         self._estop_heard = on_estop_heard
-        self._estops: deque[Received] = deque()
+        self.estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._heard: dict[str, int] = {}
         """How many messages of each key there are, by the wakeups since the last tick."""
@@ -176,8 +176,7 @@ class Inbox:
         """What the rings hold: `legs`, then `leg`, then `servo`, then resets.
 
         The rings are read before the first message is dealt with: what is sent in answer to one of these messages is
-        newer than all of them, and belongs to a later instant. Only the emergency stop is asked for before every
-        message (its thread notes it by itself, and waits for the state), so that nothing that waits comes before it.
+        newer than all of them, and belongs to a later instant.
         """
         # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
         # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
@@ -193,13 +192,9 @@ class Inbox:
         taken: dict[str, int] = {}
         for key, each in found:
             received = _lost(key, self._passed_over) if each is None else each
-            while self._estops:
-                yield self._estops.popleft()
             if received.target is not None and received.verb is not _LOST:
                 taken[received.key] = taken[received.key] + 1 if received.key in taken else 1
             yield received
-        while self._estops:
-            yield self._estops.popleft()
         self._compare(taken)
         self._read_all = False
         if self.instant_open:
@@ -251,16 +246,12 @@ class Inbox:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
             # Who lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
-        self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
+        self.estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
         if self._estop_heard is not None:
             self._estop_heard()
-        return self._engage_all
+        return self._serve_estops
 
     # ---- as owner of the state
-
-    def _engage_all(self) -> None:
-        while self._estops:
-            self._engage(self._estops.popleft())
 
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
         self._note(item, received_ns)

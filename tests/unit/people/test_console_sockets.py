@@ -10,7 +10,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.people.console.server.site import site
-from gateway.people.console.server.sockets import address_in, inherited, listening
+from gateway.people.console.server.sockets import DEAD_MS, address_in, inherited, listening
 from tests.support.gateway_process import free_port
 
 PID = str(os.getpid())
@@ -47,7 +47,7 @@ def test_a_socket_is_taken_and_no_child_gets_it_or_its_name(stack: ExitStack) ->
     assert environment == {"HOME": "/"}
     with listening(site(address_in([found], None), None, None), [found]) as used:
         assert used == [found]
-        assert found.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert found.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == DEAD_MS
         socket.create_connection(address).close()
 
 
@@ -86,7 +86,7 @@ def test_another_kind_of_socket_is_rejected(
 
 
 def test_a_descriptor_that_is_no_socket_is_rejected() -> None:
-    with Path(os.devnull).open() as file, pytest.raises(ConfigError, match="is no socket"):
+    with Path(os.devnull).open() as file, pytest.raises(ConfigError, match="is no TCP socket that listens"):
         inherited({"LISTEN_PID": PID, "LISTEN_FDS": "1"}, first=file.fileno())
 
 

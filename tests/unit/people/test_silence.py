@@ -6,7 +6,6 @@ import pytest
 
 from gateway.people.client import silence as silence_module
 from gateway.people.client.silence import SILENT_MS, WHY_EVERY_S, Silence
-from gateway.people.console.pages import presence as presence_module
 from gateway.people.console.pages.page_messages import LinkMessage
 from gateway.people.console.pages.presence import GatewayPresence
 
@@ -117,7 +116,6 @@ def test_why_nobody_was_there_is_not_shown_once_somebody_is() -> None:
 
 def test_the_examples_are_right() -> None:
     assert doctest.testmod(silence_module) == (0, 5)
-    assert doctest.testmod(presence_module) == (0, 7)
 
 
 def test_a_gateway_that_is_gone_says_so() -> None:

@@ -110,7 +110,7 @@ class Gateway:
                 loop,
                 self.conductor.owner,
                 on_wakeup=self.conductor.tick,
-                on_estop=lambda received: self.conductor.tick((received,)),
+                on_estop=self.conductor.serve_estops,
                 on_state_query=self._answer,
             )
             self.conductor.connect(self.inbox)

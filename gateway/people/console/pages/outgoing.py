@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.people.console.pages.page_messages import (
-    AckMessage,
     BodyMessage,
     EventMessage,
     LinkMessage,
@@ -29,7 +28,6 @@ class Outgoing:
     def __init__(self) -> None:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
-        self._acks: deque[AckMessage] = deque(maxlen=KEPT_MESSAGES)
         self._answers: deque[Report] = deque(maxlen=KEPT_MESSAGES)
         self._newest: dict[type[Report], Report] = {}
         self._state: Callable[[], str] | None = None
@@ -43,8 +41,6 @@ class Outgoing:
                 self._stops[message.id] = message
                 if len(self._stops) > KEPT_MESSAGES:
                     del self._stops[next(iter(self._stops))]
-            case AckMessage():
-                self._acks.append(message)
             case LinkMessage() | WalkMessage() | BodyMessage() | TelemetryMessage():
                 self._newest[type(message)] = message
             case EventMessage():
@@ -64,7 +60,7 @@ class Outgoing:
         """The texts to send now, in this order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
-        messages: list[Report] = [*self._stops.values(), *self._acks, *self._answers, *self._newest.values()]
+        messages: list[Report] = [*self._stops.values(), *self._answers, *self._newest.values()]
         texts = [message.model_dump_json() for message in messages]
         if self._state is not None:
             texts.append(self._state())
@@ -73,7 +69,7 @@ class Outgoing:
             self._events[0] = self._events[0].model_copy(update={"left_out": left_out})
             self._events_lost = 0
         texts += [event.model_dump_json() for event in self._events]
-        for sent in (self._stops, self._acks, self._answers, self._newest, self._events):
+        for sent in (self._stops, self._answers, self._newest, self._events):
             sent.clear()
         self._state = None
         return texts

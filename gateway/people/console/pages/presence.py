@@ -7,19 +7,7 @@ from gateway.people.console.pages.page_messages import LinkMessage
 
 
 class GatewayPresence:
-    """`link` is the newest message to the pages; the methods take what happens.
-
-    >>> presence = GatewayPresence()
-    >>> presence.opened(0)
-    >>> presence.received_state(0)
-    >>> presence.is_silent(1_000_000_000)
-    False
-    >>> presence.is_silent(1_000_000_001)
-    True
-    >>> presence.fell_silent(linked=True)
-    >>> presence.link.status
-    'silent'
-    """
+    """`link` is the newest message to the pages; the methods take what happens."""
 
     def __init__(self) -> None:
         self.link = LinkMessage(status="gone")

@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final, Literal, cast
 
 from aiohttp import web
 from multidict import MultiMapping
@@ -59,7 +59,7 @@ class Connection(web.RequestHandler):
     """One connection: aiohttp's protocol with bounds on what it receives, and a deadline."""
 
     def __init__(self, server: web.Server, accepted: socket.socket, address: str, ended: Callable[[Any], None]) -> None:
-        """`ended` is called with this connection, once, when it has ended."""
+        """`ended` is called with this connection when it has ended."""
         self._own_loop = asyncio.get_running_loop()
         super().__init__(
             server,
@@ -72,11 +72,10 @@ class Connection(web.RequestHandler):
             auto_decompress=False,  # nobody reads a body
         )
         self.address = address
+        self.serves: Serves = "nobody"
         self._accepted = accepted
         self._ended = ended
-        self._has_ended = False
         self._raw: asyncio.Transport | None = None
-        self._has_session = False
         self._reads = self._received = 0
         self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
         self._deadline = self._own_loop.call_later(UNKNOWN_S, self.abort)
@@ -84,21 +83,22 @@ class Connection(web.RequestHandler):
     async def open(self, context: ssl.SSLContext | None) -> None:
         """Begin with TLS and HTTP."""
         try:
-            self._raw, _ = await self._own_loop.connect_accepted_socket(_Paused, self._accepted)
-            self._raw.set_write_buffer_limits(high=UNSENT_BYTES)
-            transport: asyncio.Transport | None = self._raw
+            raw, _ = await self._own_loop.connect_accepted_socket(_Paused, self._accepted)
+            self._raw = raw
+            raw.set_write_buffer_limits(high=UNSENT_BYTES)
+            transport: asyncio.Transport | None = raw
             if context is None:
-                self._raw.set_protocol(self)
+                raw.set_protocol(self)
             else:
                 transport = await self._own_loop.start_tls(
-                    self._raw,
+                    raw,
                     self,
                     context,
                     server_side=True,
                     ssl_handshake_timeout=UNKNOWN_S,
                     ssl_shutdown_timeout=CLOSING_S,
                 )
-            if self._has_ended or transport is None or transport.is_closing():
+            if transport is None or raw.is_closing():
                 self.abort()
                 return
             transport.set_write_buffer_limits(high=UNSENT_BYTES)
@@ -110,10 +110,10 @@ class Connection(web.RequestHandler):
     def data_received(self, data: bytes) -> None:
         self._reads += 1
         self._received += len(data)
-        if self._has_session:
-            allowed = self._bytes.take(time.monotonic_ns(), len(data))
-        else:
+        if self.serves == "nobody":
             allowed = self._reads <= READS and self._received <= REQUEST_BYTES
+        else:
+            allowed = self._bytes.take(time.monotonic_ns(), len(data))
         if allowed:
             super().data_received(data)
         else:
@@ -123,9 +123,9 @@ class Connection(web.RequestHandler):
         super().connection_lost(exc)
         self._end()
 
-    def signed_in(self, *, until_s: float | None) -> None:
+    def begin(self, serves: "Serves", until_s: float | None) -> None:
         """Its request has a session; it may take this long (None: as long as it likes)."""
-        self._has_session = True
+        self.serves = serves
         self._deadline.cancel()
         if until_s is not None:
             self._deadline = self._own_loop.call_later(until_s, self.abort)
@@ -139,10 +139,12 @@ class Connection(web.RequestHandler):
         self._end()
 
     def _end(self) -> None:
-        if not self._has_ended:
-            self._has_ended = True
-            self._deadline.cancel()
-            self._ended(self)
+        self._deadline.cancel()
+        self._ended(self)
+
+
+Serves = Literal["nobody", "files", "page"]
+"""Whom a connection serves: somebody without a session, or with one what is bounded apart."""
 
 
 class _Paused(asyncio.Protocol):
@@ -150,30 +152,6 @@ class _Paused(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         cast("asyncio.Transport", transport).pause_reading()
-
-
-class _Places:
-    """The connections that have one, the oldest first."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._connections: dict[Connection, None] = {}
-
-    def add(self, connection: Connection) -> None:
-        """Give it a place; if there is none, end the oldest connection of the address that has most."""
-        if len(self._connections) >= self._most and connection not in self._connections:
-            have = Counter(other.address for other in self._connections)
-            largest = max(have.values())
-            next(other for other in self._connections if have[other.address] == largest).abort()
-        self._connections[connection] = None
-
-    def end_all(self) -> None:
-        """End all: a Stop needs what they hold."""
-        for connection in list(self._connections):
-            connection.abort()
-
-    def discard(self, connection: Connection) -> None:
-        self._connections.pop(connection, None)
 
 
 class HttpListener:
@@ -192,10 +170,9 @@ class HttpListener:
         self._find = answer
         self._serve_page = serve_page
         self._server = web.Server(self._answer)
-        self._unknown = _Places(MAX_UNKNOWN)
-        self._signed_in = _Places(MAX_SIGNED_IN)
+        self._open: dict[Connection, asyncio.Task[None]] = {}
+        """The oldest first."""
         self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
-        self._opening: set[asyncio.Task[None]] = set()
 
     async def serve(self) -> None:
         """Accept connections until it is cancelled."""
@@ -209,38 +186,45 @@ class HttpListener:
             try:
                 accepted, address = await loop.sock_accept(listening)
                 self._allowance.take(time.monotonic_ns())
+                self._make_room("nobody", MAX_UNKNOWN)
                 connection = Connection(self._server, accepted, str(address[0]), self._discard)
-                self._unknown.add(connection)
-                opening = loop.create_task(connection.open(self._context))
-                self._opening.add(opening)
-                opening.add_done_callback(self._opening.discard)
+                self._open[connection] = loop.create_task(connection.open(self._context))
             except Exception as error:  # for want of descriptors or memory
                 _log.warning("a connection could not be accepted: %s; all without a session are ended", error)
-                self._unknown.end_all()
+                for each in self._who("nobody"):
+                    each.abort()
                 await asyncio.sleep(ACCEPT_AGAIN_S)
 
+    def _who(self, serves: Serves) -> list[Connection]:
+        return [each for each in self._open if each.serves == serves]
+
+    def _make_room(self, serves: Serves, most: int) -> None:
+        """Where there are so many, end the oldest of the address that has most of them."""
+        rivals = self._who(serves)
+        if len(rivals) >= most:
+            have = Counter(each.address for each in rivals)
+            next(each for each in rivals if have[each.address] == max(have.values())).abort()
+
     def _discard(self, connection: Connection) -> None:
-        self._unknown.discard(connection)
-        self._signed_in.discard(connection)
+        self._open.pop(connection, None)
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         connection = cast("Connection", request.protocol)
         try:
             found = self._find(request.method, request.raw_path, request.headers)
             if isinstance(found, SignedIn):
-                self._discard(connection)
-                connection.signed_in(until_s=None)
+                connection.begin("page", None)
                 try:
                     return await self._serve_page(request, found)
                 finally:
-                    connection.signed_in(until_s=CLOSING_S)
+                    connection.begin("page", CLOSING_S)
         except Exception:
             _log.exception("a request could not be answered")
             raise
         if found.keep_alive is None:
-            self._unknown.discard(connection)
-            self._signed_in.add(connection)
-            connection.signed_in(until_s=SIGNED_IN_S)
+            if connection.serves != "files":
+                self._make_room("files", MAX_SIGNED_IN)
+            connection.begin("files", SIGNED_IN_S)
         return found
 
 

@@ -14,12 +14,12 @@ import os
 import secrets
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from gateway import durable
 from gateway.errors import ConfigError
@@ -37,7 +37,7 @@ _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class Now(NamedTuple):
-    """The time since this boot, which nobody sets; the boot's id ("": the system tells none); and the wall clock."""
+    """The boot's id ("": the system tells none), the time since it, which nobody sets, and the wall clock."""
 
     boot: str
     boot_s: float
@@ -52,13 +52,11 @@ def clocks() -> Now:
         return Now("", 0.0, time.time())
 
 
-class Entry(BaseModel):
-    """A link or a session: the SHA-256 of its token (a session's is its cookie) and of its key."""
+class Entry(BaseModel, frozen=True):
+    """A link or a session: the SHA-256 of its token (a session's is its cookie) and of its key (a link's: empty)."""
 
-    model_config = ConfigDict(frozen=True)
     sha256: str
     key_sha256: str = ""
-    """Empty for a link, and for a session of an earlier version, which no key fits."""
     role: Role
     created_s: float
     """By the wall clock."""
@@ -67,25 +65,20 @@ class Entry(BaseModel):
     """In which boot it was created, and when."""
     lives_s: float
 
-    def age_s(self, now: Now) -> float:
-        """Of an entry from the wall clock's future: 0."""
-        return now.boot_s - self.boot_s if self.is_of(now) else max(0.0, now.wall_s - self.created_s)
-
     def is_of(self, now: Now) -> bool:
         """Whether it was created in this boot."""
         return bool(now.boot) and self.boot == now.boot
+
+    def age_s(self, now: Now) -> float:
+        """Of an entry from the wall clock's future: 0."""
+        return now.boot_s - self.boot_s if self.is_of(now) else max(0.0, now.wall_s - self.created_s)
 
     def is_valid(self, now: Now) -> bool:
         """Whether it has begun and not ended."""
         return 0 <= self.age_s(now) < self.lives_s
 
-    def in_this_boot(self, now: Now) -> Self:
-        """The same, from now on by the time since this boot."""
-        return self.model_copy(update={"boot": now.boot, "boot_s": now.boot_s - self.age_s(now)})
 
-
-@dataclass(frozen=True)
-class SignIn:
+class SignIn(NamedTuple):
     """A new session: the browser's two secrets, and its entry."""
 
     cookie: str
@@ -93,8 +86,7 @@ class SignIn:
     entry: Entry
 
 
-class _Entries(BaseModel):
-    model_config = ConfigDict(frozen=True)
+class _Entries(BaseModel, frozen=True):
     url: str = ""
     """Of the console that runs, or last ran, at this port."""
     door: str = ""
@@ -104,6 +96,18 @@ class _Entries(BaseModel):
     """Of its certificate; empty: it had none."""
     links: tuple[Entry, ...] = ()
     sessions: tuple[Entry, ...] = ()
+
+    def valid(self, now: Now) -> Self:
+        """With what has not ended. No link is of an earlier boot; a session of one counts from now on by this boot."""
+        links = tuple(each for each in self.links if each.is_valid(now) and (each.is_of(now) or not now.boot))
+        sessions = tuple(
+            each
+            if each.is_of(now)
+            else each.model_copy(update={"boot": now.boot, "boot_s": now.boot_s - each.age_s(now)})
+            for each in self.sessions
+            if each.is_valid(now)
+        )
+        return self.model_copy(update={"links": links, "sessions": sessions})
 
 
 class Sessions:
@@ -139,7 +143,7 @@ class Sessions:
 
         Raises ConfigError if no console has begun, or the folder cannot be written.
         """
-        if not self._read().url:
+        if not self.url:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
         token = secrets.token_urlsafe(32)
 
@@ -154,24 +158,23 @@ class Sessions:
 
     def exchange(self, token: str) -> SignIn | None:
         """A new session for a link's token, which is void from now on; None if no valid link has this token."""
-        found = _find(_links(self._read(), self._now()), token)
+        found = _find(self._read().valid(self._now()).links, token)
         if found is None:
             return None
         cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         entry = self._entry(cookie, found.role, SESSION_S, key)
 
         def enter(now: _Entries) -> _Entries:
-            if found not in now.links:
-                return now
             links = tuple(link for link in now.links if link != found)
-            return now.model_copy(update={"links": links, "sessions": (*now.sessions, entry)[-MAX_ENTRIES:]})
+            sessions = now.sessions if found not in now.links else (*now.sessions, entry)[-MAX_ENTRIES:]
+            return now.model_copy(update={"links": links, "sessions": sessions})
 
-        before = self._change(enter)
-        return SignIn(cookie, key, entry) if found in before.links else None  # another process has exchanged it
+        # Another process may have exchanged it meanwhile.
+        return SignIn(cookie, key, entry) if found in self._change(enter).links else None
 
     def cookie(self, cookie: str | None) -> Entry | None:
         """The valid session of this cookie. It gives access to the page's files; the WebSocket requires the key too."""
-        return None if cookie is None else _find(_sessions(self._read(), self._now()), cookie)
+        return None if cookie is None else _find(self._read().valid(self._now()).sessions, cookie)
 
     def still_valid(self, session: Entry) -> bool:
         """Whether it has neither ended nor been revoked."""
@@ -179,15 +182,12 @@ class Sessions:
 
     def revoke(self) -> int:
         """End all sessions and links; returns how many sessions there were."""
-        before = self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()}))
-        return len(before.sessions)
+        return len(self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()})).sessions)
 
     def _entry(self, token: str, role: Role, lives_s: float, key: str = "") -> Entry:
-        hashed, (boot, boot_s, created_s) = key and _sha256(key), self._now()
-        return Entry(
-            sha256=_sha256(token), key_sha256=hashed, role=role, lives_s=lives_s,
-            created_s=created_s, boot=boot, boot_s=boot_s,
-        )  # fmt: skip
+        boot, boot_s, created_s = self._now()
+        known = {"sha256": _sha256(token), "key_sha256": key and _sha256(key), "role": role, "lives_s": lives_s}
+        return Entry.model_validate({**known, "created_s": created_s, "boot": boot, "boot_s": boot_s})
 
     def _read(self) -> _Entries:
         """The file's content; a missing or faulty file has no entries, so it signs nobody in.
@@ -209,12 +209,9 @@ class Sessions:
 
     def _load(self) -> _Entries:
         """Raises OSError, also if there is no file."""
-        with self.path.open("rb") as file:
-            content = file.read(MAX_SESSIONS_BYTES)
-        try:
-            return _Entries.model_validate_json(content)
-        except ValidationError:
-            return _Entries()
+        with self.path.open("rb") as file, suppress(ValidationError):
+            return _Entries.model_validate_json(file.read(MAX_SESSIONS_BYTES))
+        return _Entries()
 
     def _change(self, change: Callable[[_Entries], _Entries]) -> _Entries:
         """Replace the valid entries by what `change` returns for them; returns those before. Raises ConfigError.
@@ -226,9 +223,7 @@ class Sessions:
             with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
                 durable.like_the_folder(self.path, lock.fileno())
                 _lock(lock.fileno())
-                now = self._now()
-                found = self._load() if self.path.exists() else _Entries()
-                before = found.model_copy(update={"links": _links(found, now), "sessions": _sessions(found, now)})
+                before = (self._load() if self.path.exists() else _Entries()).valid(self._now())
                 write_private(self.path, change(before).model_dump_json())
         except OSError as error:
             raise ConfigError(
@@ -280,16 +275,6 @@ def revoke_all(folder: Path) -> int:
 def _ports(folder: Path) -> list[int]:
     paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
     return [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
-
-
-def _links(entries: _Entries, now: Now) -> tuple[Entry, ...]:
-    """Those that open a page: none of an earlier boot, after which a link's age is not sure."""
-    return tuple(link for link in entries.links if link.is_valid(now) and (link.is_of(now) or not now.boot))
-
-
-def _sessions(entries: _Entries, now: Now) -> tuple[Entry, ...]:
-    """Those that have not ended."""
-    return tuple(each if each.is_of(now) else each.in_this_boot(now) for each in entries.sessions if each.is_valid(now))
 
 
 def _find(entries: tuple[Entry, ...], token: str) -> Entry | None:

@@ -89,7 +89,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     if certificate is None or key is None:
         if not _is_loopback(address):
             raise ConfigError(
-                f"{listen} is reached from other machines, so the console needs TLS: --cert and --key\n"
+                f"{listen} is reached from other machines, so the console needs TLS: --phone, or --cert and --key\n"
                 "where ca.key is, hexapod-gateway certs issue web --role console --host NAME --dir DIR makes both\n"
                 "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
             )
@@ -145,12 +145,9 @@ def share_no_port(own: socket.socket) -> None:
 
 
 def _is_loopback(address: str) -> bool:
-    if address == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(address).is_loopback
-    except ValueError:
-        return False
+    with suppress(ValueError):
+        return address == "localhost" or ipaddress.ip_address(address).is_loopback
+    return False
 
 
 def _check_pair(certificate: Path, key: Path) -> None:

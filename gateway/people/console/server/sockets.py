@@ -8,7 +8,7 @@ import errno
 import os
 import socket
 from collections.abc import Iterator, MutableMapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Final
 
 from gateway.errors import AddressTakenError, ConfigError
@@ -33,26 +33,24 @@ def inherited(environment: MutableMapping[str, str] = os.environ, first: int = F
     process, number, _ = (environment.pop(f"LISTEN_{name}", "") for name in ("PID", "FDS", "FDNAMES"))
     if process != str(os.getpid()):
         return []  # passed to a parent process
-    if number not in map(str, range(1, len(LOCALHOST) + 1)):
+    if number not in ("1", "2"):
         raise ConfigError(f"LISTEN_FDS={number}: systemd passes one socket, or localhost's two; see {SOCKET_UNIT}")
-    descriptors = range(first, first + int(number))
-    return [_checked(each) for each in descriptors]
+    return [_checked(first + each) for each in range(int(number))]
 
 
 def _checked(descriptor: int) -> socket.socket:
-    try:
+    with suppress(OSError):
         os.set_inheritable(descriptor, False)
         found = socket.socket(fileno=descriptor)
-        listens = found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-    except OSError as error:
-        why = f"descriptor {descriptor} is no socket: {error.strerror}"
-        raise ConfigError(f"LISTEN_FDS: {why}; see {SOCKET_UNIT}") from error
-    if found.family not in (socket.AF_INET, socket.AF_INET6) or found.type != socket.SOCK_STREAM or not listens:
+        if found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN) and found.family in (
+            socket.AF_INET,
+            socket.AF_INET6,
+        ):
+            return found
         found.detach()
-        raise ConfigError(
-            f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
-        )
-    return found
+    raise ConfigError(
+        f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
+    )
 
 
 def address_in(passed: Sequence[socket.socket], listen: str | None) -> str:
@@ -90,26 +88,20 @@ def _prepare(listening: socket.socket) -> None:
     """Set what its connections inherit, and listen."""
     if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
-    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER_BYTES)
     listening.listen(BACKLOG)
 
 
 def _bound(stack: ExitStack, site: Site, address: str) -> socket.socket | None:
     """None if this machine lacks this address of localhost's, such as without IPv6. Raises ConfigError."""
+    where = with_port(address, site.port)
     try:
-        family, kind, _, _, place = socket.getaddrinfo(
-            address, site.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-    except OSError as error:
-        raise ConfigError(f"--listen: {address} is no address of this machine: {error.strerror}") from error
-    try:
-        listening = stack.enter_context(socket.socket(family, kind))
+        family, _, _, _, place = socket.getaddrinfo(address, site.port, type=socket.SOCK_STREAM)[0]
+        listening = stack.enter_context(socket.socket(family, socket.SOCK_STREAM))
         share_no_port(listening)
         listening.bind(place)
         _prepare(listening)
     except OSError as error:
-        where = with_port(address, site.port)
         if error.errno == errno.EADDRINUSE:
             raise AddressTakenError(
                 f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"

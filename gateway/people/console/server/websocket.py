@@ -59,6 +59,7 @@ class WebSocket(web.WebSocketResponse):
         """The next text message. Raises ClosedError, and EndError for what no page sends."""
         while True:
             message = await self.receive()
+            await asyncio.sleep(0)  # lets the other pages go first
             if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.PING, WSMsgType.PONG):
                 raise ClosedError
             if not self._frames.take(time.monotonic_ns()):
