@@ -33,3 +33,30 @@ class Allowance:
     def is_full(self, now_ns: int) -> bool:
         """Whether the bucket is full."""
         return self._full_ns <= now_ns
+
+
+MOST_SOURCES: Final = 64
+"""Sources that have an allowance of their own at a time: as many as there may be sessions."""
+
+
+class AllowanceBySource:
+    """The same allowance for each source. Memory is bounded: further sources share one, since anybody may claim any."""
+
+    def __init__(self, a_second: float, at_once: int) -> None:
+        self._each = a_second, at_once
+        self._known: dict[str | None, Allowance] = {}
+        self._left_out: dict[str | None, int] = {}
+
+    def admit(self, source: str | None, now_ns: int) -> int | None:
+        """Return how many of this source were left out before this one, which is taken; None: leave it out, too."""
+        if source not in self._known and len(self._known) >= MOST_SOURCES:
+            self._known = {name: known for name, known in self._known.items() if not known.is_full(now_ns)}
+            self._left_out = {name: count for name, count in self._left_out.items() if name in self._known}
+            if len(self._known) >= MOST_SOURCES:
+                source = None
+        left_out = self._left_out.get(source, 0)
+        if not self._known.setdefault(source, Allowance(*self._each)).take(now_ns):
+            self._left_out[source] = left_out + 1
+            return None
+        self._left_out[source] = 0
+        return left_out

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from gateway.robot.core.latency import percentile
+from gateway.robot.protocol.latency import percentile
 from tests.hil.bed import PROGRAM, SYSTEM_PYTHON
 from tests.support.child import Child
 

@@ -40,7 +40,6 @@ from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Transmit
 from gateway.robot.core.outcome import Result
-from gateway.robot.core.rejection_limit import LIMITED
 from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
 from schemas.telemetry import Cause, Kind, Mode
@@ -190,6 +189,21 @@ MODES_A_SECOND: Final = 50
 EVENT_SLOTS: Final = 3
 """Of an event whose sentence is long."""
 _ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
+LIMITED: Final = (
+    Kind.COMMAND_REJECTED,
+    Kind.SOURCE_CHANGED,
+    Kind.OVERFLOW,
+    Kind.LEASE_ACQUIRED,
+    Kind.LEASE_RELEASED,
+    Kind.LEASE_TAKEN,
+    Kind.LEASE_ASKED,
+    Kind.CALIBRATED,
+    Kind.BUTTON_REGISTERED,
+    Kind.BUTTON_LEFT,
+    Kind.BUTTON_RETURNED,
+)
+"""Events that clients can cause at any rate. Each kind has a limit of its own, so that a flood of one hides no other:
+two people who fight for a leg hide no takeover."""
 _BY_CLIENTS: Final = frozenset({*LIMITED, Kind.ESTOP_ENGAGED, Kind.ESTOP_RESET})
 """Events that clients can cause at any rate. Those of the gateway's own rules are always recorded."""
 

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from gateway.errors import ControllerSilentError, SpiError
 from gateway.model.frames import Frame
-from gateway.robot.core.latency import Latency
+from gateway.robot.protocol.latency import Latency
 
 
 @dataclass(slots=True)

@@ -4,15 +4,19 @@ import logging
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from gateway.robot.blackbox.recorder import Recorder, Written
+from gateway.allowance import AllowanceBySource
+from gateway.robot.blackbox.recorder import LIMITED, Recorder, Written
 from gateway.robot.core.events import Announce
 from gateway.robot.core.intake import named_source
 from gateway.robot.core.message import Outbox, Received
-from gateway.robot.core.rejection_limit import LIMITED, RejectionLimit
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.report import WARNINGS, wall_clock
 from schemas import keys, telemetry
 from schemas.telemetry import Kind
+
+EVENTS_A_SECOND: Final = 10
+EVENTS_AT_ONCE: Final = 10
+"""Of each source and kind."""
 
 logger: Final = logging.getLogger(__name__)
 
@@ -25,7 +29,7 @@ class EventPublisher:
         self._recorder = recorder
         self._metrics = metrics
         self._clock = clock
-        self._limits = {kind: RejectionLimit() for kind in LIMITED}
+        self._limits = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
         self._unread: Received | None = None
         self._estop_source: str | None = None
 

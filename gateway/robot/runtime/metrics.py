@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from gateway.robot.core.latency import Latency
+from gateway.robot.protocol.latency import Latency
 from schemas.telemetry import Cause, Kind, Reason
 
 

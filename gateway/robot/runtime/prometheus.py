@@ -20,7 +20,7 @@ from gateway import __version__
 from gateway.endpoints import is_local
 from gateway.host import logs
 from gateway.model.telemetry import currents_a
-from gateway.robot.core.latency import BOUNDS_US, Latency
+from gateway.robot.protocol.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import MetricsPage
 from schemas.robot import LEGS, SERVO_IDS

@@ -18,9 +18,9 @@ from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiE
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, UART_BAUD, Measured
 from gateway.model.frames import Frame
-from gateway.robot.core.latency import Latency
 from gateway.robot.protocol import BatchReport, Sent, Wire
 from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
+from gateway.robot.protocol.latency import Latency
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.uart import Uart

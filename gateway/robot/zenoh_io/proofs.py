@@ -14,7 +14,7 @@ import zenoh
 
 from gateway import certs
 from gateway.allowance import Allowance
-from gateway.robot.core.nonces import Nonces
+from gateway.robot.zenoh_io.nonces import Nonces
 from gateway.zenoh_config import get
 from schemas.lease import Proof
 

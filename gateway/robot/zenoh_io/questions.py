@@ -14,7 +14,7 @@ from typing import Final, Generic, TypeVar
 import zenoh
 from zenoh.handlers import Handler
 
-from gateway.allowance import Allowance
+from gateway.allowance import AllowanceBySource
 from gateway.host.worker import Worker
 from schemas.command import MAX_PAYLOAD_BYTES
 
@@ -30,8 +30,6 @@ QUESTIONS_PER_S: Final = 20
 """For each source without a valid token: as many as proofs are checked; acquiring the lease takes two."""
 QUESTIONS_AT_ONCE: Final = 40
 """The same in a burst: all pages of a console that reconnect."""
-MOST_SOURCES: Final = 64
-"""As many as there may be sessions. Further ones share one limit, since a sender may claim any source."""
 MAX_WITHOUT_TOKEN: Final = 32
 """Waiting queries without a valid token."""
 MOST_ENDING: Final = 4096
@@ -47,8 +45,7 @@ class Questions(Generic[Item]):
         self._first: deque[tuple[str, Item]] = deque()
         self._of_token: Counter[str] = Counter()
         self._others: deque[Item] = deque()
-        self._allowances: dict[str | None, Allowance] = {}
-        """By source; None: all further sources together."""
+        self._allowance = AllowanceBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
 
     def add(self, item: Item, payload: bytes, source: str | None, now_ns: int) -> bool:
         """Whether the query will be read; otherwise the caller drops it."""
@@ -60,7 +57,7 @@ class Questions(Generic[Item]):
             self._of_token[token] += 1
             self._first.append((token, item))
             return True
-        if len(self._others) == MAX_WITHOUT_TOKEN or not self._is_admitted(source, now_ns):
+        if len(self._others) == MAX_WITHOUT_TOKEN or self._allowance.admit(source, now_ns) is None:
             return False
         self._others.append(item)
         return True
@@ -74,13 +71,6 @@ class Questions(Generic[Item]):
         if not self._of_token[token]:
             del self._of_token[token]
         return item
-
-    def _is_admitted(self, source: str | None, now_ns: int) -> bool:
-        if source not in self._allowances and len(self._allowances) >= MOST_SOURCES:
-            self._allowances = {each: used for each, used in self._allowances.items() if not used.is_full(now_ns)}
-            if len(self._allowances) >= MOST_SOURCES:
-                source = None
-        return self._allowances.setdefault(source, Allowance(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)).take(now_ns)
 
 
 class QuestionRing:

@@ -19,9 +19,9 @@ from gateway.host.settings_table import ButtonSettings
 from gateway.people.client.requests import Identity
 from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.message import Reply
-from gateway.robot.core.nonces import NONCE_NS, Nonces
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
+from gateway.robot.zenoh_io.nonces import NONCE_NS, Nonces
 from gateway.robot.zenoh_io.proofs import CHECKS_PER_S
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason

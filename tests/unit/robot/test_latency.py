@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.core.latency import Latency
+from gateway.robot.protocol.latency import Latency
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
-from gateway.allowance import NS_PER_S
+from gateway.allowance import MOST_SOURCES, NS_PER_S
 from gateway.robot.zenoh_io.questions import (
     MAX_WITHOUT_TOKEN,
     MOST_OF_TOKEN,
-    MOST_SOURCES,
     QUESTIONS_AT_ONCE,
     Questions,
 )

@@ -5,14 +5,15 @@ from collections import defaultdict
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.robot.core.rejection_limit import EVENTS_A_SECOND, EVENTS_AT_ONCE, SOURCES_COUNTED, RejectionLimit
+from gateway.allowance import MOST_SOURCES, AllowanceBySource
+from gateway.robot.runtime.event_publisher import EVENTS_A_SECOND, EVENTS_AT_ONCE
 
 S = 1_000_000_000
 MS = 1_000_000
 
 
 def test_names_of_a_second_ago_make_room() -> None:
-    limit = RejectionLimit()
+    limit = AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE)
     for n in range(1000):
         limit.admit(f"name {n}", 0)
     assert [limit.admit("new", S + n) for n in range(11)] == [0] * 10 + [None]
@@ -23,7 +24,7 @@ def test_names_of_a_second_ago_make_room() -> None:
     | st.lists(st.tuples(st.just("a"), st.integers(0, 120)), min_size=30)
 )
 def test_never_more_than_promised_and_every_one_published_or_counted(rejections: list[tuple[str | None, int]]) -> None:
-    limit = RejectionLimit()
+    limit = AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE)
     now_ns = 0
     published_ns: defaultdict[str | None, list[int]] = defaultdict(list)
     accounted = 0
@@ -39,6 +40,6 @@ def test_never_more_than_promised_and_every_one_published_or_counted(rejections:
         for later, earlier in zip(times[EVENTS_AT_ONCE + EVENTS_A_SECOND :], times, strict=False):
             assert later - earlier >= S
     assert accounted <= len(rejections)
-    if len({source for source, _ in rejections}) < SOURCES_COUNTED:
+    if len({source for source, _ in rejections}) < MOST_SOURCES:
         accounted += sum(limit.admit(source, now_ns + S) or 0 for source in published_ns)
         assert accounted == len(rejections)
