@@ -66,7 +66,7 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     expect(page["walk-known"]).to_contain_text("It stands, wave")
     robot.stop(3)
     expect(page["walk-known"]).to_contain_text("Leg 3 is stopped, and the others stand still, wave")
-    expect(page.said).to_have_text("Somebody else stopped leg 3.")
+    expect(page.said).to_have_text("watcher stopped leg 3.")
     page["stand"].click()
     expect(page["walk-known"]).to_contain_text("It stands, wave")
     assert robot.state().mode == "active"

@@ -161,6 +161,12 @@ export class Model {
     return this.cut(nowMs) === null;
   }
 
+  /** Who commands, drives or has stopped the robot, by its newest state and events. */
+  get names() {
+    const { legs = [], lease, estop_source: stopper } = this.state ?? {};
+    return [...[...legs, ...this.events].map(({ source }) => source), lease?.holder, stopper].flatMap((name) => (name ? [name] : []));
+  }
+
   /** This page's own names are "you" to its viewer. @param {string} said a name, or a sentence with names */
   who(said) {
     return (this.hello?.names ?? []).reduce((all, name) => all.replaceAll(`${name} walks`, "you").replaceAll(name, "you"), said);

@@ -152,7 +152,7 @@ export class Walk {
       for (const id of this.sentMs.keys()) if (id <= message.id) this.sentMs.delete(id);
     }
     if (message.detail && message.detail !== before?.detail) {
-      this.callbacks.say(sentence(worded(this.model.who(plain(message.detail)))));
+      this.callbacks.say(sentence(worded(this.model.who(plain(message.detail))), this.model.names));
       if (message.posture !== null && this.heightM !== null) this.heightM = message.height_m;
     } else if (message.limit && message.limit !== before?.limit) {
       this.callbacks.say(`${message.scaled.some(Boolean) ? "Slower than that" : "It stands still"}: ${message.limit}.`);

@@ -54,9 +54,10 @@ export function ended(end, terminal = HAS_TERMINAL) {
   return { line: line(end), next: (terminal && typed) || next, reason: reasons.join("; ") };
 }
 
-/** A sentence that begins so. @param {string} line */
-export function sentence(line) {
-  return `${line.slice(0, 1).toUpperCase()}${line.slice(1)}.`;
+/** A sentence that begins so; a name keeps its letters. @param {string} line @param {string[]} [names] */
+export function sentence(line, names = []) {
+  const first = names.some((name) => line.startsWith(name)) ? line.slice(0, 1) : line.slice(0, 1).toUpperCase();
+  return `${first}${line.slice(1)}.`;
 }
 
 /** @param {string} name */
