@@ -58,6 +58,9 @@ def test_battery_tilt_temperature_and_the_feet_that_carry_are_shown_while_they_a
     with measures(robot, Telemetry(time=LEANING.time, age_ms=3.0, battery=Battery(voltage_v=6.4, percent=19.9))):
         expect(page["battery"]).to_have_text("Battery 6.4 V, 20 %, low")
         expect(page["battery"]).to_have_attribute("data-low", "yes")
+        assert robot.start_leg(1, 90, 90, 90).accepted
+        expect(page["battery"]).to_have_text("Battery 6.4 V under load, 20 %, low")
+        robot.stop()
         expect(page["tilt"]).to_be_hidden()
         expect(page["temperature"]).to_be_hidden()
 
