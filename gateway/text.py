@@ -36,3 +36,13 @@ def legs_named(legs: Collection[int]) -> str:
     """`leg 3`, `legs 1, 3 and 4`, `all legs`."""
     *first, last = [str(leg) for leg in sorted(legs)]
     return "all legs" if len(legs) == len(LEGS) else f"legs {', '.join(first)} and {last}" if first else f"leg {last}"
+
+
+BOM: Final = "\ufeff"
+_DECIMAL_COMMA: Final = re.compile(r":\s*(-?\d{1,9}),(\d{1,9})\s*[,}\]]")
+
+
+def decimal_comma(text: str) -> str:
+    """Return a sentence about the first number of JSON with a decimal comma; "": none has one."""
+    found = _DECIMAL_COMMA.search(text)
+    return f"{found[1]},{found[2]} has a decimal comma; write {found[1]}.{found[2]}" if found else ""

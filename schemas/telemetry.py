@@ -375,10 +375,21 @@ class Telemetry(Sparse):
     board_temperatures_c: tuple[float, ...] | None = None
 
 
-class ControllerReport(Report):
-    """The controller. One of HexapodProtocol v1.0.0 sends nothing, so nobody knows whether it is alive: null."""
+class WireReport(Report):
+    """The wire to the controller, and what depends on it."""
 
-    protocol: str = "hexapod-1.0"
+    name: str = ""
+    whole_robot: Annotated[bool, Field(description="only all servos together can be started and stopped")] = False
+    measures: Annotated[bool, Field(description="telemetry comes back")] = False
+    acknowledges: Annotated[
+        bool, Field(description="a frame counts as written only once the controller has confirmed it")
+    ] = False
+    supply_starts: Annotated[bool, Field(description="with a power board, supply is what starts a servo")] = False
+
+
+class ControllerReport(Report):
+    """The controller. One that sends nothing may be dead or alive: null."""
+
     alive: Annotated[bool | None, Field(description="false: its heartbeats or its answers are missing")] = None
     age_ms: Annotated[float | None, Field(description="since its last well-formed answer")] = None
 
@@ -437,6 +448,7 @@ class GatewayState(Report):
         RevocationsReport | None, Field(description="null: no list is in force, or an older gateway")
     ] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
+    wire: Annotated[WireReport, Field(description="an older gateway does not say")] = WireReport()
     controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
     battery: Annotated[Battery | None, Field(description="null: the robot does not tell, or an older gateway")] = None
     power: Annotated[PowerReport | None, Field(description="null: no power board, or an older gateway")] = None

@@ -16,7 +16,6 @@ from gateway import nesting
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
 from gateway.host.settings_table import FOR_STOPS, ControllerSettings, PowerSettings, SpiSettings
-from gateway.model.protocols import SpiProtocol
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
@@ -76,7 +75,7 @@ def read() -> Effective | None:
     except (OSError, ValueError):
         return None
     found, faults = read_for_stops(tables)
-    framed = found.spi.protocol is SpiProtocol.HEXAPOD_1_0
+    framed = found.spi.protocol.framed
     return None if faults or (framed and "framing" not in tables.get("spi", {})) else Effective(*found, tables)
 
 

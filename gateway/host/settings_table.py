@@ -126,16 +126,15 @@ class SpiSettings(Section):
     @property
     def spoken(self) -> str:
         """What the controller has to understand, in a word."""
-        return self.framing if self.protocol is SpiProtocol.HEXAPOD_1_0 else self.protocol
+        return self.framing if self.protocol.framed else self.protocol
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
-        return None if self.protocol.measures else self.framing.avoid_cdeg
+        return self.framing.avoid_cdeg if self.protocol.framed else None
 
     def fault(self) -> str:
-        framed = self.protocol is SpiProtocol.HEXAPOD_1_0
-        return self.framing.too_fast(self.speed_hz, self.frame_gap_us) if framed else ""
+        return self.framing.too_fast(self.speed_hz, self.frame_gap_us) if self.protocol.framed else ""
 
     def within_limits(self) -> tuple["SpiSettings", str]:
         """Return these with the clock and the pause that the framing allows, and a sentence if that changed them.

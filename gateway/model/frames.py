@@ -23,7 +23,7 @@ STOP_REPEATS: Final = 3
 """How often a Stop is written again, since the wire acknowledges nothing. Each time has a preamble of its own. A fault
 that outlasts them meets the further runs of Stops, while nothing runs (docs/protocol.md)."""
 STOP_REPEAT_MS: Final = 20.0
-"""How far these are apart: one period of the servos' PWM. With elkapod-2025 it is one frame."""
+"""How far these are apart: one period of the servos' PWM. On a wire with cycles it is one frame."""
 MAX_ANGLE_CDEG: Final = 180_00
 
 _SERVO_ID_SET: Final = frozenset(SERVO_IDS)

@@ -6,7 +6,6 @@ Values are not rounded.
 from datetime import datetime
 
 from gateway.model.elkapod import Measured
-from gateway.model.protocols import SpiProtocol
 from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
 
 
@@ -30,15 +29,6 @@ def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
         tilt_deg=values.tilt_deg,
         feet=values.feet,
     )
-
-
-def starts_whole(state: GatewayState) -> bool:
-    """Whether only the whole robot starts, by what its gateway says; a protocol that is not known starts by leg.
-
-    Where a board feeds each servo by itself, each can be started and stopped.
-    """
-    protocol = state.controller.protocol
-    return state.power is None and any(protocol == each and each.starts_whole for each in SpiProtocol)
 
 
 def fed_singly(state: GatewayState) -> bool:

@@ -19,6 +19,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME
+from gateway.host.settings_table import SpiSettings
 
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")
@@ -112,7 +113,8 @@ def _is_set_up() -> bool:
         spi = tomllib.loads(CONFIGURATION.read_text()).get("spi", {})
     except ValueError:  # the trial names the fault
         return True
-    return bool(spi.get("framing")) or spi.get("protocol", "hexapod-1.0") != "hexapod-1.0" or _is_enabled()
+    usual = SpiSettings().protocol
+    return bool(spi.get("framing")) or spi.get("protocol", usual) != usual or _is_enabled()
 
 
 def _try(release: Path) -> None:

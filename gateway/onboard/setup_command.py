@@ -8,25 +8,24 @@ from typing import Annotated, Literal
 import typer
 
 from gateway.errors import ConfigError
+from gateway.model.protocols import WITH_UART, SpiProtocol
 
 app = typer.Typer()
 
 
 @app.command(
     epilog="Example: sudo hexapod-gateway setup --framing length-prefixed --certs robot.zip\n\n"
-    "Example: hexapod-gateway setup --wire elkapod-2025 --dry-run"
+    f"Example: hexapod-gateway setup --wire {WITH_UART} --dry-run"
 )
 def setup(
     wire: Annotated[
-        Literal["hexapod-1.0", "elkapod-2025"] | None,
-        typer.Option(
-            help="What the controller speaks. hexapod-1.0: HexapodProtocol v1.0.0, SPI. elkapod-2025: SPI and a UART."
-        ),
+        SpiProtocol | None,
+        typer.Option(help=f"What the controller speaks. {'. '.join(f'{each}: {each.words}' for each in SpiProtocol)}."),
     ] = None,
     framing: Annotated[
         Literal["length-prefixed", "plain"] | None,
         typer.Option(
-            help="With hexapod-1.0. length-prefixed: the published STM32 firmware. plain: a controller written to the "
+            help="With SPI alone. length-prefixed: the published STM32 firmware. plain: a controller written to the "
             "protocol document."
         ),
     ] = None,

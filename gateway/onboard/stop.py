@@ -12,7 +12,6 @@ from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
 from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings
 from gateway.model.frames import STOP_REPEATS
-from gateway.model.protocols import SpiProtocol
 from gateway.robot import settings
 from gateway.robot.spi.stop_all import stop_servos as stop
 
@@ -148,7 +147,7 @@ def stop_servos(
             _say(changed)
     times = 1 + STOP_REPEATS
     lines = [f"Stop written to all six legs, {times} times each, on {spi.device}"]
-    if spi.protocol is SpiProtocol.ELKAPOD_2025:
+    if not spi.protocol.framed:
         lines = [f"shutdown of all servos written {times} times, on {controller.uart}"]
     if noticed is not None:
         lines.append(_NOTICED if noticed else _NOT_NOTICED)

@@ -131,7 +131,7 @@ def rules(settings: Settings) -> Rules:
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
         max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
         power=bool(settings.power.interface),
-        angles_first=settings.spi.protocol.starts_whole,
+        angles_first=settings.spi.protocol.capabilities.supply_starts,
     )
 
 
@@ -363,7 +363,7 @@ def _inbox(
     """The inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
-    measures = settings.spi.protocol.measures or bool(settings.power.interface)
+    measures = settings.spi.protocol.capabilities.measures or bool(settings.power.interface)
     inbox = Inbox(
         session,
         loop,
@@ -401,7 +401,7 @@ def _attendants(
 
 def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
     """Publish the state, and what the robot measures if it does."""
-    measures = settings.spi.protocol.measures or settings.power.interface
+    measures = settings.spi.protocol.capabilities.measures or settings.power.interface
     telemetry_hz = REPORTS_HZ if measures else 0.0
     return [
         asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),

@@ -70,7 +70,7 @@ class Settings:
     @property
     def starts_whole(self) -> bool:
         """Whether only the whole robot can be started and stopped: with a power board, each servo can."""
-        return self.spi.protocol.starts_whole and not self.power.interface
+        return self.spi.protocol.capabilities.whole_robot and not self.power.interface
 
     def __post_init__(self) -> None:
         if self.limits.start_stagger_ms < 0:  # it is not set
@@ -96,7 +96,7 @@ class Settings:
                 ("limits", "start_stagger_ms"), f"{protocol} starts all servos at once, so leave it at 0"
             )
         for each in fields(self.safety):
-            if getattr(self.safety, each.name) and not protocol.measures:
+            if getattr(self.safety, each.name) and not protocol.capabilities.measures:
                 yield SettingFault(("safety", each.name), f"{protocol} has nothing that measures it; leave it at 0")
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, ServoLimits())
@@ -180,7 +180,8 @@ _WHICH_FRAMING: Final = (
 
 def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
     spi = tables.get("spi", {})
-    if isinstance(spi, Mapping) and spi.get("protocol") != SpiProtocol.ELKAPOD_2025 and "framing" not in spi:
+    unframed = [each for each in SpiProtocol if not each.framed]
+    if isinstance(spi, Mapping) and spi.get("protocol") not in unframed and "framing" not in spi:
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
 

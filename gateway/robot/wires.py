@@ -10,7 +10,6 @@ from gateway.host.descriptors import Spare
 from gateway.host.settings_table import SpiSettings
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
-from gateway.model.protocols import SpiProtocol
 from gateway.own_command import command
 from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
@@ -48,7 +47,7 @@ def wire(
 ) -> Wire:
     """The way to the robot's controller, not yet open. `page`, `sensed`: a simulated body's."""
     protocol = settings.spi.protocol
-    if protocol is SpiProtocol.HEXAPOD_1_0:
+    if protocol.framed:
         return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page))
     spare, spi, uart = Spare(), settings.spi, settings.controller.uart
     open_device: Callable[[], DuplexDevice]
@@ -72,7 +71,7 @@ def warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
     """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
     if not simulated and ioctls.are_used():
         logger.info("%s", ioctls.USED)
-    framed = spi.protocol is SpiProtocol.HEXAPOD_1_0
+    framed = spi.protocol.framed
     needed = framed and spi.framing.needs_chip_select and not simulated
     if needed and not gpio_selects(spi.device):
         logger.warning(

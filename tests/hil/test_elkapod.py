@@ -97,7 +97,7 @@ def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot
     assert frames[-1].monotonic_ns - first.monotonic_ns >= (len(frames) - 2) * 19_000_000
     with gateway.client() as client:
         robot.wait_until(lambda: bool(client.state().controller.alive), LATE_S)
-        assert client.state().controller.protocol == "elkapod-2025"
+        assert client.state().wire.name == "elkapod-2025"
     assert not robot.controller.corruptions
 
 

@@ -6,10 +6,12 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Final
 
+from gateway.model.protocols import SpiProtocol
+
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "text"),
+    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "text", "wire"),
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),
@@ -41,7 +43,7 @@ PURE_FILES: Final = frozenset(
     )
 )  # fmt: skip
 """In rooms that also do I/O."""
-ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", *WINGS})
+ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", "wire", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(
     {"zenoh", "spidev", "asyncio", "time", "logging", "socket", "threading", "subprocess", "os"}
@@ -142,3 +144,23 @@ def test_the_conductor_knows_no_zenoh() -> None:
         for name in imported(GATEWAY / "robot/runtime/conductor.py")
         if name.startswith(("zenoh", "gateway.robot.zenoh_io"))
     }
+
+
+WIRES_OWN: Final = frozenset(
+    {
+        *("model/protocols.py", "model/elkapod.py", "robot/protocol/elkapod.py", "robot/wires.py"),
+        *(f"robot/spi/{name}.py" for name in ("cyclic", "uart")),
+        *("host/settings_table.py", "simulation/elkapod.py"),
+    }
+)
+"""The wires themselves, what makes them, and the table of settings."""
+
+
+def test_no_wire_is_named_outside_its_own_files() -> None:
+    """What depends on a wire is one of its capabilities."""
+    names = (*SpiProtocol, *SpiProtocol.__members__, "SpiProtocol.")
+    files = [path for kind in ("*.py", "*.js", "*.html") for path in GATEWAY.rglob(kind) if "vendor" not in path.parts]
+    files += (GATEWAY.parent / "schemas").glob("*.py")
+    named = [path for path in files if any(name in path.read_text() for name in names)]
+    assert len(files) > 300
+    assert {str(path).removeprefix(f"{GATEWAY}/") for path in named} == WIRES_OWN

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.text import visible
+from gateway.text import decimal_comma, visible
 
 
 @pytest.mark.parametrize(
@@ -16,3 +16,17 @@ from gateway.text import visible
 )
 def test_what_cannot_be_printed_is_escaped(text: str, shown: str) -> None:
     assert visible(text) == shown
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('{"op":"set","angle_deg":45,5}', "45,5 has a decimal comma; write 45.5"),
+        ('{"a": -0,25, "b": 1}', "-0,25 has a decimal comma; write -0.25"),
+        ('{"a":[45,5]}', ""),
+        ('{"a":45,"b":5}', ""),
+        ('{"source":"at 45,5"', ""),
+    ],
+)
+def test_a_decimal_comma_is_named(text: str, sentence: str) -> None:
+    assert decimal_comma(text) == sentence

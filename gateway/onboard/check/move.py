@@ -14,8 +14,6 @@ from contextlib import ExitStack, suppress
 from typing import Final
 
 from gateway.errors import ConfigError
-from gateway.model.protocols import SpiProtocol
-from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.bench import Commands, FailedError
 from gateway.own_command import command
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
@@ -47,7 +45,7 @@ _WHOLE_HOLDS: Final = (
 )
 _SILENT: Final = (
     "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
-    'of HexapodProtocol v1.0.0 answers nothing; it needs spi.protocol = "hexapod-1.0".'
+    "that answers nothing needs another spi.protocol."
 )
 # fmt: off
 _BOARD, _ALL, _LEGS, _WHOLE = "board", "all", "legs", "whole"
@@ -76,7 +74,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
     with connect() as client, ExitStack() as stack:
         state = ready(client)
         show_differences()
-        whole, currents = starts_whole(state), None
+        whole, currents = state.wire.whole_robot, None
         if whole and not state.controller.alive:
             say(_SILENT.format(status=command("status")))
             return 1
@@ -85,7 +83,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say("Nothing was moved.")
             return 1
         state = ready(client)  # the questions took their time
-        if state.power is not None and state.controller.protocol == SpiProtocol.HEXAPOD_1_0:
+        if state.power is not None and not state.wire.supply_starts:
             # Else supply is what starts a servo, so the one at that output moves, whichever it is.
             currents = ServoCurrents()
             stack.callback(client.on_telemetry(currents.take).undeclare)

@@ -12,7 +12,6 @@ from typing import Final, NamedTuple
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
-from gateway.model.telemetry import starts_whole
 from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Skipped, StopsOptions, demand, ms_since
 from gateway.onboard.check.table import BAD, GOOD, NOTE, SERVICE, conclude, show, shown
 from gateway.people.client.blocking import Client
@@ -47,7 +46,7 @@ def stops(connect: Connection, options: StopsOptions) -> int:
     with connect() as client:
         state = ready(client)
         show_differences(options.config)
-        motion = ServoMotion(10 * options.leg + 1, _START_DEG, lying(client, state) if starts_whole(state) else {})
+        motion = ServoMotion(10 * options.leg + 1, _START_DEG, lying(client, state) if state.wire.whole_robot else {})
         bench = Bench(client, motion, options)
         if not (state.simulated or options.agreed or sys.stdin.isatty()):
             raise ConfigError(NOBODY)

@@ -1,8 +1,8 @@
-"""What leads to the servos: SPI device, bus and clock, framing, calibration, elkapod-2025's UART, and the power board.
+"""What leads to the servos: SPI device, bus and clock, framing, calibration, the controller's UART and the power board.
 
-Nothing is written to the robot: the published firmware of HexapodProtocol v1.0.0 takes the first byte of elkapod-2025
-for a length of 126, which leaves it deaf to Stops until its reset. A power board is only asked. Nothing is read from
-UART and board while a gateway runs: they are its own.
+Nothing is written to the robot: the published firmware of HexapodProtocol v1.0.0 takes the first byte of an 80-byte
+frame for a length of 126, which leaves it deaf to Stops until its reset. A power board is only asked. Nothing is read
+from UART and board while a gateway runs: they are its own.
 """
 
 import errno
@@ -26,6 +26,7 @@ from gateway.model import power_board
 from gateway.model.elkapod import FRAME_BYTES, Heartbeats
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
+from gateway.model.protocols import FRAMED, WITH_UART
 from gateway.onboard.check.table import RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 
 SLOW_STOPS_MS: Final = 20.0
 """Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
-elkapod-2025 than its default cycle."""
+an 80-byte frame than its cycle."""
 _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_RD_MAX_SPEED_HZ."""
 _ALLOWED: Final = "ttyAMA"
@@ -151,7 +152,7 @@ def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
     transfers = 1 + (spi.framing is Framing.LENGTH_PREFIXED)
     bits, pause_ms = 8 * (ONE_LEG_LEN + transfers - 1), transfers * (spi.frame_gap_us / 1e3 + CS_CHANGE_NS / 1e6)
     what, takes_ms = "an emergency stop", len(LEGS) * (bits / slowest_hz * 1e3 + pause_ms)
-    if spi.protocol.measures:
+    if not spi.protocol.framed:
         what, takes_ms = "a frame", 8 * FRAME_BYTES / slowest_hz * 1e3
     return Seen(
         spi=spi, differs=differs, takes_ms=takes_ms, takes=f"{what} takes {takes_ms:.1f} ms to write",
@@ -168,7 +169,7 @@ def _megahertz(hz: int) -> str:
 def _frames(robot: CheckedRobot) -> Seen | None:
     """The framing, and whether chip select is known to be released between transfers of one call."""
     spi = robot.settings.spi
-    if spi.protocol.measures:
+    if spi.protocol.capabilities.measures:
         return None
     driver = machine.driver_of(spi.device, robot.root) or "this driver"
     gpio, (low, high) = machine.gpio_selects(spi.device, robot.root), spi.avoid_cdeg or (0, 0)
@@ -195,13 +196,13 @@ def _calibration(robot: CheckedRobot) -> Seen:
     return seen
 
 
-# ---- the UART of elkapod-2025
+# ---- the UART
 
 
 def _uart(robot: CheckedRobot) -> Seen | None:
     """It is opened and closed, unless a gateway holds it."""
     path, root = robot.settings.controller.uart, robot.root
-    if not robot.settings.spi.protocol.measures:
+    if not robot.settings.spi.protocol.capabilities.measures:
         return None
     seen, name = node(robot, path), Path(path).resolve().name
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
@@ -292,12 +293,12 @@ def _supply_mv(bus: "can.BusABC", settings: PowerSettings) -> Iterator[int]:
 
 # ---- the table
 
-_SWITCH_ON: Final = "switch it on and reboot: sudo hexapod-gateway setup --wire elkapod-2025; or set controller.uart"
+_SWITCH_ON: Final = f"switch it on and reboot: sudo hexapod-gateway setup --wire {WITH_UART}; or set controller.uart"
 _NO_PI_5: Final = (
     "switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in config.txt), reboot, "
     "and set controller.uart to its node; here there is {}"
 )
-_OFF: Final = "free it, and reboot: sudo hexapod-gateway setup --wire elkapod-2025"
+_OFF: Final = f"free it, and reboot: sudo hexapod-gateway setup --wire {WITH_UART}"
 # fmt: off
 DEVICE: Final = Probe("SPI device", _device, (
     *_node_faults("spi"),
@@ -361,8 +362,8 @@ CONTROLLER: Final = (
     Probe("heartbeat", _heartbeat, (
         failure(lambda r: not r.beats, "none came in {ms} ms, but {bytes} other bytes",
                 "see that the controller has power, that its TX leads to the Pi's RX, and both have the same ground; a "
-                'controller of HexapodProtocol v1.0.0 needs spi.protocol = "hexapod-1.0"'),
-    ), "{beats} came in {ms} ms, so the controller speaks elkapod-2025"),
+                f'controller of HexapodProtocol v1.0.0 needs spi.protocol = "{FRAMED}"'),
+    ), "{beats} came in {ms} ms, so the controller speaks " + WITH_UART),
 )
 POWER: Final = Probe("power board", _board, (
     warning(lambda r: r.simulated, "is simulated: no servo loses its supply", 'set power.interface; "" is none'),

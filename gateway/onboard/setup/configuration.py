@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 import gateway
 from gateway import nesting
 from gateway.errors import ConfigError
+from gateway.host.settings_table import ControllerSettings, SpiSettings
 from gateway.model.framing import Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.onboard.setup.machine import ETC, SERVICE, Machine
@@ -22,10 +23,7 @@ from gateway.people.terminal import say
 FILE: Final = f"{ETC}/gateway.toml"
 TEMPLATE: Final = f"/usr/share/{SERVICE}/gateway.toml"
 _SHIPPED: Final = Path(gateway.__file__).parent / "deploy"
-_WIRES: Final = {
-    SpiProtocol.HEXAPOD_1_0: "HexapodProtocol v1.0.0: SPI alone",
-    SpiProtocol.ELKAPOD_2025: "the Elkapod of 2025: SPI and a UART",
-}
+_WIRES: Final = {each: each.words for each in SpiProtocol}
 _FRAMINGS: Final = {
     Framing.LENGTH_PREFIXED: "the published STM32 firmware (after a plain frame, only a reset makes it receive again)",
     Framing.PLAIN: "a controller written to the protocol document",
@@ -48,8 +46,9 @@ class Configuration(NamedTuple):
     @property
     def uart(self) -> str | None:
         """The controller's UART, with a wire that has one."""
-        measures = self.get("spi", "protocol") == SpiProtocol.ELKAPOD_2025
-        return self.get("controller", "uart", "/dev/ttyAMA1") if measures else None
+        wire = self.get("spi", "protocol")
+        has_uart = any(each == wire and not each.framed for each in SpiProtocol)
+        return self.get("controller", "uart", ControllerSettings().uart) if has_uart else None
 
 
 def shipped(name: str) -> bytes:
@@ -77,13 +76,14 @@ def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Confi
     stated = {name: found.get("spi", name) for name in ("protocol", "framing")}
     if wire is None and framing is None and not any(stated.values()):
         wire = _ask("wire", _WIRES)
-    wanted = {"protocol": wire or stated["protocol"] or SpiProtocol.HEXAPOD_1_0}
-    if wanted["protocol"] == SpiProtocol.HEXAPOD_1_0:
+    wanted = {"protocol": wire or stated["protocol"] or SpiSettings().protocol}
+    framed = [each for each in SpiProtocol if each.framed]
+    if wanted["protocol"] in framed:
         wanted["framing"] = framing or stated["framing"] or _ask("framing", _FRAMINGS)
         if not (wire or stated["protocol"]):
             del wanted["protocol"]  # the default
     elif framing is not None:
-        raise ConfigError(f"--framing is for {SpiProtocol.HEXAPOD_1_0}; leave it out with {wanted['protocol']}")
+        raise ConfigError(f"--framing is for {framed[0]}; leave it out with {wanted['protocol']}")
     changes = {name: value for name, value in wanted.items() if value != stated[name]}
     for name, value in wanted.items():
         if name not in changes:

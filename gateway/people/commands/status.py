@@ -8,7 +8,7 @@ from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.commands.reach import connection
 from gateway.people.terminal import say
 from gateway.people.walking import robot_now
-from schemas.telemetry import ControllerReport, GatewayState, LegReport
+from schemas.telemetry import GatewayState, LegReport
 
 
 def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> None:
@@ -34,7 +34,7 @@ def topics(state: GatewayState) -> dict[str, str]:
         "lease": "Nobody drives." if lease.holder is None else f"{lease.holder} {drives}.",
         "buttons": watched if buttons.required or buttons.alive else "",
         "calibration": "" if state.calibration.fault is None else f"Nothing can be started: {state.calibration.fault}",
-        "controller": _controller(state.controller),
+        "controller": _controller(state),
         "power": "" if state.power is None else f"Power ({state.power.interface}): {power_now(state.power)}.",
         "address": f"Does not listen on {missing} yet: the address is not there." if missing else "",
         "certificate": "" if soon is None else f"The robot's {soon}; {certs.renewal('gateway')}",
@@ -50,7 +50,7 @@ def sentences(state: GatewayState) -> list[str]:
     device = "a simulated controller" if state.simulated else spi.device
     spoken = state.protocol if spi.framing == "none" else spi.framing
     found.append(f"{spi.frames} frames to {device} ({spoken}), {spi.errors} SPI errors.")
-    found.append(_controller(state.controller, state.controller.age_ms))
+    found.append(_controller(state, state.controller.age_ms))
     if battery is not None:
         found.append(f"Battery: {battery.voltage_v:.2f} V, {battery.percent:.0f} %.")
     alarm = PowerAlarm()
@@ -66,11 +66,12 @@ def sentences(state: GatewayState) -> list[str]:
     return [each for each in found if each]
 
 
-def _controller(controller: ControllerReport, age_ms: float | None = None) -> str:
+def _controller(state: GatewayState, age_ms: float | None = None) -> str:
+    controller = state.controller
     if controller.alive is None:
         return ""
     silence = "" if age_ms is None else f", its last answer {age_ms / 1000:.1f} s ago"
-    return f"The controller ({controller.protocol}) {'is alive' if controller.alive else f'is SILENT{silence}'}."
+    return f"The controller ({state.wire.name}) {'is alive' if controller.alive else f'is SILENT{silence}'}."
 
 
 def _leg(leg: LegReport) -> str:

@@ -15,7 +15,6 @@ from typing import Final, Protocol
 
 from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.geometry import Geometry
-from gateway.model.telemetry import starts_whole
 from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
@@ -59,7 +58,7 @@ class JointCommands:
         self._stream = client.stream(HZ)
         state = client.state()
         self._silent_s = state.watchdog.stops_after_ms / 1000 + MARGIN_S
-        self._whole = starts_whole(state)
+        self._whole = state.wire.whole_robot
         self._stream.open()
         self._started: frozenset[int] = frozenset()
         self._received_s = time.monotonic()

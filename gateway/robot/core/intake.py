@@ -12,6 +12,7 @@ from gateway.robot.core.events import Command, Reset
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import TARGETS, Row, may_contain_stop, stops_of
 from gateway.robot.core.value import value
+from gateway.text import BOM, decimal_comma
 from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG
 from schemas.command import MAX_NUMBER, MAX_PAYLOAD_BYTES, MAX_SENT_MS, SENDER
@@ -125,7 +126,7 @@ def too_many_fields(payload: bytes) -> Rejection:
     try:
         from_json(payload)
     except ValueError as error:
-        return _malformed(str(error))
+        return _malformed(payload, str(error))
     return Rejection(Reason.INVALID, "the payload has more fields than any command of its key has")
 
 
@@ -187,13 +188,16 @@ def explain(error: ValidationError) -> Rejection:
     faults = error.errors(include_url=False)
     first = faults[0]
     if first["type"] == "json_invalid":
-        return _malformed(first["ctx"]["error"])
+        return _malformed(first["input"], first["ctx"]["error"])
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
     return Rejection(Reason.INVALID, f"{_sentence(dict(first))}{more}")
 
 
-def _malformed(why: str) -> Rejection:
-    return Rejection(Reason.MALFORMED, f"the payload is not JSON: {why}")
+def _malformed(payload: bytes | str, why: str) -> Rejection:
+    """The rejection of a payload that is not JSON, with the cause where that is a usual one."""
+    text = payload if isinstance(payload, str) else payload.decode(errors="replace")
+    cause = "it begins with a byte order mark; send it without" if text.startswith(BOM) else decimal_comma(text)
+    return Rejection(Reason.MALFORMED, f"the payload is not JSON: {cause or why}")
 
 
 def _sentence(fault: dict[str, Any]) -> str:

@@ -1,8 +1,9 @@
 """What the service needs of a wire to a controller, whatever that wire's bytes are.
 
 A step of the supervisor decides what servos do (`model.frames`). A wire says it to the controller: `spi.bus.Bus` in the
-frames of HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in those of elkapod-2025. Neither knows of the other, and the
-supervisor knows of neither, but for whether only the whole robot can be started and stopped (`Rules.starts_whole`).
+frames of HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in frames of 80 bytes, with a UART. Neither knows of the
+other, and the supervisor knows of neither, but for whether only the whole robot can be started and stopped
+(`Rules.starts_whole`).
 """
 
 from abc import abstractmethod

@@ -6,7 +6,6 @@ from typing import Final
 
 from gateway import __version__
 from gateway.model.frames import Op
-from gateway.model.protocols import SpiProtocol
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
@@ -35,6 +34,7 @@ from schemas.telemetry import (
     StopLatency,
     TelemetryReport,
     WatchdogReport,
+    WireReport,
 )
 
 WARNINGS: Final = frozenset(
@@ -85,6 +85,8 @@ class StateReports:
         self._started_ns = started_ns
         self._limits = limits_of(settings)
         self.wire = settings.spi.protocol
+        can = self.wire.capabilities._replace(whole_robot=settings.starts_whole)
+        self._wire = WireReport(name=self.wire, **can._asdict())
         self.protocol = self.wire.version(settings.spi.framing)
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
@@ -163,7 +165,8 @@ class StateReports:
             missing_endpoints=self._missing,
             revocations=self.revocations,
             limits=self._limits,
-            controller=_controller(self.wire, bus, now_ns),
+            wire=self._wire,
+            controller=_controller(bus, now_ns),
             battery=battery,
             power=power,
         )
@@ -190,9 +193,9 @@ def _buttons(buttons: Buttons) -> ButtonsReport:
     return ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names)
 
 
-def _controller(wire: SpiProtocol, bus: Wire, now_ns: int) -> ControllerReport:
+def _controller(bus: Wire, now_ns: int) -> ControllerReport:
     age_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
-    return ControllerReport(protocol=wire, alive=bus.controller_alive, age_ms=age_ms)
+    return ControllerReport(alive=bus.controller_alive, age_ms=age_ms)
 
 
 def _leg(leg: Leg, now_ns: int) -> LegReport:

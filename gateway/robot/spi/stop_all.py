@@ -1,4 +1,4 @@
-"""Stops all six legs straight over SPI, or over the UART of elkapod-2025.
+"""Stops all six legs straight over SPI, or over the UART of a wire that has one.
 
 No Zenoh, no running gateway, and little that could fail or be slow to load.
 """
@@ -9,7 +9,6 @@ from typing import Final
 
 from gateway.host.settings_table import ControllerSettings, SpiSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
-from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import runtime_files
 from gateway.robot.protocol import Wire
 from gateway.robot.spi.bus import Bus
@@ -39,7 +38,7 @@ def stop_servos(
     atomic on the bus, so none comes into a frame of the gateway's.
     """
     bus: Wire
-    if spi.protocol is SpiProtocol.ELKAPOD_2025:
+    if not spi.protocol.framed:
         bus = CyclicBus(None, lambda: SerialUart(controller.uart, exclusive=False))
     else:
         bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))

@@ -18,6 +18,7 @@ from schemas.telemetry import (
     LeaseReport,
     Mode,
     PowerReport,
+    WireReport,
 )
 from tests.support.published import NS_PER_MS, WALL, rejected, state
 
@@ -61,6 +62,9 @@ def followed() -> Followed:
     return Followed()
 
 
+X = WireReport(name="x")
+
+
 @pytest.mark.parametrize(
     ("changed", "lines"),
     [
@@ -69,8 +73,8 @@ def followed() -> Followed:
         ({"buttons": ButtonsReport(alive=1, required=2)}, ["Stop buttons: 1 alive, 2 required."]),
         ({"calibration": CalibrationReport(fault="it is torn")}, ["Nothing can be started: it is torn"]),
         ({"mode": Mode.ESTOPPED, "estop_source": "bert"}, ["Emergency stop by bert: nothing runs until a reset."]),
-        ({"controller": ControllerReport(protocol="x", alive=True, age_ms=3.0)}, ["The controller (x) is alive."]),
-        ({"controller": ControllerReport(protocol="x", alive=False, age_ms=9.0)}, ["The controller (x) is SILENT."]),
+        ({"controller": ControllerReport(alive=True, age_ms=3.0), "wire": X}, ["The controller (x) is alive."]),
+        ({"controller": ControllerReport(alive=False, age_ms=9.0), "wire": X}, ["The controller (x) is SILENT."]),
         (
             {"power": PowerReport(interface="can0", alive=False, age_ms=3000.0)},
             ["Power (can0): does not answer.", UNCONFIRMED],

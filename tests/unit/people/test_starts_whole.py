@@ -13,7 +13,7 @@ from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, ControllerReport
+from schemas.telemetry import Ack, WireReport
 from tests.unit.people import test_stream
 
 GEOMETRY: Final = load()
@@ -22,11 +22,11 @@ ONE_LEG_RAD: Final = {servo_id: at for servo_id, at in ALL_RAD.items() if servo_
 
 
 class Robot(test_stream.Robot):
-    """Its state names a protocol; what it was asked is kept."""
+    """Its state says what its wire can do; what it was asked is kept."""
 
-    def __init__(self, protocol: str) -> None:
+    def __init__(self, *, whole: bool) -> None:
         super().__init__()
-        self.changed = {"controller": ControllerReport(protocol=protocol)}
+        self.changed = {"wire": WireReport(name="any", whole_robot=whole)}
         self.legs: list[list[int]] = []
 
     def calibration(self) -> Any:
@@ -43,7 +43,7 @@ class Robot(test_stream.Robot):
 
 @pytest.fixture
 def whole(monkeypatch: pytest.MonkeyPatch) -> Any:
-    robot = Robot("elkapod-2025")
+    robot = Robot(whole=True)
     monkeypatch.setattr("gateway.people.client.stream.time", robot)
     return robot
 

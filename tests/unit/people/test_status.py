@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.people.commands.status import sentences
-from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseReport, Mode
+from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseReport, Mode, WireReport
 from tests.support.published import state
 
 
@@ -29,9 +29,10 @@ def test_what_runs_who_drives_and_what_watches() -> None:
     ],
 )
 def test_a_controller_that_answers_and_its_battery(alive: bool, age_ms: float | None, sentence: str) -> None:
-    controller = ControllerReport(protocol="elkapod-2025", alive=alive, age_ms=age_ms)
+    controller = ControllerReport(alive=alive, age_ms=age_ms)
     battery = Battery(voltage_v=7.4, percent=80)
-    found = sentences(state().model_copy(update={"controller": controller, "battery": battery}))
+    changed = {"controller": controller, "battery": battery, "wire": WireReport(name="elkapod-2025")}
+    found = sentences(state().model_copy(update=changed))
     assert sentence in found
     assert "Battery: 7.40 V, 80 %." in found
     assert not [line for line in sentences(state()) if line.startswith(("The controller", "Battery"))]

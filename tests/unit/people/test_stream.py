@@ -255,7 +255,7 @@ def test_what_stops_a_robot_that_measures_ends_it_by_its_event(robot: Robot, str
 
 
 def test_a_controller_that_fell_silent_is_named_where_its_event_was_lost(robot: Robot, stream: Stream) -> None:
-    silent = {"mode": Mode.BUS_FAULT, "controller": ControllerReport(protocol="elkapod-2025", alive=False)}
+    silent = {"mode": Mode.BUS_FAULT, "controller": ControllerReport(alive=False)}
     robot.running.clear()
     robot.changed = silent
     robot.publish_state()

@@ -71,7 +71,7 @@ def test_an_emergency_stop_holds_until_the_reset_and_no_longer(driver: WalkState
 
 
 def test_a_bus_fault_of_a_controller_that_fell_silent_names_it() -> None:
-    silent = ControllerReport(protocol="elkapod-2025", alive=False)
+    silent = ControllerReport(alive=False)
     fault = of(ALL, Mode.BUS_FAULT, controller=silent)
     assert robot_now(fault) == "The controller is silent: what was written may not have arrived"
     assert robot_now(of(ALL, controller=silent)) == "All six legs run", "as far as the gateway knows"

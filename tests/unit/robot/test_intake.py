@@ -132,6 +132,18 @@ NOT_JSON = {
 }
 
 
+@pytest.mark.parametrize(
+    ("payload", "cause"),
+    [
+        (b'{"op": "set", "angle_deg": 45,5}', "45,5 has a decimal comma; write 45.5"),
+        (b'\xef\xbb\xbf{"op": "stop"}', "it begins with a byte order mark; send it without"),
+        (b"{" + b'"x": 45,5,' * 200, "45,5 has a decimal comma; write 45.5"),
+    ],
+)
+def test_the_cause_is_named_where_it_is_a_usual_one(payload: bytes, cause: str) -> None:
+    assert rejection(SERVO_32, payload).detail == f"the payload is not JSON: {cause}"
+
+
 @pytest.mark.parametrize("payload", NOT_JSON.values(), ids=NOT_JSON)
 def test_what_is_no_json(payload: bytes) -> None:
     for key in (SERVO_32, LEG_3, LEGS_KEY, RESET_KEY):

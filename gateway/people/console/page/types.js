@@ -11,7 +11,7 @@
  *   watchdog: {timeout_ms: number, expirations: number,
  *              stop_latency_us: {p50: number | null, p99: number | null, max: number | null}},
  *   calibration?: {revision: number, fault: string | null, kept: boolean} | null, lease?: LeaseState | null, buttons?: {required: number, alive: number, names: string[]}, loop_lag_us?: {p50: number | null, p99: number | null, max: number | null} | null,
- *   controller?: {protocol: string, alive: boolean | null, age_ms: number | null}, battery?: Battery | null,
+ *   controller?: {alive: boolean | null, age_ms: number | null}, battery?: Battery | null,
  * }} GatewayState
  * @typedef {{time: string, kind: string, source: string | null, key: string | null, reason: string | null,
  *            detail: string, left_out?: number, legs?: number[], tone?: "bad" | "warn" | "plain"}} GatewayEvent

@@ -26,7 +26,6 @@ from gateway.allowance import Allowance
 from gateway.errors import GatewayError
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
-from gateway.model.telemetry import starts_whole
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.client.dangers import PowerAlarm, power_now, tone_of
 from gateway.people.console.link import GatewayLink, LinkReceiver
@@ -141,7 +140,7 @@ class Pages(LinkReceiver):
         self._send_state(state, received_ns)
 
     def _send_state(self, state: GatewayState, received_ns: int) -> None:
-        known = {"now": robot_now(state), "whole": starts_whole(state)}
+        known = {"now": robot_now(state), "whole": state.wire.whole_robot}
         known |= {"power": power_now(state.power), "unconfirmed": self._alarm.sentence}
         self._state = partial(_state_text, state.model_dump_json(), json.dumps(known)[1:-1], received_ns)
         for page in self._pages:
