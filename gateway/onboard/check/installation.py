@@ -31,6 +31,7 @@ from gateway.onboard import whole
 from gateway.onboard.check.table import INSTALL, RESTART, SERVICE, CheckedRobot, Probe, Seen, failure, text, warning
 
 ETC: Final = f"/etc/{SERVICE}"
+TEMPLATE: Final = f"/usr/share/{SERVICE}/gateway.toml"
 STATE_FOLDER: Final = f"/var/lib/{SERVICE}"
 _NEEDED: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
@@ -42,6 +43,8 @@ _MOST_FILES: Final = 20_000
 _LEAST_FREE_MB: Final = 20
 """For some calibrations and lists."""
 _LEAST_INODES: Final = 100
+_LITTLE_MB: Final = 100
+"""The service takes 60 to 70 (docs/performance.md), and an upgrade tries the next release beside it."""
 _HARMLESS: Final = frozenset(
     ("Description", "After", "Wants", "Environment", "ReadWritePaths", "CPUWeight", "IOWeight", "LogLevelMax")
 )
@@ -81,6 +84,11 @@ def _voltage(robot: CheckedRobot) -> Iterator[Seen]:
     for name in (robot.root / "sys/class/hwmon").glob("hwmon*/name"):
         if text(name) == "rpi_volt":
             yield Seen(low=text(name.with_name("in0_lcrit_alarm")) == "1")
+
+
+def _memory(robot: CheckedRobot) -> Seen | None:
+    found = re.search(r"^MemAvailable: +(\d+) kB", text(robot.root / "proc/meminfo"), re.MULTILINE)
+    return Seen(free_mb=int(found[1]) // 1024) if found else None
 
 
 def _wifi(robot: CheckedRobot) -> Iterator[Seen]:
@@ -164,6 +172,23 @@ def _variables(robot: CheckedRobot) -> Iterator[Seen]:
     theirs = set(_OURS.findall(f"{robot.environment} {process}"))
     for name in sorted(theirs - set(_OURS.findall(robot.unit.get("Environment", "")))):
         yield Seen(name=name)
+
+
+def _new_settings(robot: CheckedRobot) -> Seen | None:
+    """Those that this release has and gateway.toml does not mention, with or without a #."""
+    mentioned, known = _mentioned(text(robot.path(f"{ETC}/gateway.toml"))), _mentioned(text(robot.path(TEMPLATE)))
+    new = sorted(known - mentioned) if mentioned else []
+    return Seen(new=", ".join(new)) if new else None
+
+
+def _mentioned(toml: str) -> set[str]:
+    section, found = "", set[str]()
+    for line in toml.splitlines():
+        if head := re.match(r"(?:# )?\[([\w.]+)\]", line):
+            section = f"{head[1]}."
+        elif name := re.match(r"(?:# ?)?([a-z_.]+) *= ", line):
+            found.add(name[1] if "." in name[1] else section + name[1])
+    return found
 
 
 # ---- user, files and disks
@@ -268,6 +293,11 @@ MACHINE: Final = (
         warning(lambda r: r.low, "this Raspberry Pi's supply is under its voltage: it may slow down, or restart",
                 "use a supply of 5.1 V with enough current (a Pi 5: 5 A), and feed servos from another one"),
     )),
+    Probe("memory", _memory, (
+        warning(lambda r: r.free_mb < _LITTLE_MB,
+                f"{{free_mb}} MB are free, and the service may need {_LITTLE_MB}: the kernel may end programs",
+                "end what needs most of it: ps -eo rss,pid,comm --sort=-rss | head"),
+    )),
     Probe("Wi-Fi", _wifi, (
         warning(lambda r: r.saves, "{wifi} saves power: commands arrive late and in bursts, which stops legs",
                 f"printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee {_NM} && "
@@ -349,6 +379,7 @@ PROBES: Final = (
                 "take it out of DefaultEnvironment= in /etc/systemd/system.conf if it is there; stop the robot, then: "
                 f"sudo systemctl daemon-reexec; sudo systemctl unset-environment {{name}}; {RESTART}"),
     )),
+    Probe("settings", _new_settings, (), f"{ETC}/gateway.toml does not mention these, whose defaults hold: {{new}}"),
     Probe("state", _state, (
         failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
                 f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),

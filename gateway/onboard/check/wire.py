@@ -10,6 +10,7 @@ import fcntl
 import grp
 import os
 import pwd
+import re
 import stat
 import sys
 import time
@@ -98,6 +99,14 @@ def _node_faults(group: str) -> tuple[Fault, ...]:
 # ---- SPI
 
 
+def _locked_by(path: str) -> str:
+    """The program that has locked a node, by the kernel's list."""
+    status = os.stat(path)
+    where = rf"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    found = re.search(rf"FLOCK +ADVISORY +WRITE (\d+) {where} ", text(Path("/proc/locks")))
+    return f"{text(Path(f'/proc/{found[1]}/comm'))} (process {found[1]})" if found else "another program"
+
+
 def _device(robot: CheckedRobot) -> Seen:
     """Set it up as the service does it, and close it at once."""
     spi = robot.settings.spi
@@ -112,7 +121,7 @@ def _device(robot: CheckedRobot) -> Seen:
             held = isinstance(error.__cause__, BlockingIOError)
             seen.error = "" if held else str(error)
     robot.gateway_runs = held and outside.is_gateways(spi.device)
-    seen.locked = held and not robot.gateway_runs
+    seen.locked = _locked_by(spi.device) if held and not robot.gateway_runs else ""
     seen.opens = f"opens, as {seen.user}" + (f"; {ioctls.USED}" if ioctls.are_used() else "")
     if robot.gateway_runs:
         seen.opens = "is held by a running gateway; a second one would be rejected"
@@ -302,8 +311,8 @@ _OFF: Final = f"free it, and reboot: sudo hexapod-gateway setup --wire {WITH_UAR
 # fmt: off
 DEVICE: Final = Probe("SPI device", _device, (
     *_node_faults("spi"),
-    failure(lambda r: r.locked, "{path} is locked by another program, which is no gateway",
-            f"end that program (sudo lslocks names it), then: {RESTART}"),
+    failure(lambda r: r.locked, "{path} is locked by {locked}, which is no gateway",
+            f"end that program, then: {RESTART}"),
     failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),
 ), "{path} {opens}")
 BUS: Final = (

@@ -127,7 +127,7 @@ FACTS = (
            ({"denied": True, "service": True}, "opened by me (r) → sudo chgrp spi /dev/x && sudo chmod 660 /dev/x"),
            ({"denied": True, "group": "spi"}, "→ sudo usermod -aG spi me"),
            ({"denied": True}, "→ until the next boot: sudo chown me /dev/x"),
-           ({"locked": True}, "failure … /dev/x is locked by another program, which is no gateway")),
+           ({"locked": "vi (process 7)"}, "failure … /dev/x is locked by vi (process 7), which is no gateway")),
     *facts(wire.CONTROLLER[0], WIRE,
            ({"denied": True, "service": True}, "→ sudo chgrp dialout /dev/x"),
            ({"console": True}, "failure UART: /dev/x is the Linux console"),
@@ -364,6 +364,9 @@ SCENES = (
           "warning processor: its governor is powersave … sudo tee /etc/tmpfiles.d/"),
     scene(named("processor"), files({f"{CPU}governor": "powersave", f"{CPU}driver": "intel_pstate"})),
     scene(named("processor"), files({f"{CPU}governor": "ondemand", f"{CPU}driver": "cpufreq-dt"})),
+    scene(named("memory"), files({"proc/meminfo": "MemTotal: 9 kB\nMemAvailable:   81920 kB\n"}),
+          "warning memory: 80 MB are free, and the service may need 100"),
+    scene(named("memory"), files({"proc/meminfo": "MemAvailable:   819200 kB\n"})),
     scene(named("supply"), files({"sys/class/hwmon/hwmon1/name": "rpi_volt\n", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":
                                   "1\n"}), "warning supply: this Raspberry Pi's supply is under its voltage"),
     scene(named("supply"), files({"sys/class/hwmon/hwmon1/name": "rpi_volt", "sys/class/hwmon/hwmon1/in0_lcrit_alarm":

@@ -1,6 +1,7 @@
 """`check`: what an installation is, read from files below a folder, and certificates that belong together or not."""
 
 import os
+import re
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -155,6 +156,14 @@ def test_a_state_directory_in_memory_is_known() -> None:
     with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
         lines = results(PROBES, Installed(Path(folder)))
         assert "is on tmpfs, which a boot empties" in " ".join(each.sentence for each in lines)
+
+
+def test_settings_that_are_new_are_named(tmp_path: Path) -> None:
+    robot, template = Installed(tmp_path), (Path(__file__).parents[3] / "deploy/gateway.toml").read_text()
+    robot.write("usr/share/hexapod-gateway/gateway.toml", template)
+    robot.write("etc/hexapod-gateway/gateway.toml", re.sub("# (max_age_ms|speed_hz) =", "#", template))
+    (line,) = (each for each in results(PROBES, robot) if each.name == "settings")
+    assert line.sentence.endswith("whose defaults hold: limits.max_age_ms, spi.speed_hz")
 
 
 # ---- certificates
