@@ -104,7 +104,10 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
     if collect:
         (folder / "sitecustomize.py").write_text(COLLECTOR)
         env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
-    settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": TIMEOUT_MS}}
+    settings: dict[str, dict[str, Any]] = {
+        "watchdog": {"timeout_ms": TIMEOUT_MS},
+        "limits": {"takeover_deg_s": 0},  # each command is one frame, also soon behind a Stop
+    }
     bed.prefer()
     with Gateway(folder, settings, bed=bed, env=env) as gateway, gateway.client() as client:
         legs = [str(leg) for leg in LEGS]
