@@ -94,7 +94,7 @@ class Staleness:
         self._woke_ms: float | None = None
         self._paused_ms = 0.0
 
-    def turned(self, now_ns: int) -> None:
+    def record_alive(self, now_ns: int) -> None:
         """To be called ten times a second at least, with or without a command: a long gap between calls is a pause."""
         now_ms = now_ns / 1e6
         if self._turned_ms is not None and now_ms - self._turned_ms > self._pause_ms:
@@ -106,7 +106,7 @@ class Staleness:
 
         `instant_ns` is when it was collected, together with others in no known order.
         """
-        self.turned(now_ns)
+        self.record_alive(now_ns)
         now_ms = now_ns / 1e6
         if sent_ms is None:
             return self._after_a_pause(now_ms, now_ms) if self._woke_ms is not None else None

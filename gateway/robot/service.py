@@ -436,14 +436,14 @@ async def _beat(
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
     while inbox.hears:
         with conductor.owner:
-            now_ns = conductor.turned()
+            now_ns = conductor.record_alive()
             conductor.look_outside()
             at_rest = conductor.supervisor.legs.at_rest
         servos.write(now_ns, any_runs=not at_rest)
-        if not inbox.goes_on():
+        if not inbox.makes_progress():
             end.because("a thread that takes commands does not go on")
             return
-        if conductor.supply is not None and not conductor.supply.goes_on():
+        if conductor.supply is not None and not conductor.supply.makes_progress():
             end.because("the thread that listens to the power board does not go on")
             return
         notifier.alive()

@@ -43,5 +43,5 @@ class Publisher:
 class NeverStopped(Staleness):
     """The loop turned all the time, also between the commands of a test."""
 
-    def turned(self, now_ns: int) -> None:
+    def record_alive(self, now_ns: int) -> None:
         """Nothing to notice."""

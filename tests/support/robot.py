@@ -112,7 +112,7 @@ class Robot:
 
     def _beat(self) -> None:
         """The service's."""
-        self.conductor.turned()
+        self.conductor.record_alive()
         self.loop.call_later(BEAT_S, self._beat)
 
     def sleep_through(self, seconds: float) -> None:

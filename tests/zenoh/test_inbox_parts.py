@@ -16,8 +16,8 @@ import zenoh
 from gateway.robot.core.message import Received, Reply
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.inbox import READER_DEPTH, Inbox
-from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, Knows
-from gateway.robot.zenoh_io.receiver import Deal, Reader
+from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, TokenCheck
+from gateway.robot.zenoh_io.receiver import OwnersTask, Reader
 from schemas.keys import BUTTON, ESTOP, LEASE, leg_command, servo_command
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
@@ -31,7 +31,7 @@ class Held:
         self,
         opened: zenoh.Session,
         readers: Mapping[str, Reader] | None = None,
-        tokens: Mapping[str, Knows] | None = None,
+        tokens: Mapping[str, TokenCheck] | None = None,
     ) -> None:
         self.wakeups = asyncio.Event()
         self.estops: list[Received] = []
@@ -135,7 +135,7 @@ async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_
     """Each key that has tokens has a deep ring of its own; both are emptied, and their threads end."""
     gate, blocked = threading.Event(), threading.Semaphore(0)
 
-    def read(_query: zenoh.Query, _received_ns: int, reply: Reply) -> Deal:
+    def read(_query: zenoh.Query, _received_ns: int, reply: Reply) -> OwnersTask:
         blocked.release()
         assert gate.wait(PATIENCE_S)
         return partial(reply, b"read")

@@ -279,7 +279,7 @@ async def test_what_was_passed_over_in_a_full_ring_and_what_names_no_key_of_ours
 
 async def test_it_is_closed_when_none_of_its_threads_has_anything_in_hand() -> None:
     counted = Counted()
-    assert counted.inbox.goes_on()
+    assert counted.inbox.makes_progress()
     closing = threading.Thread(target=counted.inbox.close)
     with counted.taker.owner:
         counted.rings[ESTOP].put(Sample(ESTOP))  # its thread waits for the state

@@ -75,7 +75,7 @@ class Topics:
     def turned(self) -> None:
         """Ten times a second and more: else what comes after a pause of this process is held for old."""
         with self._lock:
-            self._ages.turned(time.monotonic_ns())
+            self._ages.record_alive(time.monotonic_ns())
 
     def plan(self, message: Any) -> Trajectory:
         """A JointTrajectory that begins now, or at its stamp. Raises JointsError."""

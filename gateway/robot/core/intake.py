@@ -50,8 +50,8 @@ def read(received: Received) -> Command | Reset | Rejection:
             return Rejection(Reason.INVALID, str(error))
         return Rejection(Reason.INVALID, f"{echo_of(received.expression)} names no command key")
     row = TARGETS[key.target]
-    if row.only_meant is not None and received.expression != received.key:
-        return Rejection(Reason.INVALID, f"a wildcard {row.only_meant}")
+    if row.explicit_only is not None and received.expression != received.key:
+        return Rejection(Reason.INVALID, f"a wildcard {row.explicit_only}")
     found = deleted(key) if received.verb is _DELETE else _decoded(row, key.number, received)
     if type(found) is not Rejection:
         found.key, found.verb, found.reply = received.key, received.verb, received.reply
@@ -61,8 +61,8 @@ def read(received: Received) -> Command | Reset | Rejection:
 
 def deleted(key: CommandKey) -> Command | Rejection:
     """What a `delete` on `key` asks for: Stops for the servos that the key names."""
-    only_meant = TARGETS[key.target].only_meant
-    return Command(stops_of(key)) if only_meant is None else Rejection(Reason.INVALID, f"a delete {only_meant}")
+    explicit_only = TARGETS[key.target].explicit_only
+    return Command(stops_of(key)) if explicit_only is None else Rejection(Reason.INVALID, f"a delete {explicit_only}")
 
 
 def words_of_stop(received: Received) -> bytes | None:

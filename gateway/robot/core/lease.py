@@ -142,16 +142,16 @@ class RobotLease(Interlock[LeaseRequest]):
             where = "handed over to" if self._handed_over else "held by"
             return [], RequestAnswer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
         self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
-        return _told(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
+        return _announced(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
 
     def _take(self, request: LeaseRequest, now_ns: int) -> Decision:
         name, before = request.source, self.holder
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
         if before is None:
             detail = f"{name} has stopped all legs and acquired the lease"
-            return _told(Kind.LEASE_ACQUIRED, detail, name, self._token)
+            return _announced(Kind.LEASE_ACQUIRED, detail, name, self._token)
         detail = f"{name} has stopped all legs and taken the lease from {before}"
-        return _told(Kind.LEASE_TAKEN, detail, name, self._token)
+        return _announced(Kind.LEASE_TAKEN, detail, name, self._token)
 
     def _ask(self, request: LeaseRequest) -> Decision:
         if self.holder is None:
@@ -163,7 +163,7 @@ class RobotLease(Interlock[LeaseRequest]):
         if len(self._askers) == MOST_ASKERS:
             del self._askers[next(iter(self._askers))]
         self._askers[name] = request.verified
-        return _told(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
+        return _announced(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
 
     def _renew(self, request: LeaseRequest, now_ns: int) -> Decision:
         if not self.holds(request.token):
@@ -177,11 +177,11 @@ class RobotLease(Interlock[LeaseRequest]):
             return [], RequestAnswer(Reason.NOT_HOLDER, _ENDED)
         if to is None:
             self.end()
-            return _told(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
+            return _announced(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
         if to not in self._askers:
             return [], RequestAnswer(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
         self._give(to, None, now_ns, verified=self._askers[to])
-        return _told(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
+        return _announced(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
 
     # ----
 
@@ -198,7 +198,7 @@ class RobotLease(Interlock[LeaseRequest]):
         self.closed = holder is not None or self._rules.lease_required
 
 
-def _told(kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
+def _announced(kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
     return [Announce(kind, detail, source, keys.LEASE)], RequestAnswer(token=token)
 
 

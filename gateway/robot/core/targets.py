@@ -112,7 +112,7 @@ class Row(NamedTuple):
     """
     fields_around: tuple[int, int] = (0, 0)
     """The fields that stand around setpoints: once, and for each leg."""
-    only_meant: str | None = None
+    explicit_only: str | None = None
     """What a delete and a wildcard do not do, since the sender may not have meant this key; None: they do."""
 
 
@@ -126,7 +126,7 @@ TARGETS: Final[dict[Target, Row]] = {
     Target.ESTOP: Row(_all, _all, None, True, 0),
     # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
     Target.RESET: Row(
-        _none, _all, _read_reset, False, _SENDER + 1, only_meant=f"does not reset; put {{}} on {keys.RESET}"
+        _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }
 """Every target. Without a row for one, `unit/robot/test_targets.py` fails, and no gateway starts."""

@@ -15,7 +15,7 @@ from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
-from gateway.robot.zenoh_io.receiver import Deal
+from gateway.robot.zenoh_io.receiver import OwnersTask
 from schemas import keys
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason
@@ -64,7 +64,7 @@ class Calibrations(RequestAnswers):
             self._written = report_of(self._in_force).model_dump_json().encode()
         reply(self._written)
 
-    def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+    def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         command = calibration_intake.read(payload)
         if isinstance(command, Rejection):
             return partial(self.reject, source, command.reason, command.detail, reply)
@@ -73,7 +73,7 @@ class Calibrations(RequestAnswers):
     def change(self, command: CalibrationCommand, change: CalibrationChange, source: str | None, reply: Reply) -> None:
         """Have the supervisor decide; answer after the write, or the rejection."""
         conductor, answers = self._conductor, self._conductor.answers
-        now_ns = conductor.turned()
+        now_ns = conductor.record_alive()
         event = Calibrate(
             change=change, revision=command.revision, accept_default=command.accept_default is not None,
             key=self.key, source=source, sent_ms=command.sent_ms, lease=command.lease, reply=reply,

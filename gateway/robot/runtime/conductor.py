@@ -224,14 +224,14 @@ class Conductor:
             self._do_what_is_due(instant_ns)
         self._arm()
 
-    def turned(self) -> int:
-        """Returns now, and records that the process is alive; to be called at least ten times a second.
+    def record_alive(self) -> int:
+        """Return now (ns) and record that the process is alive. Call it at least ten times a second.
 
         So the first thread to go on after the whole process was stopped notices that.
         """
         now_ns = self._clock()
         if self._staleness is not None:
-            self._staleness.turned(now_ns)
+            self._staleness.record_alive(now_ns)
         return now_ns
 
     def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved | EstopKept) -> Outcome:
@@ -277,7 +277,7 @@ class Conductor:
         self.telemetry.note(values, now_ns)
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
-            self.supply.behind(self.supervisor)  # the frame may have said the angle of a servo that is to be fed
+            self.supply.after_step(self.supervisor)  # the frame may have said the angle of a servo that is to be fed
         if self.supervisor.body.watches:
             tilt_deg = values.tilt_deg
             tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
@@ -392,12 +392,12 @@ class Conductor:
         """The board is asked for what is to be off before the frames, and for what is to be on behind them."""
         if self.supply is None:
             return self._executor.carry_out(effects, heard)
-        cuts = self.supply.before(self.supervisor)
+        cuts = self.supply.before_step(self.supervisor)
         outcome = self._executor.carry_out(effects, heard)
         if outcome.resets:
             self.supply.reset()
         if outcome.fault is None:  # else it follows, and feeds nothing
-            self.supply.behind(self.supervisor)
+            self.supply.after_step(self.supervisor)
         for each in cuts:
             self.events.announce(each)
         return outcome

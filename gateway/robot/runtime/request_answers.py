@@ -20,7 +20,7 @@ from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.report import wall_clock
 from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
-from gateway.robot.zenoh_io.receiver import Deal
+from gateway.robot.zenoh_io.receiver import OwnersTask
 from schemas import keys
 from schemas.button import BUTTON_REQUEST, Alive, ButtonAck, Leave, Register
 from schemas.command import MAX_PAYLOAD_BYTES
@@ -78,18 +78,18 @@ class RequestAnswers(ABC):
     def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor
 
-    def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> Deal:
+    def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> OwnersTask:
         """Parse a query received at `now_ns`; returns what the owner of the state is to do."""
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
         payload = payload_of(query, self.most_bytes)
         if isinstance(payload, Rejection):
-            deal: Deal = partial(self.reject, source, payload.reason, payload.detail, reply)
+            deal: OwnersTask = partial(self.reject, source, payload.reason, payload.detail, reply)
         else:
             deal = self.read(payload, now_ns, reply, source)
         return deal if self.pause_s is None else partial(_with_pause, deal, self.pause_s)
 
     @abstractmethod
-    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         """Parse a payload received at `now_ns`; `source`: the sender, if the payload names none."""
 
     def accepted(self, **fields: object) -> bytes:
@@ -102,7 +102,7 @@ class RequestAnswers(ABC):
         reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
 
 
-def _with_pause(deal: Deal, pause_s: float) -> float:
+def _with_pause(deal: OwnersTask, pause_s: float) -> float:
     deal()
     return pause_s
 
@@ -130,7 +130,7 @@ class LeaseAnswers(RequestAnswers):
         self._ttl_ms = ttl_ms
         self._proofs = Proofs(checker, wall_clock, fresh)
 
-    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         try:
             request = LEASE_REQUEST.validate_json(payload)
         except ValidationError as error:
@@ -182,7 +182,7 @@ class ButtonAnswers(RequestAnswers):
         self._settings = settings
         self._proofs = Proofs(checker, wall_clock, fresh, watching=True)
 
-    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         try:
             request = BUTTON_REQUEST.validate_json(payload)
         except ValidationError as error:

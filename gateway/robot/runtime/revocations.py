@@ -16,7 +16,7 @@ from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io import revoked
-from gateway.robot.zenoh_io.receiver import Deal
+from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.robot.zenoh_io.revoked import RevocationState
 from schemas import keys
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
@@ -55,7 +55,7 @@ class Revocations(RequestAnswers):
         if known is not None:
             conductor.reports.revocations = RevocationsReport(number=known.number, date=known.date)
 
-    def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> Deal:
+    def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         try:
             text = RevocationRequest.model_validate_json(payload).revoked if payload else None
         except ValidationError:

@@ -102,7 +102,7 @@ class RobotSupply:
 
     # ---- what a step decides
 
-    def before(self, supervisor: Supervisor) -> list[Announce]:
+    def before_step(self, supervisor: Supervisor) -> list[Announce]:
         """Before its frames: what is to be off. Returns what is to be published behind them."""
         servos = supervisor.legs.servos
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
@@ -117,7 +117,7 @@ class RobotSupply:
         why = f"the servos' supply is taken, {_WHY[self._mode]}" if cuts else ""
         return [Announce(Kind.POWER_CUT, why, legs=tuple(LEGS))] if cuts else []
 
-    def behind(self, supervisor: Supervisor) -> None:
+    def after_step(self, supervisor: Supervisor) -> None:
         """Behind its frames: what is to be on."""
         to_feed = supervisor.to_feed()
         wanted = frozenset(to_feed) if self._ready is None else self._ready(to_feed)
@@ -141,7 +141,7 @@ class RobotSupply:
 
     # ---- what the board says
 
-    def goes_on(self) -> bool:
+    def makes_progress(self) -> bool:
         """Whether the line still listens, and has not stood still for MOST_LOOKS beats of the loop, one of them now."""
         looked_ns = self._line.looked_ns
         self._looks = self._looks + 1 if looked_ns == self._looked_ns else 0

@@ -27,8 +27,8 @@ from gateway.host.worker import Worker
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.zenoh_io.questions import QUESTIONS_DEPTH, Knows, QuestionRing
-from gateway.robot.zenoh_io.receiver import Deal, Reader, ReceiverThread
+from gateway.robot.zenoh_io.questions import QUESTIONS_DEPTH, QuestionRing, TokenCheck
+from gateway.robot.zenoh_io.receiver import OwnersTask, Reader, ReceiverThread
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
@@ -96,7 +96,7 @@ class Inbox:
         on_estop: Callable[[], None],
         on_state_query: Callable[[Reply], None],
         readers: Mapping[str, Reader] = MappingProxyType({}),
-        tokens: Mapping[str, Knows] = MappingProxyType({}),
+        tokens: Mapping[str, TokenCheck] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
         on_estop_heard: Callable[[], None] | None = None,
     ) -> None:
@@ -151,7 +151,7 @@ class Inbox:
             ("estop-put", self._subscriber(session, ESTOP, 1)),
             ("estop-get", self._queryable(session, ESTOP, RING_DEPTH)),
         )
-        waits: list[tuple[str, Handler[Any] | QuestionRing, Callable[[Any, int], Deal]]] = [
+        waits: list[tuple[str, Handler[Any] | QuestionRing, Callable[[Any, int], OwnersTask]]] = [
             ("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
             ("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
             (
@@ -205,9 +205,9 @@ class Inbox:
         """Whether all receiver threads live; without them no command, and no emergency stop, would be noticed."""
         return all(thread.is_alive() for thread in self._threads)
 
-    def goes_on(self) -> bool:
+    def makes_progress(self) -> bool:
         """Whether no receiver thread is stuck with an item. To be asked at each beat of the loop."""
-        return not [receiver for receiver in self._receivers if not receiver.goes_on()]  # each of them is asked
+        return not [receiver for receiver in self._receivers if not receiver.makes_progress()]  # each of them is asked
 
     def close(self) -> None:
         """Undeclare everything, which ends the receiver threads, and join them. Blocks; not for the loop's thread."""
@@ -231,7 +231,7 @@ class Inbox:
         self._declared.append(queryable)
         return queryable.handler
 
-    def _sorted(self, ring: Handler[zenoh.Query], knows: Knows | None) -> Handler[zenoh.Query] | QuestionRing:
+    def _sorted(self, ring: Handler[zenoh.Query], knows: TokenCheck | None) -> Handler[zenoh.Query] | QuestionRing:
         if knows is None:
             return ring
         self._question_rings.append(QuestionRing(ring, knows, time.monotonic_ns))
@@ -239,10 +239,10 @@ class Inbox:
 
     # ---- on the receiver threads
 
-    def _note_for(self, key: str, read: Reader) -> Callable[[zenoh.Query, int], Deal]:
+    def _note_for(self, key: str, read: Reader) -> Callable[[zenoh.Query, int], OwnersTask]:
         return lambda query, received_ns: read(query, received_ns, self._replies.to(query, key))
 
-    def _estop(self, item: _Item, received_ns: int) -> Deal:
+    def _estop(self, item: _Item, received_ns: int) -> OwnersTask:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
             # Who lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)

@@ -18,7 +18,7 @@ from gateway.allowance import AllowanceBySource
 from gateway.host.worker import Worker
 from schemas.command import MAX_PAYLOAD_BYTES
 
-Knows = Callable[[str], bool]
+TokenCheck = Callable[[str], bool]
 """Whether a token is valid. From any thread."""
 Item = TypeVar("Item")
 
@@ -40,7 +40,7 @@ _TOKEN: Final = re.compile(rb'"(?:lease|button)"\s*:\s*"([0-9a-f]{32})"')
 class Questions(Generic[Item]):
     """The waiting queries of one key. Pure: time is an argument."""
 
-    def __init__(self, knows: Knows) -> None:
+    def __init__(self, knows: TokenCheck) -> None:
         self._knows = knows
         self._first: deque[tuple[str, Item]] = deque()
         self._of_token: Counter[str] = Counter()
@@ -76,7 +76,7 @@ class Questions(Generic[Item]):
 class QuestionRing:
     """A ring of queries, read in that order. Not thread-safe."""
 
-    def __init__(self, ring: Handler[zenoh.Query], knows: Knows, now_ns: Callable[[], int]) -> None:
+    def __init__(self, ring: Handler[zenoh.Query], knows: TokenCheck, now_ns: Callable[[], int]) -> None:
         self._ring = ring
         self._now_ns = now_ns
         self._questions: Questions[zenoh.Query] = Questions(knows)

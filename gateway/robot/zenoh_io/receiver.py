@@ -16,9 +16,9 @@ from gateway.robot.host.disk_writer import report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.questions import QuestionRing
 
-Deal = Callable[[], float | None]
-"""What an owner of the state is to do with an item. Returns for how long to wait before the next one, if at all."""
-Reader = Callable[[zenoh.Query, int, Reply], Deal]
+OwnersTask = Callable[[], float | None]
+"""Handles one item, with the state owned. Returns the seconds to wait before the next one, or None."""
+Reader = Callable[[zenoh.Query, int, Reply], OwnersTask]
 """Reads one question, which came at this time (ns), on a thread that owns nothing."""
 MOST_LOOKS: Final = 30
 """Beats of the loop, 3 s. At each the loop owns the state, and so a thread that only waits for it has had its turn."""
@@ -33,7 +33,7 @@ class ReceiverThread:
         ring: Handler[Any] | QuestionRing,
         loop: asyncio.AbstractEventLoop,
         owner: Ownership,
-        note: Callable[[Any, int], Deal],
+        note: Callable[[Any, int], OwnersTask],
         *,
         priority: int = RECEIVER_PRIORITY,
     ):
@@ -50,8 +50,8 @@ class ReceiverThread:
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
 
-    def goes_on(self) -> bool:
-        """Whether it lives, and has not had the same item in hand for MOST_LOOKS looks, of which this is one."""
+    def makes_progress(self) -> bool:
+        """Return whether the thread is alive and makes progress. Call it once a beat."""
         self._looks = self._looks + 1 if self._in_hand_ns is not None and self._in_hand_ns == self._seen_ns else 0
         self._seen_ns = self._in_hand_ns
         return self.thread.is_alive() and self._looks < MOST_LOOKS

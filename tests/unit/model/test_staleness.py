@@ -181,7 +181,7 @@ def stopping() -> Staleness:
 
 def turn_until(staleness: Staleness, now_ms: float) -> None:
     for turn_ms in range(0, round(now_ms), 100):
-        staleness.turned(turn_ms * MS)
+        staleness.record_alive(turn_ms * MS)
 
 
 def without_sent_ms(staleness: Staleness, now_ms: float) -> str | None:
@@ -193,7 +193,7 @@ def test_after_a_pause_of_its_own_only_what_is_known_to_be_fresh_is_taken(stoppi
     turn_until(stopping, 1000)
     assert known.asks(990) is None
     assert without_sent_ms(stopping, 990) is None
-    stopping.turned(3000 * MS)
+    stopping.record_alive(3000 * MS)
     assert known.arrives(3000, sent_at_ms=1500) is not None
     assert known.asks(3001) is None, "its clock says that it is fresh"
     for at_ms in (3001, 3100, 3199):
@@ -219,18 +219,18 @@ def test_a_pause_between_two_commands_of_one_instant_counts_too(stopping: Stalen
 
 def test_the_usual_turns_of_the_loop_are_no_pause(stopping: Staleness) -> None:
     for now_ms in (0, 100, 350, 550, 800):
-        stopping.turned(now_ms * MS)
+        stopping.record_alive(now_ms * MS)
         assert without_sent_ms(stopping, now_ms) is None
-    stopping.turned(1051 * MS)
+    stopping.record_alive(1051 * MS)
     assert without_sent_ms(stopping, 1051) is not None
 
 
 def test_a_pause_that_is_not_longer_than_what_a_command_may_be_delayed_is_none() -> None:
     staleness = Staleness(2000)
     for now_ms in (0, 2000, 4000):
-        staleness.turned(now_ms * MS)
+        staleness.record_alive(now_ms * MS)
         assert without_sent_ms(staleness, now_ms) is None
-    staleness.turned(6001 * MS)
+    staleness.record_alive(6001 * MS)
     assert without_sent_ms(staleness, 8001) is not None
     assert without_sent_ms(staleness, 8002) is None
 

@@ -276,10 +276,10 @@ def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(w
     while loop.step():
         pass
     assert loop.failures == [error, error]
-    assert made.goes_on()
+    assert made.makes_progress()
     stage.end()
     made.thread.join(PATIENCE_S)
-    assert not made.goes_on()
+    assert not made.makes_progress()
 
 
 def test_a_receiver_thread_has_its_priority_and_pauses_where_it_is_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,12 +305,12 @@ def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> 
 
     made, stage, _, _ = receiver(lambda *_: wait)
     assert 2.99 < MOST_LOOKS * BEAT_S < 3.01
-    assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "that nothing comes is no reason"
+    assert all(made.makes_progress() for _ in range(2 * MOST_LOOKS)), "that nothing comes is no reason"
     runs = threading.Thread(target=lambda: stage.run(1))
     runs.start()
     assert entered.wait(PATIENCE_S)
-    assert [made.goes_on() for _ in range(MOST_LOOKS + 1)] == [True] * MOST_LOOKS + [False]
+    assert [made.makes_progress() for _ in range(MOST_LOOKS + 1)] == [True] * MOST_LOOKS + [False]
     stuck.set()
     runs.join(PATIENCE_S)
-    assert all(made.goes_on() for _ in range(2 * MOST_LOOKS)), "nor that nothing comes any more"
+    assert all(made.makes_progress() for _ in range(2 * MOST_LOOKS)), "nor that nothing comes any more"
     stage.end()

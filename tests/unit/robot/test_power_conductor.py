@@ -383,10 +383,10 @@ async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> N
     assert supply is not None
     for _ in range(40):
         await asyncio.sleep(0.1)
-        assert supply.goes_on()
+        assert supply.makes_progress()
     robot.line.listens = False
-    supply.goes_on()
-    assert [supply.goes_on() for _ in range(30)] == [True] * 29 + [False]
+    supply.makes_progress()
+    assert [supply.makes_progress() for _ in range(30)] == [True] * 29 + [False]
 
 
 async def test_one_question_serves_a_flood_of_emergency_stops_beside_a_silent_board() -> None:
