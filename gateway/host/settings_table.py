@@ -180,7 +180,7 @@ class LimitSettings(Section):
     leg_rate_hz: float = _setting(50.0, "frames a second and leg", (1, 1000))
     max_age_ms: float = _setting(500.0, "commands that were delayed for longer are rejected (needs `sent_ms`); 0: off", (0, 60_000))
     # -1: START_STAGGER_MS, but not where the wire starts all legs at once, nor where a board feeds one servo after the other.
-    start_stagger_ms: float = _setting(-1.0, "least pause between energising two legs, which no Stop waits for; 0: off", (0, 2000))
+    start_stagger_ms: float = _setting(-1.0, "least pause between energising two legs, which no Stop waits for; below `watchdog.timeout_ms`; 0: off", (0, 2000))
     # A third of a usual servo's own speed.
     takeover_deg_s: float = _setting(180.0, "highest speed on the first way under another source, or behind a Stop (Behaviour *Take-over and first frame*); 0: off", (0, 1000))
     servos: Mapping[str, ServoLimits] = _table("")

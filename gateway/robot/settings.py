@@ -95,6 +95,9 @@ class Settings:
             yield SettingFault(
                 ("limits", "start_stagger_ms"), f"{protocol} starts all servos at once, so leave it at 0"
             )
+        if self.limits.start_stagger_ms >= self.watchdog.timeout_ms:
+            sentence = f"a leg's start may not wait for as long as watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
+            yield SettingFault(("limits", "start_stagger_ms"), sentence)
         for each in fields(self.safety):
             if getattr(self.safety, each.name) and not protocol.capabilities.measures:
                 yield SettingFault(("safety", each.name), f"{protocol} has nothing that measures it; leave it at 0")

@@ -5,13 +5,12 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import Vector3
+from gateway.people.ros2.messages import Twist, Vector3
 from schemas.telemetry import Mode
 from tests.support.bridged import PATIENT
 from tests.support.gateway_process import Gateway
 from tests.support.heard import running, states
 from tests.support.rclpy_peer import RclpyBridge, RclpyPeer, needs_rclpy
-from tests.support.ros2_messages import Twist
 
 pytestmark = [needs_rclpy, pytest.mark.full]
 

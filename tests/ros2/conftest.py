@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import DiagnosticArray, JointState
+from gateway.people.ros2.messages import DiagnosticArray, JointState, Twist
 from tests.support.bridged import PATIENT
 from tests.support.gateway_process import Gateway
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyBridge, RclpyPeer
-from tests.support.ros2_messages import Float64, Int32, JointTrajectory, Twist
+from tests.support.ros2_messages import Float64, Int32, JointTrajectory
 
 
 @pytest.fixture(scope="package")
@@ -50,8 +50,8 @@ def peer(one_peer: RclpyPeer, watcher: Client) -> Iterator[RclpyPeer]:
     """Beside a bridge that does not drive, whatever the test before has left."""
     one_peer.call("/hexapod/release")
     yield one_peer
-    watcher.reset()
     one_peer.call("/hexapod/release")
+    watcher.reset()
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, Message, String, Vector3
+from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, Message, String, Twist, Vector3
 from gateway.people.ros2.robot import MEASURED
 from schemas import keys
 from schemas.telemetry import Kind, Mode
@@ -31,7 +31,7 @@ from tests.support.rclpy_peer import (
     RclpyPeer,
     needs_rclpy,
 )
-from tests.support.ros2_messages import Float64, Twist
+from tests.support.ros2_messages import Float64
 
 pytestmark = needs_rclpy
 WALKING = Twist(Vector3(0.05))

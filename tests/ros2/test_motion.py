@@ -6,7 +6,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import JointState, Message, Vector3
+from gateway.people.ros2.messages import JointState, Message, Odometry, Twist, Vector3
 from schemas.telemetry import Kind, Mode
 from tests.support.bad_ros2 import BAD
 from tests.support.bridged import (
@@ -22,7 +22,7 @@ from tests.support.bridged import (
 )
 from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyPeer, needs_rclpy
-from tests.support.ros2_messages import Float64, Int32, JointTrajectory, Twist, TwistStamped
+from tests.support.ros2_messages import Float64, Int32, JointTrajectory, TwistStamped
 
 pytestmark = needs_rclpy
 VELOCITIES: Final = "/hexapod/cmd_vel"
@@ -96,6 +96,7 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
     driven.publish("/hexapod/roll_setpoint", Float64(0.1))
     keeps(lambda: None, lambda: not rests(written, 12, count=2))
     driven.publish("/hexapod/cmd_gait_type", Int32(1))
+    driven.subscribe("/hexapod/odom", Odometry)
     seen: set[float] = set()
 
     def walked() -> bool:
@@ -104,12 +105,28 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
 
     stamped = TwistStamped(twist=WALKING)
     keeps(lambda: driven.publish("/hexapod/cmd_vel_stamped", stamped), walked, hz=20)
+    went = driven.next("/hexapod/odom", lambda each: each.pose.pose.position.x > 0.01)
+    assert (went.header.frame_id, went.child_frame_id) == ("odom", "base")
+    assert all(went.pose.covariance[each] > 0 and went.twist.covariance[each] > 0 for each in (0, 7, 35))
     keeps(lambda: None, lambda: rests(written, 11, 12, 22, count=50))
     leans = {leg: commanded(written.all, leg * 10 + 2)[-1] for leg in (1, 2)}
     assert leans[1] + leans[2] != pytest.approx(180.0, abs=1.0)
     assert len(running(watcher)) == 6
     assert driven.call("/hexapod/release") == (True, "released")
     assert watcher.state().mode == Mode.IDLE
+
+
+def test_beside_a_node_that_sends_zeros_another_drives(driven: RclpyPeer, watcher: Client) -> None:
+    with RclpyPeer() as idle:
+        idle.advertise(VELOCITIES, Twist)
+        steps = itertools.count()
+        keeps(lambda: idle.publish(VELOCITIES, Twist()), lambda: next(steps) > 20)
+
+        def both() -> None:
+            idle.publish(VELOCITIES, Twist())
+            driven.publish(VELOCITIES, WALKING)
+
+        keeps(both, lambda: len(running(watcher)) == 6, hz=20)
 
 
 def test_a_zero_velocity_starts_no_servo(driven: RclpyPeer, watcher: Client) -> None:
@@ -142,6 +159,15 @@ def test_a_peer_that_vanishes_in_mid_trajectory_has_the_robot_sit_down(
         states(watcher).wait(lambda state: state.mode == Mode.IDLE, timeout_s=LONG_S)
     assert max(commanded(written.all, 11)) < RESTS_DEG[1] + 57, "it did not follow it to its end"
     assert watcher.state().lease.holder == "ros2", "another may go on"
+
+
+def test_an_empty_trajectory_holds(driven: RclpyPeer, watcher: Client) -> None:
+    written = frames(watcher)
+    driven.publish(TRAJECTORY, SLOW)
+    keeps(lambda: None, lambda: len(running(watcher)) == 6 and len(set(commanded(written.all, 11))) > 5)
+    driven.publish(TRAJECTORY, JointTrajectory())
+    keeps(lambda: None, lambda: rests(written, 11, count=20))
+    assert len(running(watcher)) == 6
 
 
 # ---- several nodes

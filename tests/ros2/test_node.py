@@ -1,6 +1,7 @@
 """The bridge as ROS 2 manages its nodes: its lifecycle, its parameters, and what it says of simulated time."""
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import DiagnosticArray, Imu, JointState, String
+from gateway.people.ros2.messages import DiagnosticArray, Imu, JointState, String, Twist
 from schemas.telemetry import Kind, Mode
 from tests.ros2.test_motion import WALKING
 from tests.support.bridged import GEOMETRY, does, keeps, rejections, resting, strides
@@ -23,7 +24,6 @@ from tests.support.rclpy_peer import (
     RclpyPeer,
     needs_rclpy,
 )
-from tests.support.ros2_messages import Twist
 
 pytestmark = needs_rclpy
 OWN_DOMAIN = DOMAIN % 100 + 1
@@ -36,6 +36,13 @@ def managed(gateway: Gateway, *arguments: str) -> Iterator[RclpyPeer]:
     with RclpyBridge(gateway, *arguments, domain=OWN_DOMAIN), RclpyPeer(OWN_DOMAIN) as peer:
         peer.subscribe(DIAGNOSTICS, DiagnosticArray)
         yield peer
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="to hide /etc/passwd needs root")
+def test_a_user_without_a_home_and_a_passwd_entry_starts_it(gateway: Gateway) -> None:
+    hidden = 'mount --bind /dev/null /etc/passwd && unset HOME && exec "$@"'
+    with RclpyBridge(gateway, domain=OWN_DOMAIN, by=("unshare", "--mount", "sh", "-c", hidden, "sh")) as bridge:
+        assert "ROS 2's graph" in bridge.child.stdout
 
 
 def test_a_node_that_is_deactivated_sits_down_and_only_an_activation_and_drive_move_it_again(

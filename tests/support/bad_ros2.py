@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from gateway.people.ros2.messages import Header, JointState, Message, Time, Vector3
+from gateway.people.ros2.messages import Header, JointState, Message, Time, Twist, Vector3
 from tests.support.bridged import resting
 from tests.support.ros2_messages import (
     Duration,
@@ -11,7 +11,6 @@ from tests.support.ros2_messages import (
     Int32,
     JointTrajectory,
     JointTrajectoryPoint,
-    Twist,
     TwistStamped,
     replace,
 )

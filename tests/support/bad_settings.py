@@ -59,6 +59,8 @@ FILE_FAULTS = [
     ("[safety]\nmax_tilt_deg = 45", "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it; leave it at 0"),
     ('[spi]\nprotocol = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
      "limits.start_stagger_ms: elkapod-2025 starts all servos at once, so leave it at 0"),
+    ("[limits]\nstart_stagger_ms = 250",
+     "limits.start_stagger_ms: a leg's start may not wait for as long as watchdog.timeout_ms, 250"),
     ('[spi]\nprotocol = "elkapod-2025"\n[safety]\nmax_tilt_deg = 9',
      "safety.max_tilt_deg: write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never"),
     # much is not repeated

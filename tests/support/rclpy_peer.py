@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -19,11 +20,11 @@ from typing import Any, Final, Self
 
 import pytest
 
-from gateway.people.ros2.messages import Message
+from gateway.people.ros2.messages import Message, Twist
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.ros2_messages import Twist, plain
+from tests.support.ros2_messages import plain
 
 TRIGGER: Final = "std_srvs/srv/Trigger"
 ANSWER_S: Final = 40.0
@@ -145,12 +146,17 @@ class RclpyBridge:
     """A running bridge by rclpy."""
 
     def __init__(
-        self, gateway: Gateway, *arguments: str, domain: int = DOMAIN, env: dict[str, str] | None = None
+        self,
+        gateway: Gateway,
+        *arguments: str,
+        domain: int = DOMAIN,
+        env: dict[str, str] | None = None,
+        by: Sequence[str] = (),
     ) -> None:
-        """`env` is added to the environment."""
+        """`env` is added to the environment; `by` is a command that starts it."""
         _remove_half_made()
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
-        self.child = Child([*RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
+        self.child = Child([*by, *RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
         self.child.wait_for_output(READY, timeout_s=20)
 
     def __enter__(self) -> "RclpyBridge":

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from rosbags.typesys import Stores, get_typestore
 
-from gateway.people.ros2.messages import Header, Message, Vector3, message_type
+from gateway.people.ros2.messages import Header, Message, Twist, message_type
 
 
 def _type(type_name: str, **fields: Any) -> type[Message]:
@@ -15,7 +15,6 @@ def _type(type_name: str, **fields: Any) -> type[Message]:
 
 Int32: Final = _type("std_msgs/msg/Int32", data=0)
 Float64: Final = _type("std_msgs/msg/Float64", data=0.0)
-Twist: Final = _type("geometry_msgs/msg/Twist", linear=Vector3(), angular=Vector3())
 TwistStamped: Final = _type("geometry_msgs/msg/TwistStamped", header=Header(), twist=Twist())
 Duration: Final = _type("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
 JointTrajectoryPoint: Final = _type(

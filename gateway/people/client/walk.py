@@ -224,6 +224,12 @@ class Walk:
             return self._using().state
 
     @property
+    def latest(self) -> WalkState | None:
+        """The same, also once it is closed; None before `open`. @private"""
+        with self._changed:
+            return None if self._ride is None else self._ride.state
+
+    @property
     def now(self) -> str:
         """What the robot does by the newest state, in one sentence (`It walks`), which reports an old state."""
         with self._changed:

@@ -20,7 +20,7 @@ from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
 from gateway.people.ros2.own_stop import OwnStop
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.walking import Velocity
+from gateway.people.walking import ORIGIN, Odometry, Velocity
 from schemas.telemetry import GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"
@@ -54,6 +54,8 @@ class Driving:
         self._received: GatewayState | None = None
         self._estopped = False
         self._gait = "tripod"
+        self._went = ORIGIN
+        """By all walks that have ended."""
         self._held_as = name
         self._closed = False
         self._why_not = self._inactive = NOT_ACTIVE
@@ -71,6 +73,12 @@ class Driving:
         if not self.drives:
             return self._why_not
         return "drives; nothing moves" if motion is None else f"drives by {motion.title}"
+
+    @property
+    def odometry(self) -> tuple[Odometry, Velocity] | None:
+        """Where all walks have carried the robot, and how fast it goes; None while it does not walk."""
+        motion = self._motion
+        return motion.odometry if isinstance(motion, Walking) else None
 
     # ---- services
 
@@ -183,8 +191,8 @@ class Driving:
         ended = "an emergency stop was engaged" if self._estopped else "its motion has ended"
         return GoalProgress({}, {}, ended if self.drives else self._why_not)
 
-    def hold(self, plan: Trajectory) -> None:
-        """Stay where this trajectory is now, if it is followed; waits for nothing that moves the robot."""
+    def hold(self, plan: Trajectory | None = None) -> None:
+        """Stay where this trajectory is now, if it is followed (None: any); waits for nothing that moves the robot."""
         motion = self._motion
         if isinstance(motion, Following):
             motion.hold(plan)
@@ -265,7 +273,7 @@ class Driving:
         return made
 
     def _walking(self) -> Walking:
-        return self._using(Walking, lambda: Walking(self._client, self._geometry, self._gait))
+        return self._using(Walking, lambda: Walking(self._client, self._geometry, self._gait, self._went))
 
     def _end_what_is_over(self) -> None:
         """Raises what has ended it."""
@@ -274,8 +282,12 @@ class Driving:
 
     def _end_motion(self, *, sits: bool) -> None:
         motion, self._motion = self._motion, None
-        if motion is not None:
-            motion.end(sits=sits)
+        try:
+            if motion is not None:
+                motion.end(sits=sits)
+        finally:
+            if isinstance(motion, Walking):
+                self._went, _ = motion.odometry
 
     def _fail(self, error: GatewayError) -> None:
         self._show(f"{error}: call drive to go on")

@@ -52,6 +52,19 @@ Vector3: Final = message_type("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
 Quaternion: Final = message_type("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0)
 Pose: Final = message_type("geometry_msgs/msg/Pose", position=Point(), orientation=Quaternion())
 Transform: Final = message_type("geometry_msgs/msg/Transform", translation=Vector3(), rotation=Quaternion())
+_COVARIANCE_6: Final = (0.0,) * 36
+PoseWithCovariance: Final = message_type("geometry_msgs/msg/PoseWithCovariance", pose=Pose(), covariance=_COVARIANCE_6)
+Twist: Final = message_type("geometry_msgs/msg/Twist", linear=Vector3(), angular=Vector3())
+TwistWithCovariance: Final = message_type(
+    "geometry_msgs/msg/TwistWithCovariance", twist=Twist(), covariance=_COVARIANCE_6
+)
+Odometry: Final = message_type(
+    "nav_msgs/msg/Odometry",
+    header=Header(),
+    child_frame_id="",
+    pose=PoseWithCovariance(),
+    twist=TwistWithCovariance(),
+)
 TransformStamped: Final = message_type(
     "geometry_msgs/msg/TransformStamped", header=Header(), child_frame_id="", transform=Transform()
 )

@@ -21,7 +21,7 @@ from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.joints import Degrees, JointsError, legs_deg
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.walking import DOWN, REST_S, Pose, Ride, RideTask, Velocity
+from gateway.people.walking import DOWN, REST_S, STILL, Odometry, Pose, Posture, Ride, RideTask, Velocity
 from schemas.robot import LEGS
 
 HZ: Final = 50.0
@@ -107,6 +107,8 @@ class Course:
         self._at_rad: dict[int, float] = {}
         self._sent: Pose = {}
         """Of the legs that have started, what was sent last."""
+        self._sending: frozenset[int] = frozenset()
+        """Legs that are in what was sent last, or is being sent."""
         self._rests_s = math.inf
         """When it sits down."""
         self._ride: Ride | None = None
@@ -122,8 +124,10 @@ class Course:
     def follow(self, plan: Trajectory, now_s: float) -> None:
         """From now on, from where the joints that run are. Raises JointsError."""
         self._look(now_s)
-        plan.begin({servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in self._sent}, now_s)
-        self._next_start(self._at_rad | plan.at(now_s))
+        running_rad = self._running_rad()
+        plan.begin(running_rad, now_s)
+        self._next_start(running_rad | plan.at(now_s))
+        self._at_rad = running_rad
         self._plan, self._ride, self._rests_s, self._left = plan, None, plan.ends_s + REST_S, REPLACED
 
     def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
@@ -132,10 +136,14 @@ class Course:
         self._look(now_s)
         return GoalProgress(plan.at(now_s), self._rad(self._sent))
 
-    def hold(self, plan: Trajectory, now_s: float) -> None:
-        """Stay where this plan is now, as long as at its end; then sit down."""
-        if plan is self._plan and self._ride is None:
+    def hold(self, plan: Trajectory | None, now_s: float) -> None:
+        """Stay where this plan is now (None: whichever is followed), as long as at its end; then sit down.
+
+        A leg that has not started by then is not started.
+        """
+        if self._plan is not None and plan in (None, self._plan) and self._ride is None:
             self._look(now_s)
+            self._at_rad = self._running_rad()
             self._plan, self._rests_s, self._left = None, now_s + REST_S, "it was cancelled"
 
     def lose_sender(self, now_s: float) -> None:
@@ -158,17 +166,24 @@ class Course:
             if self._ride is None:
                 return None
         if self._ride is None:
-            return self._next_start(self._at_rad)
-        step = self._ride.next(now_s)
-        if step.do is not RideTask.SEND:
-            return None
-        self._ride.sent(step.pose)
-        self._at_rad = self._rad(step.pose)
-        return step.pose
+            pose: Pose = {**self._next_start(self._at_rad)}
+        else:
+            step = self._ride.next(now_s)
+            if step.do is not RideTask.SEND:
+                return None
+            self._ride.sent(step.pose)
+            pose, self._at_rad = step.pose, self._rad(step.pose)
+        self._sending = frozenset(pose)
+        return pose
 
     def sent(self, pose: Pose) -> None:
         """This was sent, and its starts were accepted."""
         self._sent = {**self._sent, **pose}
+
+    def _running_rad(self) -> dict[int, float]:
+        """Where the joints of the legs are that have started, or are being started."""
+        legs = self._sent.keys() | self._sending
+        return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in legs}
 
     def _next_start(self, at_rad: dict[int, float]) -> dict[int, Degrees]:
         return next_start(legs_deg(self._geometry, at_rad), frozenset(self._sent), whole=self._whole)
@@ -243,8 +258,8 @@ class Following:
                 return GoalProgress({}, {}, self._error.lasting)
             return self._course.progress(plan, time.monotonic())
 
-    def hold(self, plan: Trajectory) -> None:
-        """Stay where this plan is now, if it is followed; then sit down."""
+    def hold(self, plan: Trajectory | None) -> None:
+        """Stay where this plan is now, if it is followed (None: whichever is); then sit down."""
         with self._changed:
             self._course.hold(plan, time.monotonic())
 
@@ -294,10 +309,19 @@ class Walking:
 
     title = "cmd_vel"
 
-    def __init__(self, client: Client, geometry: Geometry, gait: str) -> None:
+    def __init__(self, client: Client, geometry: Geometry, gait: str, begins: Odometry) -> None:
+        """`begins`: where the walk before it has ended."""
+        self._begins = begins
         self._walk: Walk = client.walk(gait, geometry)
         self._walk.open()
         self._body: tuple[float | None, float, float] = (None, 0.0, 0.0)
+
+    @property
+    def odometry(self) -> tuple[Odometry, Velocity]:
+        """Where its steps have carried the robot since the first walk, and how fast they carry it now."""
+        if (state := self._walk.latest) is None:
+            return self._begins, STILL
+        return self._begins.then(state.odometry), state.scaled if state.posture == Posture.WALKING else STILL
 
     def go(self, velocity: Velocity) -> None:
         """For half a second from now on. Raises WalkError, and what has ended the walk."""

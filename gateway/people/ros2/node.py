@@ -8,6 +8,7 @@ action have an executor, since a transition may wait until the robot sits.
 import logging
 import os
 import socket
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Set
 from contextlib import suppress
@@ -67,6 +68,7 @@ class Node(LifecycleNode):  # type: ignore[misc]
         self._threads: list[threading.Thread] = []
         self._begin: Callable[[], None]
         self._end: Callable[[str], None]
+        _log_somewhere()
         try:
             rclpy.init(
                 args=["hexapod-gateway", *ros_args],
@@ -274,6 +276,12 @@ class Node(LifecycleNode):  # type: ignore[misc]
         """The same, until it is configured and activated again."""
         self._end(_INACTIVE)
         return super().on_error(state)
+
+
+def _log_somewhere() -> None:
+    """Have ROS 2 write its log files where it can: it does not start for a user without a home."""
+    if not os.access(os.environ.get("HOME", ""), os.W_OK):
+        os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="hexapod-ros2-"))
 
 
 def ros_type(type_name: str) -> Any:

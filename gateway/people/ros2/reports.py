@@ -7,12 +7,13 @@ Only what the gateway publishes: while it is silent, there are no joint states, 
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from zenoh.handlers import RingChannel
 
+from gateway.errors import ConfigError
 from gateway.geometry import Geometry
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
@@ -21,6 +22,7 @@ from gateway.people.ros2.driving import Driving
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.parameters import Parameters
 from gateway.people.ros2.topics import Topics
+from gateway.people.walking import ORIGIN
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry
@@ -41,6 +43,18 @@ CHANNELS: Final[dict[str, Any]] = {
 """What it reads of the gateway's keys; the newest is enough."""
 
 R = TypeVar("R", bound=BaseModel)
+
+
+def _publisher(
+    node: Node, topic: str, kind: type[ros.Message], *, needed: bool = False
+) -> Callable[[ros.Message], None]:
+    """What publishes on a topic; nothing where this ROS 2 lacks its type, unless it is `needed`. Raises ConfigError."""
+    try:
+        return node.publisher(topic, kind)
+    except ConfigError:
+        if needed:
+            raise
+        return lambda _: None
 
 
 class Reports:
@@ -78,7 +92,11 @@ class Reports:
         self._joint_states = node.publisher("joint_states", ros.JointState)
         self._diagnostics = node.publisher("diagnostics", ros.DiagnosticArray, always=True)
         self._measured = {topic: node.publisher(topic, kind) for topic, kind in robot.MEASURED.items()}
-        self._tf = node.publisher("/tf", ros.TFMessage) if with_tf else None
+        self._with_tf = with_tf
+        self._tf = _publisher(node, "/tf", ros.TFMessage, needed=with_tf)
+        self._odom = _publisher(node, robot.ODOM, ros.Odometry)
+        self._at, self._way_m = ORIGIN, 0.0
+        """Where its odometry was last, and how long its way was until then."""
         text = robot.description(geometry, topics.joints.of, parameters.base_frame)
         node.publisher("robot_description", ros.String, latched=True)(text)
 
@@ -104,13 +122,25 @@ class Reports:
             self._moved, self._published_s = False, now_s
             at_rad = self._uncommanded_rad | self._joints.rad
             self._joint_states(robot.joint_state(at_rad, time_ns, self._topics.joints.of))
-            if self._tf is not None:
+            if self._with_tf:
                 self._tf(robot.frames(self._geometry, at_rad, time_ns, base))
+            self._walked(time_ns, base)
         sign = (self._state and self._state.mode, self._driving.does, self._topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self._parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
             statuses = (*self._gateway(now_s), self._bridge())
             self._diagnostics(robot.diagnostic_array(statuses, time_ns, self._hardware_id))
+
+    def _walked(self, time_ns: int, base: str) -> None:
+        """Odometry, and its frame, while the robot walks by the bridge."""
+        if (walked := self._driving.odometry) is None:
+            return
+        at, velocity = walked
+        turned_m = robot.A_TURN_M * abs(at.heading_rad - self._at.heading_rad)
+        self._way_m += math.hypot(at.x_m - self._at.x_m, at.y_m - self._at.y_m) + turned_m
+        self._at = at
+        self._odom(robot.odometry(at, velocity, self._way_m, time_ns, base))
+        self._tf(robot.odometry_frame(at, time_ns, base))
 
     def _take(self, key: str, kind: type[R]) -> R | None:
         """The next report on a key, if it is one: without access control, anybody may publish there."""

@@ -58,7 +58,7 @@ class Topics:
     def subscribe(self) -> None:
         """Take messages from now on; they move nothing before the bridge drives."""
         stand = self._driving.stand
-        table: dict[str, tuple[str, Callable[[Any, Arrived], None]]] = {
+        table: dict[str, tuple[str, Callable[[Any, Arrived], bool | None]]] = {
             "joint_commands": ("sensor_msgs/msg/JointState", self._joint_commands),
             "joint_trajectory": ("trajectory_msgs/msg/JointTrajectory", self._joint_trajectory),
             "cmd_vel": ("geometry_msgs/msg/Twist", lambda found, _: self._go(found)),
@@ -89,13 +89,19 @@ class Topics:
         self._driving.joints(at_rad)
 
     def _joint_trajectory(self, message: Any, arrived: Arrived) -> None:
+        if not message.points:
+            if not self._driving.drives:
+                raise NotTakenError(self._driving.does)
+            return self._driving.hold()
         is_there = presence(arrived.sender, self._present)
         if not is_there():
             raise NotTakenError("its sender is not seen in the graph (any more), and could not take it back")
-        self._driving.follow(self.plan(message), is_there)
+        return self._driving.follow(self.plan(message), is_there)
 
-    def _go(self, twist: Any) -> None:
-        self._driving.go(Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z))
+    def _go(self, twist: Any) -> bool:
+        velocity = Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z)
+        self._driving.go(velocity)
+        return velocity.moves
 
     def _gait(self, number: int) -> None:
         gait = NUMBERS.get(number)
@@ -106,7 +112,8 @@ class Topics:
 
     # ---- all of them
 
-    def _take(self, topic: str, take: Callable[[Any, Arrived], None], message: Any, arrived: Arrived) -> None:
+    def _take(self, topic: str, take: Callable[[Any, Arrived], bool | None], message: Any, arrived: Arrived) -> None:
+        """`take` returns False for a message that claims nothing: others may publish, too."""
         try:
             self._check_age(arrived)
             header = getattr(message, "header", None)
@@ -115,8 +122,7 @@ class Topics:
             rivals, now_s = self._rivals.get(topic), time.monotonic()
             if rivals is not None and not rivals.may_send(arrived.sender, now_s):
                 raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
-            take(message, arrived)
-            if rivals is not None:
+            if take(message, arrived) is not False and rivals is not None:
                 rivals.sent(arrived.sender, now_s)
         except (NotTakenError, ValueError) as error:
             self.reject(topic, str(error))

@@ -6,7 +6,7 @@ falls silent. `Engine` decides where the legs go, `Robot` where the feet can be.
 
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS, Gait
-from gateway.people.walking.motion import DOWN, STILL, BodyPose, Odometry, Posture, Velocity, WalkState
+from gateway.people.walking.motion import DOWN, ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, WalkState
 from gateway.people.walking.ride import HOLD_S, REST_S, USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences, Wish
 from gateway.people.walking.robot import Pose, Range, Robot, Stance
 from gateway.people.walking.tempo import Distance
@@ -18,6 +18,7 @@ __all__ = [
     "GAITS",
     "HOLD_S",
     "LONGEST_S",
+    "ORIGIN",
     "REST_S",
     "STILL",
     "USUAL_SILENCES",

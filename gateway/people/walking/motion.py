@@ -166,12 +166,15 @@ class Odometry(NamedTuple):
 
     def after(self, velocity: Velocity, seconds: float) -> "Odometry":
         """The odometry after a further motion with `velocity`, which is in the body's frame. @private"""
-        ahead_m, aside_m, turned = travelled(velocity, seconds)
+        return self.then(Odometry(*travelled(velocity, seconds)))
+
+    def then(self, further: "Odometry") -> "Odometry":
+        """The odometry after a further one, which began here. @private"""
         cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return Odometry(
-            self.x_m + cosine * ahead_m - sine * aside_m,
-            self.y_m + sine * ahead_m + cosine * aside_m,
-            self.heading_rad + turned,
+            self.x_m + cosine * further.x_m - sine * further.y_m,
+            self.y_m + sine * further.x_m + cosine * further.y_m,
+            self.heading_rad + further.heading_rad,
         )
 
 

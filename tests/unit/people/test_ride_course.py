@@ -143,6 +143,32 @@ def test_a_plan_that_is_held_stays_where_it_is_as_long_as_at_its_end_and_then_it
     assert one.course.progress(way, one.now_s).ended == "it was cancelled"
 
 
+def test_what_is_held_early_keeps_the_legs_that_have_started_or_are_being_started_and_starts_no_other() -> None:
+    one = Followed()
+    one.course.follow(way := plan(0.0, (1.0, 0.0), (9.0, 0.2)), 0.0)
+    one.run(2 * TICK_S)
+    pose = one.course.next(3 * TICK_S)
+    assert pose is not None
+    one.course.hold(way, 3 * TICK_S)
+    one.course.sent(pose)
+    assert {tuple(pose) for pose in one.run(1.0).sent[2:]} == {(1, 2, 3)}
+
+
+def test_before_its_first_start_nothing_is_left_to_hold() -> None:
+    one = Followed()
+    one.course.follow(way := plan(0.0, (1.0, 0.0)), 0.0)
+    one.course.hold(way, 0.0)
+    assert not one.course.begun
+
+
+def test_a_plan_for_some_legs_starts_none_of_the_one_before() -> None:
+    one = Followed()
+    one.course.follow(plan(0.0, (9.0, 0.2)), 0.0)
+    one.run(2 * TICK_S)
+    one.course.follow(plan(one.now_s, (9.0, 0.1), legs=(1, 2)), one.now_s)
+    assert {tuple(pose) for pose in one.run(1.0).sent[2:]} == {(1, 2)}
+
+
 def test_a_plan_that_is_not_followed_is_not_held() -> None:
     one = followed((1.0, 0.0), (2.0, 0.2)).run(0.2)
     other = plan(0.0, (1.0, 0.0))

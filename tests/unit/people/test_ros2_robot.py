@@ -15,7 +15,10 @@ from gateway.people.ros2.robot import (
     frames,
     joint_state,
     measured,
+    odometry,
+    odometry_frame,
 )
+from gateway.people.walking import Odometry, Velocity
 from gateway.people.walking.inverse import Limb
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Telemetry
@@ -34,6 +37,27 @@ def test_joint_states_are_in_the_order_of_the_urdf_and_leave_out_what_is_not_kno
     places = [text.index(f'<joint name="joint_{servo_id}"') for servo_id in SERVO_IDS]
     assert places == sorted(places)
     assert joint_state({}, NOW_NS) == JointState(found.header)
+
+
+def test_odometry_is_less_sure_the_longer_the_way_and_knows_nothing_of_height_and_lean() -> None:
+    at, velocity = Odometry(1.0, -2.0, math.pi / 2), Velocity(0.1, 0.02, 0.3)
+    near, far = (odometry(at, velocity, way_m, NOW_NS, "body") for way_m in (0.0, 3.0))
+    assert (near.header.frame_id, near.child_frame_id) == ("odom", "body")
+    turned = near.pose.pose.orientation
+    assert (turned.z, turned.w) == pytest.approx((math.sqrt(0.5), math.sqrt(0.5)))
+    assert (near.twist.twist.linear.x, near.twist.twist.linear.y, near.twist.twist.angular.z) == (0.1, 0.02, 0.3)
+    for place in (0, 7, 35):
+        assert 0 < near.pose.covariance[place] < far.pose.covariance[place] < 1
+    assert math.sqrt(far.pose.covariance[0]) == pytest.approx(0.31)
+    assert {far.pose.covariance[place] for place in (14, 21, 28)} == {1e6}
+    (frame,) = odometry_frame(at, NOW_NS, "body").transforms
+    assert (frame.header.frame_id, frame.child_frame_id) == ("odom", "body")
+    assert (frame.transform.translation.x, frame.transform.rotation.z) == pytest.approx((1.0, turned.z))
+
+
+def test_a_walk_goes_on_where_the_one_before_it_ended() -> None:
+    there = Odometry(1.0, 0.0, math.pi / 2).then(Odometry(2.0, 1.0, 0.1))
+    assert there == pytest.approx((0.0, 2.0, math.pi / 2 + 0.1))
 
 
 def test_frames_lead_to_the_feet() -> None:
