@@ -192,10 +192,8 @@ class Conductor:
         """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
         if self._closed:
             return
-        now_ns = self._clock()
-        instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else now_ns
-        estops = self._messages.estops
-        looked = bool(estops)
+        instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else self._clock()
+        estops, looked = self._messages.estops, False
         for received in self._messages.take():
             while estops:
                 self._emergency_stop(estops.popleft(), instant_ns)
@@ -204,8 +202,7 @@ class Conductor:
             looked = True
         while estops:
             self._emergency_stop(estops.popleft(), instant_ns)
-            self._do_what_is_due(instant_ns)
-            looked = True
+            looked = False
         if self._losses.key:
             self._stop_what_lost_stops_named(instant_ns)
             looked = False
@@ -225,10 +222,7 @@ class Conductor:
         self._arm()
 
     def record_alive(self) -> int:
-        """Return now (ns) and record that the process is alive. Call it at least ten times a second.
-
-        So the first thread to go on after the whole process was stopped notices that.
-        """
+        """Return now (ns) and record that the process is alive, ten times a second: so a stopped process notices it."""
         now_ns = self._clock()
         if self._staleness is not None:
             self._staleness.record_alive(now_ns)
@@ -279,8 +273,7 @@ class Conductor:
         if self.supply is not None:
             self.supply.after_step(self.supervisor)  # the frame may have said the angle of a servo that is to be fed
         if self.supervisor.body.watches:
-            tilt_deg = values.tilt_deg
-            tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
+            tilt_cdeg = None if values.tilt_deg is None else round(values.tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
             self._arm()
 
