@@ -50,6 +50,7 @@ def test_ros_itself_sees_its_topics_and_services(bridge: RclpyBridge, peer: Rclp
         "battery_state": "sensor_msgs/msg/BatteryState",
         "data": "sensor_msgs/msg/Imu",
         "foot_forces": "std_msgs/msg/Float64MultiArray",
+        "odom": "nav_msgs/msg/Odometry",
         "temperature": "sensor_msgs/msg/Temperature",
         "robot_description": "std_msgs/msg/String",
         "diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
