@@ -31,10 +31,10 @@ from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.host import calibration_file, runtime_files
+from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.runtime_files import ServosFile
+from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime import prometheus as exposition
@@ -143,7 +143,7 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
         "framing": settings.spi.protocol.framing(settings.spi.framing),
         "timeout_ms": settings.watchdog.timeout_ms,
     }
-    stops = runtime_files.take()
+    stops = stop_note.take()
     if stops is not None:
         facts |= dict(zip(STOP_FACTS, stops, strict=True))
     return Recorder(settings, facts, time.monotonic_ns, time.time_ns)

@@ -68,7 +68,7 @@ COALESCED: Final = "coalesced"
 """Verdicts of a decision, next to the reasons of rejections."""
 
 STOP_FACTS: Final = ("stop_servos_first_ns", "stop_servos_last_ns")
-"""Facts of a start: the times of `gateway.robot.host.runtime_files`, if `stop-servos` ran before it."""
+"""Facts of a start: the times of `gateway.robot.host.stop_note`, if `stop-servos` ran before it."""
 
 
 class Start(NamedTuple):

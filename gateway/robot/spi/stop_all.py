@@ -9,7 +9,7 @@ from typing import Final
 
 from gateway.host.settings_table import ControllerSettings, SpiSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
-from gateway.robot.host import runtime_files
+from gateway.robot.host import stop_note
 from gateway.robot.protocol import Wire
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
@@ -59,7 +59,7 @@ def stop_servos(
         fault = fault_now or fault
     bus.close()
     if not unstopped:
-        runtime_files.leave(runtime_files.StopNote(first_ns, time.monotonic_ns()))
+        stop_note.leave(stop_note.StopNote(first_ns, time.monotonic_ns()))
     noticed = notice.end()
     if unstopped and fault is not None:
         raise fault

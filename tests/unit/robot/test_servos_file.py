@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.robot.host.runtime_files import SERVOS_FILE, ServosFile
+from gateway.robot.host.servos_file import SERVOS_FILE, ServosFile
 
 
 def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from gateway.model.elkapod import SHUTDOWN
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.model.protocols import SpiProtocol
-from gateway.robot.host import runtime_files
+from gateway.robot.host import stop_note
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_once, stop_servos
@@ -207,7 +207,7 @@ def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
     assert scene.sleeps_ms == [20] * pauses
     assert scene.log[-2:] == ["closed", "ended"]
     assert scene.log.count("given") == 1 + pauses
-    assert runtime_files.take() == (first_ns, 1 + pauses)
+    assert stop_note.take() == (first_ns, 1 + pauses)
 
 
 @pytest.mark.parametrize("failing", [{3}, set(LEGS)])
@@ -217,7 +217,7 @@ def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: set[int], stops
         stops(scene)
     assert scene.sleeps_ms == [20] * 13
     assert scene.log[-2:] == ["closed", "ended"]
-    assert runtime_files.take() is None
+    assert stop_note.take() is None
 
 
 def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: Stops) -> None:
