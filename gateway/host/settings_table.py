@@ -211,7 +211,7 @@ class ButtonSettings(Section):
 
     # More than eight people watch no robot of this size.
     required: int = _setting(0, "how many buttons must be alive for anything to move; 0: none", (0, 8))
-    # A browser runs a background page once a second, which by this default means a stop (docs/buttons.md).
+    # A browser runs a background page once a second, which by this default means a stop (docs/driving.md).
     timeout_ms: float = _setting(1000.0, "how long a button is alive after a check-in", (200, 10_000))
     names: tuple[str, ...] = _setting((), 'up to 64 people or roles (`"button"`, `"operator"`) whose buttons count; `[]`: any. Without certificates: names, up to the first `/`', fault=_names)
 
