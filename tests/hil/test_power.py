@@ -216,7 +216,7 @@ def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
     tmp_path: Path, wire: Wire, board: RecordedBoard
 ) -> None:
     """Both read the one terminal: the gateway does not see the other's masks, and may read all answers to them, so
-    that `stop-servos` says that nothing is confirmed (docs/power.md)."""
+    that `stop-servos` says that nothing is confirmed (docs/stops.md)."""
     with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
         leg_3_runs(client, wire, board)
         begun = board.skip()

@@ -54,7 +54,7 @@ Pose = Mapping[int, Angles]
 """Angles of legs, in the degrees of commands."""
 
 FEED_S: Final = 1.5
-"""One servo that is fed alone and judged (0.3 s), and 18 at the board's slowest pace of 54 ms each (docs/power.md)."""
+"""One servo that is fed alone and judged (0.3 s), and 18 at the board's slowest pace of 54 ms each (docs/stops.md)."""
 LIFT_M: Final = 0.035
 STRIDE_RADIUS_M: Final = 0.055
 """How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""
