@@ -310,7 +310,7 @@ def _is_kept(state: Path | None) -> bool:
     if kind:
         logger.warning(
             "%s is on %s, which a boot empties: calibration, revocations and the emergency stop are lost then "
-            "(docs/troubles.md)",
+            "(docs/robot.md)",
             state,
             kind,
         )

@@ -273,9 +273,9 @@ FAULTS = (
 
 
 def table() -> str:
-    """The table of docs/troubles.md; `python -m tests.box.faults` prints it."""
-    rows = [f"| {each.what} | …{each.says}… | {'by hand' if each.by_hand else 'as printed'} |" for each in EVERY]
-    return "\n".join(["| planted | `check` prints | remedy |", "|---|---|---|", *rows]) + "\n"
+    """Return the table of docs/robot.md; `python -m tests.box.faults` prints it. †: the remedy is a sentence."""
+    rows = [f"{each.what}{'†' if each.by_hand else ''} | {each.says}" for each in EVERY]
+    return "\n".join(["planted | `check` prints", "---|---", *rows]) + "\n"
 
 
 EVERY = (*TAKE_A_STOP, *FAULTS)

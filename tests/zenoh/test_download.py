@@ -1,4 +1,4 @@
-"""README's command for a downloaded release: it names the key that has signed it, and each file that was changed."""
+"""The command of docs/robot.md for a download: it names the key that has signed it, and each changed file."""
 
 import re
 import subprocess
@@ -28,8 +28,8 @@ def download(tmp_path: Path) -> Path:
 
 
 def check(folder: Path) -> tuple[bool, str]:
-    """Run README's command there: whether all is well, and what it prints."""
-    found = re.search(r"`(ssh-keygen -Y .*)`", (ROOT / "README.md").read_text())
+    """Run the page's command there: whether all is well, and what it prints."""
+    found = re.search(r"`(ssh-keygen -Y .*)`", (ROOT / "docs" / "robot.md").read_text())
     assert found is not None
     done = subprocess.run(["bash", "-c", found[1]], cwd=folder, capture_output=True, text=True, check=False)
     return done.returncode == 0, done.stdout + done.stderr

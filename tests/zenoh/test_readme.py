@@ -8,21 +8,20 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer.main
 
-from gateway.cli import app
 from gateway.client import leg_payload
 from schemas import keys
 from schemas.telemetry import Event, Kind
 from tests.support.command import run_here
 from tests.support.gateway_process import Gateway
 from tests.support.pages import blocks
+from tests.support.remedies import parse_commands
 
 pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-TROUBLES = (ROOT / "docs" / "troubles.md").read_text()
+ROBOT, QUICKSTART = ((ROOT / "docs" / page).read_text() for page in ("robot.md", "quickstart.md"))
 
 
 def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
@@ -78,7 +77,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
 
 
 def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
-    """Those that a gateway without a fault can be brought to say; each stands in docs/troubles.md as it is printed."""
+    """Those that a gateway without a fault can be brought to say; each is in docs/robot.md as it is printed."""
     with Gateway(tmp_path) as gateway:
 
         def said(*arguments: str) -> str:
@@ -100,7 +99,7 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
     unreachable, _, _ = said("reset").replace(gateway.endpoint.rpartition(":")[2], "7447").partition("→")
     told.append(f"{unreachable}→ …")
     for message in told:
-        assert f"`{message}`" in TROUBLES
+        assert f"`{message}`" in ROBOT
 
 
 def test_the_keys_are_the_keys() -> None:
@@ -110,13 +109,11 @@ def test_the_keys_are_the_keys() -> None:
     assert table == commands | reports | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
 
 
-COMMANDS = re.findall(r"(?:\$ |bin/|`)hexapod-gateway (?!is )(\w[\w-]*(?: (?:init|issue|leg))?)", README + TROUBLES)
-
-
-@pytest.mark.parametrize("command", sorted(set(COMMANDS)))
-def test_each_command_exists(command: str) -> None:
-    group = typer.main.get_command(app)
-    for word in command.split():
-        commands = getattr(group, "commands", {})
-        assert word in commands, f"there is no `{command}`"
-        group = commands[word]
+@pytest.mark.parametrize("page", [README, ROBOT, QUICKSTART], ids=["README", "robot", "quickstart"])
+def test_each_command_to_copy_is_the_programs(page: str) -> None:
+    """Each with its options and values: a console's line without its remark, and a command alone in `backticks`."""
+    lines = [line.partition(" #")[0] for block in blocks(page, "console") for line in block.splitlines()]
+    texts = [line.partition("$ ")[2] for line in lines if line.startswith("$ ")]
+    texts += re.findall(r"`((?:sudo )?hexapod-gateway [^`…]+)`", page)
+    found = [words for text in texts for words in parse_commands(re.split("[>]", text)[0])]
+    assert len(found) >= 8

@@ -387,7 +387,7 @@ PROBES: Final = (
                 "servos after its end", _OWN_STATE),
         warning(lambda r: r.kind in FORGETS, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
                 "revocations and the emergency stop are lost then",
-                "keep the folder on a partition of its own (docs/troubles.md)"),
+                "keep the folder on a partition of its own (docs/robot.md)"),
         failure(lambda r: r.some, f"in {STATE_FOLDER}, not the service's to read and write: {{some}}", _OWN_STATE),
     )),
     Probe("disk", _disks, (

@@ -214,7 +214,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
         hint("The calibration is lost at the next boot: it is in memory only (state.path), or on a file system that")
-        hint("a boot empties (docs/troubles.md).")
+        hint("a boot empties (docs/robot.md).")
     return 0
 
 

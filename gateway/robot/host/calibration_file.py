@@ -42,7 +42,7 @@ MOST_DIGITS: Final = 18
 """Of a revision; the gateway writes none longer, and parsing one would take long."""
 
 _HEAD: Final = """\
-# How this robot's servos differ from the drawing (docs/calibration.md). The gateway writes this file; restart it after
+# How this robot's servos differ from the drawing (docs/robot.md). The gateway writes this file; restart it after
 # a change by hand. On the wire a servo gets (180 - angle if inverted else angle) + trim_deg; min_deg, max_deg and the
 # landing pose are angles as commands name them.
 """

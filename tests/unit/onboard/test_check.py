@@ -433,7 +433,7 @@ def test_each_row_of_the_table_is_reached_and_its_commands_are_the_programs(tmp_
 
 def test_the_docs_have_each_fault_that_a_box_tries() -> None:
     """`python -m tests.box.faults` prints the table anew."""
-    assert faults.table() in (GATEWAY.parent / "docs/troubles.md").read_text()
+    assert faults.table() in (GATEWAY.parent / "docs/robot.md").read_text()
     assert len(faults.EVERY) >= 60
 
 
