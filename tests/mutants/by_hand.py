@@ -43,8 +43,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand("a laptop listens, too", 'mode: "client",', 'mode: "peer",'),
         ByHand(
             "an IPv6 address cannot be dialled",
-            "ip_address(host).version == 6 else host",
-            "ip_address(host).version == 4 else host",
+            'tls/[{host}]:{port}" if ":" in host',
+            'tls/[{host}]:{port}" if ":" not in host',
         ),
     ),
     "gateway/robot/zenoh_io/inbox.py": (
@@ -55,8 +55,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "an emergency stop's answer waits behind an asker who does not read",
-            "        self._estops.append(_received(self._estop_replies, ESTOP, item, received_ns))",
-            "        self._estops.append(_received(self._replies, ESTOP, item, received_ns))",
+            "        self.estops.append(_received(self._estop_replies, ESTOP, item, received_ns))",
+            "        self.estops.append(_received(self._replies, ESTOP, item, received_ns))",
         ),
     ),
     "gateway/robot/zenoh_io/receiver.py": (
@@ -105,13 +105,15 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/supervisor.py": (
         ByHand(
             "where time passes in an instant, a start overtakes a Stop, and a reset an emergency stop",
-            "        self.legs.begin(now_ns if instant_ns is None else instant_ns)\n",
-            "        self.legs.begin(now_ns)\n",
+            "        legs.begin(now_ns if instant_ns is None else instant_ns)\n",
+            "        legs.begin(now_ns)\n",
         ),
+    ),
+    "gateway/robot/core/latch.py": (
         ByHand(
             "a reset that was sent before the second emergency stop leaves it",
-            "        latch.number += 1\n",
-            "        latch.number += first\n",
+            "        self.number += 1\n",
+            "        self.number += first\n",
         ),
     ),
     "gateway/model/calibration.py": (

@@ -19,7 +19,7 @@ from tests.mutants.generated import ACCEPTED, mutants_of
 from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, verdicts
 
-SAMPLED: Final = ("spi/guard", "core/speed", "core/landing")
+SAMPLED: Final = ("spi/guard", "core/flat", "core/landing")
 """Files whose tests are quick, and notice each mutant of them that is not accepted."""
 
 

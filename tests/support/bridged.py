@@ -36,7 +36,7 @@ def resting(**moved_rad: float) -> Message:
     return JointState(name=names, position=tuple(at_rad))
 
 
-PATIENT: Final = patient(telemetry={"frames": True}, limits={"takeover_deg_s": 0})  # each command is one frame
+PATIENT: Final = patient(telemetry={"frames": True})
 LONG_S: Final = 40.0
 
 

@@ -17,11 +17,12 @@ def patient(silence_ms: float = 2000, **sections: Mapping[str, Any]) -> dict[str
     """Settings that outlast a moment in which this machine is busy, and these `sections` of theirs.
 
     A leg may be silent for so long, a lease unused, and the gateway itself stopped before it rejects what waited.
+    One test may start where the one before has just stopped: each command is one frame all the same.
     """
     settings: dict[str, dict[str, Any]] = {
         "watchdog": {"timeout_ms": silence_ms},
         "lease": {"ttl_ms": max(5000, silence_ms)},
-        "limits": {"max_age_ms": max(3000, silence_ms)},
+        "limits": {"max_age_ms": max(3000, silence_ms), "takeover_deg_s": 0},  # a start goes to its angle at once
     }
     for section, values in sections.items():
         settings[section] = {**settings.get(section, {}), **values}

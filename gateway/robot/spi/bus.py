@@ -32,7 +32,8 @@ from gateway.robot.protocol import BatchReport, Sent, Wire
 from gateway.robot.protocol.latency import Latency
 from gateway.robot.spi import SpiDevice, Transfer
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
-from gateway.robot.spi.guard import Guard, OneByOne
+from gateway.robot.spi.guard import Guard
+from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000

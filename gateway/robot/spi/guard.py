@@ -4,11 +4,8 @@ The encoder cannot build anything else, so a rejection here is a bug of the gate
 nor lengths and would corrupt its memory, which is why the bytes are checked a second time.
 """
 
-import time
-from collections.abc import Callable
 from typing import Final
 
-from gateway.errors import SpiError
 from gateway.model.frames import (
     ONE_LEG_LEN,
     ONE_LEG_TYPE,
@@ -21,36 +18,8 @@ from gateway.model.frames import (
 )
 from gateway.model.framing import Framing
 from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS, SERVO_IDS
-
-STALE_NS: Final = 500_000_000
-"""Half of the 1000 ms after which the controller gives up a frame that it awaits. The other half allows for delays
-between the last look at the clock and the first bit on the wire."""
-
-
-class OneByOne:
-    """Writes batches to a device transfer by transfer."""
-
-    def __init__(
-        self,
-        device: SpiDevice,
-        clock: Callable[[], int] = time.monotonic_ns,
-        pause: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._device = device
-        self._clock = clock
-        self._pause = pause
-
-    def transfer(self, batch: Batch) -> None:
-        """Write transfer by transfer. Raises SpiError, also where the program stood still within the batch."""
-        written_ns = None
-        for data, pause_us in batch:
-            if written_ns is not None and self._clock() - written_ns > STALE_NS:
-                raise SpiError("this program stood still between two transfers that belong together")
-            written_ns = self._clock()
-            self._device.transfer(((data, 0),))
-            self._pause(pause_us / 1e6)
-
 
 _ANNOUNCEMENTS: Final = frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))
 _ONE_LEG: Final = bytes((ONE_LEG_LEN, ONE_LEG_TYPE))

@@ -1,0 +1,39 @@
+"""One call for each transfer, for a kernel that takes no lists of transfers.
+
+The pauses are slept here, and a body is not written when this program stood still for too long behind its announcement.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+from gateway.errors import SpiError
+from gateway.robot.spi import Batch, SpiDevice
+
+STALE_NS: Final = 500_000_000
+"""Half of the 1000 ms after which the controller gives up a frame that it awaits. The other half allows for delays
+between the last look at the clock and the first bit on the wire."""
+
+
+class OneByOne:
+    """Writes batches to a device transfer by transfer."""
+
+    def __init__(
+        self,
+        device: SpiDevice,
+        clock: Callable[[], int] = time.monotonic_ns,
+        pause: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._device = device
+        self._clock = clock
+        self._pause = pause
+
+    def transfer(self, batch: Batch) -> None:
+        """Write transfer by transfer. Raises SpiError, also where the program stood still within the batch."""
+        written_ns = None
+        for data, pause_us in batch:
+            if written_ns is not None and self._clock() - written_ns > STALE_NS:
+                raise SpiError("this program stood still between two transfers that belong together")
+            written_ns = self._clock()
+            self._device.transfer(((data, 0),))
+            self._pause(pause_us / 1e6)
