@@ -80,7 +80,7 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None
 
 
 def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path, path: Path) -> None:
-    text = calibration_file.to_toml(OWN)[:700]
+    text = calibration_file.to_toml(OWN).partition("\n[servos.21]")[0]
     calibration_file.write(path, RobotCalibration(3))
     calibration_file.write(path, OWN)
     path.write_text(text)
