@@ -155,7 +155,7 @@ class ControllerSettings(Section):
 
     uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_is_device("/dev/ttyAMA1"))
     # At least five cycles: one answer may be lost, and one late.
-    silent_ms: float = _setting(300.0, "with `elkapod-2025`: no heartbeat or no well-formed answer for so long is a fault, as a lost bus is (Behaviour *The wire of elkapod-2025*)", (100, 2000))
+    silent_ms: float = _setting(300.0, "with `elkapod-2025`: no heartbeat or no well-formed answer within this time is a fault, as a lost bus is (Behaviour *The wire of elkapod-2025*)", (100, 2000))
 
 
 @dataclass(frozen=True)

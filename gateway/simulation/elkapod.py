@@ -60,7 +60,7 @@ class SimulatedBattery:
         self.current_a = BASE_A
 
     def draw(self, current_a: float, seconds: float) -> None:
-        """So much current has flowed for so long, and flows now."""
+        """Draw `current_a` for `seconds`."""
         self.current_a = current_a
         self.charge = max(0.0, self.charge - current_a * seconds / CAPACITY_AS)
 

@@ -18,7 +18,7 @@ from gateway.model.power_board import ASK_CURRENTS, ASK_ERROR, ASK_RAILS, CanFra
 ASK_NS: Final = 10 * NS_PER_MS
 SILENT_QUESTIONS: Final = 10
 SILENT_NS: Final = 100 * NS_PER_MS
-"""Without any answer to so many questions, for so long, the board is silent. A restart takes it longer."""
+"""After this many unanswered questions and this much time, the board counts as silent. A restart takes it longer."""
 LIKELY_SILENT: Final = 5
 """Questions without an answer: some about rails are kept unasked, to prove something as soon as the board answers."""
 LOST_NS: Final = 300 * NS_PER_MS

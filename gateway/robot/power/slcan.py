@@ -40,7 +40,7 @@ class Slcan(slcanBus):
         self._readable.register(self._fd, select.POLLIN)
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """Raises CanOperationError where the adapter takes nothing for so long (s; None: at all)."""
+        """Raises CanOperationError if the adapter accepts nothing within `timeout` seconds (None: wait forever)."""
         self._write(f"t{msg.arbitration_id:03X}{msg.dlc:d}{bytes(msg.data).hex().upper()}", timeout)
 
     def shutdown(self) -> None:

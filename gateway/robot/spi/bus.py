@@ -45,7 +45,7 @@ ZERO_PAUSE_US: Final = 100
 ZEROS_AT_ONCE: Final = 8
 """In one call: half a preamble, 0.8 ms."""
 CS_CHANGE_NS: Final = 10_000
-"""What Linux adds behind each pause: for so long, and no longer, chip select is released."""
+"""Linux deasserts chip select for this long after each pause."""
 IDLE_NS: Final = 1_100_000_000
 """After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
