@@ -1,7 +1,7 @@
 """Hold to run, on the emulated SPI device: what the page sends comes to the wire; whatever ends it stops the legs."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -50,13 +50,13 @@ class Robot:
         self.bed.wait_for(lambda all_: any(_ops(each) == wanted for each in all_[since:]), LATE_MS / 1000)
 
     def expect_stopped(self, *legs: int, since: int) -> None:
-        """Wait for these legs' Stops, and compare when the first of each came with the leg's last setpoint."""
-        stops = {leg: stop_leg(leg).to_bytes() for leg in legs}
-        transfers = self.bed.wait_for(
-            lambda all_: all(any(each.data == stop for each in all_[since:]) for stop in stops.values()), LATE_MS / 1000
-        )
-        for leg, stop in stops.items():
-            first = next(index for index, each in enumerate(transfers) if index >= since and each.data == stop)
+        """Wait for these legs' Stops, and compare when the first of each came with the leg's last setpoint.
+
+        A Stop counts once the leg has moved: those of legs at rest are written again some seconds later.
+        """
+        transfers = self.bed.wait_for(lambda all_: all(_stopped(all_, leg, since) for leg in legs), LATE_MS / 1000)
+        for leg in legs:
+            first = _stopped(transfers, leg, since)
             last = max(index for index, each in enumerate(transfers[:first]) if _moves(each, leg))
             silent_ms = (transfers[first].monotonic_ns - transfers[last].monotonic_ns) / NS_PER_MS
             assert silent_ms <= TIMEOUT_MS + LEEWAY_MS
@@ -69,6 +69,13 @@ def _frame(transfer: Transfer) -> Frame:
 
 def _ops(transfer: Transfer) -> list[tuple[int, Op, int]]:
     return [(servo, op.op, op.angle_cdeg) for servo, op in _frame(transfer).servos]
+
+
+def _stopped(transfers: Sequence[Transfer], leg: int, since: int) -> int:
+    """Which transfer is the leg's first Stop behind its first setpoint; 0: none is."""
+    begun = next((index for index in range(since, len(transfers)) if _moves(transfers[index], leg)), len(transfers))
+    stop = stop_leg(leg).to_bytes()
+    return next((index for index in range(begun, len(transfers)) if transfers[index].data == stop), 0)
 
 
 def _moves(transfer: Transfer, leg: int) -> bool:
@@ -122,7 +129,6 @@ def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(pages: V
     page["joint-3"].fill("120")
     robot.wait_for(3, Op.SET, (45, 77.25, 120), since)
     page.expect_status(3, "runs")
-    since = len(robot.bed.transfers)
     page.page.keyboard.up("h")
     robot.expect_stopped(3, 5, since=since)
     expect(page.said).to_have_text("Let go: legs 3 and 5 stopped.")
@@ -137,7 +143,6 @@ def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(pag
     page.page.mouse.down()
     robot.wait_for(4, Op.SET, (90, 90, 90), since)
     assert not any(_moves(each, 1) for each in robot.bed.transfers[since:])
-    since = len(robot.bed.transfers)
     page["stop-leg"].focus()
     page.page.keyboard.press("Enter")
     robot.expect_stopped(4, since=since)

@@ -199,8 +199,8 @@ class Streamer:
 
 def set_nice(nice: int) -> None:
     """For all threads of this process, also Zenoh's."""
-    with suppress(PermissionError):
-        for task in os.listdir("/proc/self/task"):
+    for task in os.listdir("/proc/self/task"):
+        with suppress(PermissionError, ProcessLookupError):  # a thread may have ended since it was listed
             os.setpriority(os.PRIO_PROCESS, int(task), nice)
 
 

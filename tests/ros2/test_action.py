@@ -7,7 +7,7 @@ import pytest
 
 from gateway.client import Client
 from gateway.people.ros2 import goals
-from tests.support.bridged import RESTS_DEG, SLOW, commanded, keeps, plan
+from tests.support.bridged import RESTS_DEG, SLOW, commanded, keeps, plan, rests
 from tests.support.control_msgs import made
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames, running, states
@@ -48,14 +48,13 @@ def test_rclpys_own_client_sends_cancels_and_replaces_goals_and_an_emergency_sto
     assert (len(desired), len(actual), len(error)) == (18, 18, 18)
     assert peer.result(1) == (SUCCEEDED, goals.SUCCESSFUL, "its last point is reached")
     assert len(running(watcher)) == 6, "its last point is held"
-    assert commanded(written.all, 11)[-1] == pytest.approx(RESTS_DEG[1] + 17.19, abs=0.01)
+    last_deg = [pytest.approx(RESTS_DEG[1] + 17.19, abs=0.01)]
+    written.wait(lambda record: commanded([record], 11) == last_deg)
 
     assert peer.send(FollowGoal(SLOW))
     assert peer.cancel(2) == 1
     assert peer.result(2) == (CANCELED, goals.SUCCESSFUL, "cancelled on request; it holds where it is")
-    count = len(commanded(written.all, 11))
-    keeps(lambda: None, lambda: len(commanded(written.all, 11)) > count + 20)
-    assert len(set(commanded(written.all, 11)[count + 2 :])) == 1
+    keeps(lambda: None, lambda: rests(written, 11, count=20))
     assert len(running(watcher)) == 6
 
     assert peer.send(FollowGoal(SLOW))
