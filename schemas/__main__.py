@@ -12,7 +12,8 @@ from schemas.calibration import Calibration, CalibrationCommand
 from schemas.command import SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck, RevocationRequest
-from schemas.telemetry import Ack, BodyReport, Event, FrameRecord, GatewayState, Telemetry
+from schemas.state import StateReport
+from schemas.telemetry import Ack, BodyReport, ConfigReport, Event, FrameRecord, Telemetry
 
 FOLDER = Path(__file__).with_name("json")
 
@@ -31,7 +32,8 @@ def documents() -> dict[str, str]:
         LeaseAck,
         RevocationAck,
         ButtonAck,
-        GatewayState,
+        StateReport,
+        ConfigReport,
         Event,
         FrameRecord,
         Calibration,

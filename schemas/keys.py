@@ -28,6 +28,7 @@ GET_ONLY: Final = {
 }
 """Keys that take `get` only, and why. They move nothing, so COMMAND_KEYS has none of them."""
 STATE: Final = f"{ROOT}/state"
+CONFIG: Final = f"{ROOT}/config"
 EVENT: Final = f"{ROOT}/event"
 FRAME: Final = f"{ROOT}/frame"
 CALIBRATION: Final = f"{ROOT}/calibration"
@@ -37,11 +38,11 @@ SIM_BODY: Final = f"{ROOT}/sim/body"
 SIM_UPRIGHT: Final = f"{ROOT}/sim/upright"
 """Puts a simulated robot on its feet; takes `get` only."""
 
-GATEWAYS: Final = (STATE, EVENT, FRAME, CALIBRATION, TELEMETRY)
+GATEWAYS: Final = (STATE, CONFIG, EVENT, FRAME, CALIBRATION, TELEMETRY)
 """Published by the gateway itself."""
 PUBLISHED: Final = (*GATEWAYS, SIM_BODY)
 """Published for all roles."""
-ASKABLE: Final = (STATE, CALIBRATION, TELEMETRY)
+ASKABLE: Final = (STATE, CONFIG, CALIBRATION, TELEMETRY)
 """Of these, also answered to `get`."""
 
 

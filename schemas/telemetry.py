@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 Count = Annotated[int, Field(ge=0)]
+CUT = "…"
+"""Ends a text that was cut."""
 
 
 class Report(BaseModel):
@@ -201,6 +203,12 @@ class LegReport(Report):
     servos: tuple[ServoReport, ServoReport, ServoReport]
     source: str | None = None
 
+    def is_of(self, source: str) -> bool:
+        """Whether `source`'s command is in force; a long name may be cut, and then ends with `CUT`."""
+        shown = self.source or ""
+        begin = shown.removesuffix(CUT)
+        return shown == source or (begin not in ("", shown) and source.startswith(begin))
+
     @property
     def running(self) -> bool:
         """Whether one of its servos runs."""
@@ -228,13 +236,22 @@ class CommandCounts(Report):
     lost: Annotated[Count, Field(description="messages that were lost in these, at least")] = 0
 
 
-class SpiReport(Report):
-    """The SPI device, its frames and faults since the start."""
+class SpiConfig(Report):
+    """The SPI device."""
 
     device: str
     framing: str
+
+
+class SpiCounts(Report):
+    """Frames and faults since the start."""
+
     frames: Count
     errors: Count
+
+
+class SpiReport(SpiCounts, SpiConfig):
+    """The SPI device, its frames and faults since the start."""
 
 
 class StopLatency(Report):
@@ -253,13 +270,22 @@ class LoopLag(Report):
     max: float | None = None
 
 
-class WatchdogReport(Report):
-    """The watchdog's settings and counters."""
+class WatchdogConfig(Report):
+    """The watchdog's settings."""
 
     timeout_ms: float
     landing_ms: float = 0.0
+
+
+class WatchdogCounts(Report):
+    """The watchdog's counters."""
+
     expirations: Count
     stop_latency_us: StopLatency
+
+
+class WatchdogReport(WatchdogCounts, WatchdogConfig):
+    """The watchdog's settings and counters."""
 
     @property
     def stops_after_ms(self) -> float:
@@ -277,12 +303,21 @@ class LeaseReport(Report):
     asked_by: str | None = None
 
 
-class ButtonsReport(Report):
-    """Stop buttons; nothing moves while fewer are alive than required."""
+class ButtonsConfig(Report):
+    """How many stop buttons must be alive."""
 
     required: Count = 0
+
+
+class ButtonsAlive(Report):
+    """The stop buttons that are alive."""
+
     alive: Annotated[Count, Field(description="certificates; names where nothing is proved")] = 0
     names: Annotated[tuple[str, ...], Field(description="of all that are alive")] = ()
+
+
+class ButtonsReport(ButtonsAlive, ButtonsConfig):
+    """Stop buttons; nothing moves while fewer are alive than required."""
 
 
 class CalibrationReport(Report):
@@ -409,33 +444,20 @@ class LimitsReport(Report):
 
     leg_rate_hz: float = 50.0
     max_age_ms: Annotated[float, Field(description="0: any age; an older gateway does not say")] = 500.0
-    servos: Annotated[dict[str, ServoLimitsReport], Field(description="those that the settings name")] = {}
+    servos: Annotated[dict[str, ServoLimitsReport], Field(description="of all eighteen")] = {}
 
 
-class GatewayState(Report):
-    """The payload of `hexapod/state`."""
+class ConfigReport(Report):
+    """The payload of `hexapod/config`: what seldom changes."""
 
-    mode: AnyMode
-    time: AwareDatetime
-    uptime_s: float
+    config: Annotated[str, Field(description="of these values; another state of them has another")] = ""
     version: str
     protocol: str
     simulated: bool
-    legs: tuple[LegReport, ...]
-    commands: CommandCounts
-    spi: SpiReport
-    watchdog: WatchdogReport
-    estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
-    estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
-    estop_since: Annotated[AwareDatetime | None, Field(description="since when it is engaged; null: it is not")] = None
-    estop_fault: Annotated[
-        str | None, Field(description="why it may not outlast a restart, or counts as engaged; null: nothing is wrong")
-    ] = None
-    lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
-    buttons: Annotated[ButtonsReport, Field(description="an older gateway has none")] = ButtonsReport()
+    spi: SpiConfig
+    watchdog: WatchdogConfig
+    buttons: Annotated[ButtonsConfig, Field(description="an older gateway has none")] = ButtonsConfig()
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
-    loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
-    incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
     telemetry: Annotated[TelemetryReport, Field(description="an older gateway does not say")] = TelemetryReport()
     certificate: Annotated[
         CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
@@ -449,12 +471,43 @@ class GatewayState(Report):
     ] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
     wire: Annotated[WireReport, Field(description="an older gateway does not say")] = WireReport()
-    controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
-    battery: Annotated[Battery | None, Field(description="null: the robot does not tell, or an older gateway")] = None
-    power: Annotated[PowerReport | None, Field(description="null: no power board, or an older gateway")] = None
     physics: Annotated[
         str | None, Field(description="Zenoh id of the process that simulates the robot's body; null: none does")
     ] = None
+
+
+class ChangingState(Report):
+    """What changes all the time."""
+
+    config: Annotated[str, Field(max_length=8, description="of the ConfigReport that belongs to it")] = ""
+    mode: AnyMode
+    time: AwareDatetime
+    uptime_s: float
+    commands: CommandCounts
+    spi: SpiCounts
+    watchdog: WatchdogCounts
+    estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
+    estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
+    estop_since: Annotated[AwareDatetime | None, Field(description="since when it is engaged; null: it is not")] = None
+    estop_fault: Annotated[
+        str | None, Field(description="why it may not outlast a restart, or counts as engaged; null: nothing is wrong")
+    ] = None
+    lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
+    buttons: Annotated[ButtonsAlive, Field(description="an older gateway has none")] = ButtonsAlive()
+    loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
+    incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
+    controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
+    battery: Annotated[Battery | None, Field(description="null: the robot does not tell, or an older gateway")] = None
+    power: Annotated[PowerReport | None, Field(description="null: no power board, or an older gateway")] = None
+
+
+class GatewayState(ChangingState, ConfigReport):
+    """A StateReport and its ConfigReport, joined: what programs get, and what recordings contain."""
+
+    legs: tuple[LegReport, ...]
+    spi: SpiReport
+    watchdog: WatchdogReport
+    buttons: ButtonsReport = ButtonsReport()
 
     def leg(self, number: int) -> LegReport:
         """The report of one leg, 1 to 6. Raises KeyError for a leg that the state has not."""

@@ -60,7 +60,7 @@ from gateway.robot.zenoh_io.session import receive_each_session_alone, service_c
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
 from gateway.simulation import body as simulated_body
-from schemas.keys import CALIBRATION, STATE, TELEMETRY
+from schemas.keys import CALIBRATION, CONFIG, STATE, TELEMETRY
 
 if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
@@ -373,6 +373,7 @@ def _inbox(
         on_state_query=conductor.answer_state,
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
+            CONFIG: lambda _query, _ns, reply: partial(conductor.answer_config, reply),
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
             **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.telemetry.answer, reply)} if measures else {}),
         },

@@ -52,7 +52,10 @@ gateway = gateway_fixture()
 @pytest.mark.parametrize("text", [*NONSENSE, FALSE])
 def test_the_answer_is_the_gateways(gateway: Gateway, text: str) -> None:
     """Also where another's would be believable: the gateway is the program that was dialled."""
-    with answering(gateway.endpoint, text, keys.ESTOP, keys.STATE, keys.LEGS_COMMAND), gateway.client() as client:
+    with (
+        answering(gateway.endpoint, text, keys.ESTOP, keys.STATE, keys.CONFIG, keys.LEGS_COMMAND),
+        gateway.client() as client,
+    ):
         for _ in range(TIMES):
             ack = client.estop()
             assert (ack.stop_frames, ack.latency_us == 1) == (6, False)

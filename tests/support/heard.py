@@ -31,13 +31,17 @@ class Heard(Generic[R]):
         self._left_out = left_out
         self._changed = threading.Condition()
         self._reports: deque[R] = deque(maxlen=kept)
+        read: Callable[[bytes], Any] = report.model_validate_json
+        if report is GatewayState:
+            client.state()  # also asks for the configuration: no state is left out for want of it
+            read = client.states.join
         self._subscriber: Any = client.session.declare_subscriber(
-            key, lambda sample: self._take(report.model_validate_json(sample.payload.to_bytes()))
+            key, lambda sample: self._take(read(sample.payload.to_bytes()))
         )
         client.state()  # the gateway has answered, so it knows of the subscription, which was declared before
 
-    def _take(self, report: R) -> None:
-        if self._left_out(report):
+    def _take(self, report: R | None) -> None:
+        if report is None or self._left_out(report):
             return
         with self._changed:
             self._reports.append(report)

@@ -7,9 +7,11 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 import zenoh
+from pydantic import BaseModel
 
 from gateway.client import Client
 from schemas import keys
+from schemas.state import Payloads
 from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
 from tests.support.published import WALL, state
 from tests.support.router import zenoh_listening
@@ -69,7 +71,12 @@ class Measuring:
         self.measured: Telemetry | None = None
         self.state: GatewayState = state()
         self._declared: Any = (
-            session.declare_queryable(keys.STATE, lambda query: self._reply(query, keys.STATE, self.state)),
+            session.declare_queryable(
+                keys.STATE, lambda query: self._reply(query, keys.STATE, Payloads().of(self.state)[0])
+            ),
+            session.declare_queryable(
+                keys.CONFIG, lambda query: self._reply(query, keys.CONFIG, Payloads().of(self.state)[1])
+            ),
             session.declare_queryable(keys.TELEMETRY, lambda query: self._reply(query, keys.TELEMETRY, self.measured)),
         )
 
@@ -82,7 +89,7 @@ class Measuring:
         """What no gateway publishes."""
         self._session.put(keys.TELEMETRY, json.dumps({"battery": "full"}))
 
-    def _reply(self, query: zenoh.Query, key: str, report: GatewayState | Telemetry | None) -> None:
+    def _reply(self, query: zenoh.Query, key: str, report: BaseModel | None) -> None:
         with query:
             if report is not None:
                 query.reply(key, report.model_dump_json())

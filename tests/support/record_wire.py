@@ -21,6 +21,7 @@ import zenoh
 from gateway import certs
 from gateway.client import Client
 from schemas import keys
+from schemas.telemetry import GatewayState
 from tests.support.gateway_process import Gateway, free_port
 
 LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
@@ -42,15 +43,21 @@ def main(folder: Path) -> None:
         Gateway(Path(scratch), settings) as gateway,
         gateway.client() as client,
     ):
+
+        def take_state(state: GatewayState) -> None:
+            with changed:
+                heard["state"].append(state.model_dump_json())
+                changed.notify_all()
+
         subscribers: list[Any] = [
             client.session.declare_subscriber(key, _into(heard[name], changed))
             for key, name in (
-                (keys.STATE, "state"),
                 (keys.EVENT, "event"),
                 (keys.FRAME, "frame"),
                 (keys.CALIBRATION, "calibration"),
             )
         ]
+        subscribers.append(client.on_state(take_state))
 
         def ask(key: str, payload: object) -> None:
             text = payload if isinstance(payload, str) else json.dumps(payload)
@@ -141,11 +148,7 @@ def _state_with_a_list() -> str:
             Gateway(Path(scratch), settings),
             Client(None, zenoh_config=directory / "anna.json5", timeout_s=10) as client,
         ):
-            client.state()
-            (reply,) = client.session.get(keys.STATE, timeout=5)
-            if reply.ok is None:
-                raise RuntimeError("no state")
-            return str(reply.ok.payload.to_string())
+            return client.state().model_dump_json()
 
 
 def _into(lines: list[str], changed: threading.Condition) -> Any:

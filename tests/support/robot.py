@@ -32,7 +32,8 @@ from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
-from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind
+from schemas.state import StateReport, joined
+from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayState, Kind
 from tests.support.faulty_controller import FaultyController
 
 MS = 1_000_000
@@ -230,7 +231,12 @@ class Robot:
 
     @property
     def states(self) -> list[GatewayState]:
-        return [report for key, report in self.reports if key == keys.STATE and isinstance(report, GatewayState)]
+        """The states that were published, with their configurations."""
+        now = self.conductor.reports.payloads.of(self.conductor.state())[1]
+        configs = {now.config: now}
+        configs |= {each.config: each for _, each in self.reports if isinstance(each, ConfigReport)}
+        states = (report for _, report in self.reports if isinstance(report, StateReport))
+        return [joined(state, configs[state.config]) for state in states]
 
     @property
     def records(self) -> list[FrameRecord]:

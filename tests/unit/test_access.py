@@ -18,6 +18,7 @@ from schemas.keys import (
     BUTTON,
     CALIBRATION,
     COMMAND_KEYS,
+    CONFIG,
     ESTOP,
     EVENT,
     FRAME,
@@ -30,7 +31,7 @@ from schemas.keys import (
 DECLARATIONS = ("declare_subscriber", "declare_queryable", "declare_liveliness_subscriber")
 MESSAGES = ("put", "delete", "query", "reply", "liveliness_token", "liveliness_query", *DECLARATIONS)
 FLOWS = ("ingress", "egress")
-TELEMETRY = (STATE, EVENT, FRAME, CALIBRATION, SIM_BODY)
+TELEMETRY = (STATE, CONFIG, EVENT, FRAME, CALIBRATION, SIM_BODY)
 OTHERS = ("hexapod/secret", "hexapod/*", "hexapod/**", "**", "robot2/hexapod/state", "robot2/hexapod/estop/cmd")
 KEYS = (*COMMAND_KEYS, *GET_ONLY, "hexapod/leg/*/cmd", "hexapod/**/cmd", *TELEMETRY, ALIVE, SIM_UPRIGHT, *OTHERS)
 WILD = ("hexapod/leg/*/cmd", "hexapod/**/cmd")
@@ -84,8 +85,8 @@ def said(flow: str, messages: str, *keys: str) -> set[Said]:
 WATCHING = (
     said("ingress", "declare_subscriber", *TELEMETRY)
     | said("egress", "put", *TELEMETRY)
-    | said("ingress", "query", STATE, CALIBRATION)
-    | said("egress", "reply declare_queryable", STATE, CALIBRATION)
+    | said("ingress", "query", STATE, CONFIG, CALIBRATION)
+    | said("egress", "reply declare_queryable", STATE, CONFIG, CALIBRATION)
     | said("ingress", "declare_liveliness_subscriber liveliness_query", ALIVE)
     | said("egress", "liveliness_token", ALIVE)
 )

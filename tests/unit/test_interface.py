@@ -20,13 +20,14 @@ from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, 
 from schemas.lease import Challenge, Claim, LeaseAck, Proof, Release, Renew
 from schemas.revocation import RevocationAck, RevocationRequest
 from schemas.robot import LEGS, SERVO_IDS
+from schemas.state import StateReport
 from schemas.telemetry import (
     Ack,
     BodyReport,
     Cause,
+    ConfigReport,
     Event,
     FrameRecord,
-    GatewayState,
     Kind,
     Mode,
     Reason,
@@ -71,7 +72,19 @@ def fields(model: type[BaseModel]) -> set[str]:
 
 @pytest.mark.parametrize(
     "model",
-    [Ack, LeaseAck, RevocationAck, ButtonAck, Calibration, GatewayState, Event, FrameRecord, Telemetry, BodyReport],
+    [
+        Ack,
+        LeaseAck,
+        RevocationAck,
+        ButtonAck,
+        Calibration,
+        StateReport,
+        ConfigReport,
+        Event,
+        FrameRecord,
+        Telemetry,
+        BodyReport,
+    ],
 )
 def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
     assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))

@@ -19,6 +19,7 @@ from schemas.keys import CommandKey, Target
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck
 from schemas.robot import LEGS
+from schemas.state import Payloads
 from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Reason
 from tests.support.bad_commands import FAULTS
 from tests.support.commands import LEG, as_json
@@ -134,6 +135,14 @@ def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
 
 
 STATES = (Path(__file__).parents[1] / "data/wire/1.3/state.jsonl").read_text().splitlines()
+
+
+def read(which: int, state: GatewayState) -> BaseModel:
+    """A state's payload (0), or its configuration's (1), as a reader has it."""
+    sent = Payloads().of(state)[which]
+    return type(sent).model_validate_json(sent.model_dump_json())
+
+
 reasons = st.sampled_from(Reason)
 texts = st.text(st.characters(exclude_categories=["Cs"]))
 floats = st.floats(0, 1e9)
@@ -153,7 +162,8 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
     st.builds(ButtonAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
               nonce=st.none() | texts, button=st.none() | texts, timeout_ms=st.none() | floats,
               alive=st.none() | st.integers(0), required=st.none() | st.integers(0)),
-    st.sampled_from(STATES).map(GatewayState.model_validate_json),
+    st.sampled_from(STATES).map(lambda text: read(0, GatewayState.model_validate_json(text))),
+    st.sampled_from(STATES).map(lambda text: read(1, GatewayState.model_validate_json(text))),
 )  # fmt: skip
 
 
@@ -200,7 +210,8 @@ def test_an_event_has_all_its_fields_and_an_rfc_3339_time() -> None:
 
 
 @pytest.mark.parametrize(("name", "fields"), [
-    ("GatewayState", "mode time uptime_s version protocol simulated legs commands spi watchdog"),
+    ("StateReport", "mode time uptime_s legs commands spi watchdog"),
+    ("ConfigReport", "version protocol simulated spi watchdog"),
     ("Event", "time kind source key reason detail"),
     ("FrameRecord", "time monotonic_ns bytes cause"),
 ])  # fmt: skip
@@ -211,8 +222,8 @@ def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str
 
 
 REPORTS = (
-    "Ack", "LeaseAck", "RevocationAck", "ButtonAck", "Calibration", "GatewayState", "Event", "FrameRecord",
-    "BodyReport", "Telemetry",
+    "Ack", "LeaseAck", "RevocationAck", "ButtonAck", "Calibration", "StateReport", "ConfigReport", "Event",
+    "FrameRecord", "BodyReport", "Telemetry",
 )  # fmt: skip
 
 

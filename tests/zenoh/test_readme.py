@@ -105,7 +105,7 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
 def test_the_keys_are_the_keys() -> None:
     table = set(re.findall(r"^\| `(hexapod/[^`]+)` \|", README, re.MULTILINE))
     commands = {keys.LEGS_COMMAND, keys.ESTOP, keys.RESET}
-    reports = {keys.STATE, keys.EVENT, keys.FRAME, keys.TELEMETRY, keys.ALIVE}
+    reports = {keys.STATE, keys.CONFIG, keys.EVENT, keys.FRAME, keys.TELEMETRY, keys.ALIVE}
     assert table == commands | reports | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
 
 

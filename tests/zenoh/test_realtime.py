@@ -71,7 +71,8 @@ def test_the_loop_of_a_running_gateway_has_priority_and_zenohs_threads_have_not(
         assert priorities[pid] == LOOP_PRIORITY
         found = Counter(priorities.values())
         assert found[LOOP_PRIORITY] == 1 + 2, "those of the emergency stop, too"
-        assert found[RECEIVER_PRIORITY] == 8, "two each for commands and calibration; state, lease, buttons, revocation"
+        own = "state, configuration, lease, buttons, revocation"
+        assert found[RECEIVER_PRIORITY] == 9, f"two each for commands and calibration; {own}"
         assert found[PAGE_PRIORITY] >= 2, "those that write stdout and stderr among them"
         others = [task for task, priority in priorities.items() if priority == 0]
         assert len(others) >= 3

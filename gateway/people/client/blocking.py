@@ -32,11 +32,12 @@ from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, Question
 from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
-from gateway.people.client.subscriptions import reports
+from gateway.people.client.subscriptions import States, reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, FrameRecord, GatewayState, Kind, Telemetry
+from schemas.state import StateReport, joined
+from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayState, Kind, Telemetry
 
 if TYPE_CHECKING:
     from gateway.geometry import Geometry
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=BaseModel)
 _POLL_S: Final = 0.1
+_STATE_TRIES: Final = 3
+"""For a state and its configuration, which may change in between."""
 
 
 class _Brief(type):
@@ -108,6 +111,8 @@ class Client(metaclass=_Brief):
         except UnreachedError as error:
             raise UnreachedError((_why(config) if explain else "") or str(error)) from error
         """Open until `close`: after a broken link Zenoh reconnects to any of the hosts, with all declarations."""
+        self.states = States(self.session)
+        """Joins states and the configuration. @private"""
         self.name = str(self.session.info.zid()) if source is None else source
         """The name in events: `source`, or the session's Zenoh id (which only a stream's commands contain)."""
         self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
@@ -372,7 +377,15 @@ class Client(metaclass=_Brief):
 
     def state(self, timeout_s: float | None = None) -> GatewayState:
         """The gateway's state now. Raises DisconnectedError without an answer in `timeout_s` (None: the client's)."""
-        return self._get(keys.STATE, None, GatewayState, again=True, timeout_s=timeout_s)
+        for _ in range(_STATE_TRIES):
+            state = self._get(keys.STATE, None, StateReport, again=True, timeout_s=timeout_s)
+            known = self.states.config
+            if known is None or known.config != state.config:
+                known = self._get(keys.CONFIG, None, ConfigReport, again=True, timeout_s=timeout_s)
+                self.states.config = known
+            if known.config == state.config:  # else it has changed in between
+                return joined(state, known)
+        raise UnansweredError("the gateway's state and its configuration do not belong together; is there another one?")
 
     def telemetry(self, timeout_s: float | None = None) -> Telemetry | None:
         """What the robot measures now; None: it measures nothing, or nothing has come yet. Raises as `state`."""
@@ -384,7 +397,9 @@ class Client(metaclass=_Brief):
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` (on a Zenoh thread) for each published state, until the returned subscriber is undeclared."""
-        return self._subscribe(keys.STATE, GatewayState, callback)
+        take = self.states.reads(lambda found: None if self._closed else callback(found))
+        with self._open_session() as session:
+            return session.declare_subscriber(keys.STATE, take)
 
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
         """As `on_state`, for each event."""

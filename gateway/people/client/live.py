@@ -177,7 +177,7 @@ class Live:
         self._receiver.opened()
         session, ring = client.session, zenoh.handlers.RingChannel
         # A state makes the one before it useless; of events, each counts.
-        self._read(session.declare_subscriber(keys.STATE, ring(2)), reports(GatewayState, self._take_state))
+        self._read(session.declare_subscriber(keys.STATE, ring(2)), client.states.reads(self._take_state))
         events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
         self._read(events, reports(Event, self._receiver.received_event))
         body = reports(BodyReport, self._receiver.received_body)

@@ -433,7 +433,7 @@ class Stream:
         return frozenset(
             each.leg
             for each in state.legs
-            if not any(servo.running for servo in each.servos) or not (ours_only or each.source == self._client.name)
+            if not any(servo.running for servo in each.servos) or not (ours_only or each.is_of(self._client.name))
         )
 
     def _stopped_legs(self, state: GatewayState) -> frozenset[int]:

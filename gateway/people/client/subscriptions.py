@@ -3,17 +3,69 @@
 Without access control any program may publish on the gateway's keys: invalid reports are left out.
 """
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, Final, TypeVar
 
 import zenoh
 from pydantic import BaseModel, ValidationError
 
+from schemas import keys
+from schemas.state import StateReport, joined
+from schemas.telemetry import ConfigReport, GatewayState
+
 R = TypeVar("R", bound=BaseModel)
 
 KEPT_EVENTS: Final = 256
 """The events kept for a busy reader; the oldest are dropped first."""
+_ASK_AGAIN_S: Final = 0.2
+"""Between questions for the configuration: two states. A flood of made-up states asks no more often."""
+_ANSWER_S: Final = 1.0
+
+
+class States:
+    """Joins each state with the configuration that belongs to it, and asks for one that is not known yet.
+
+    Until that is answered, states of it are left out. For any thread: nothing waits.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.config: ConfigReport | None = None
+        self._session = session
+        self._asked_s = -_ASK_AGAIN_S
+
+    def join(self, payload: bytes) -> GatewayState | None:
+        """The state with this payload; None: its configuration is not known yet. Raises ValidationError."""
+        state = StateReport.model_validate_json(payload)
+        config = self.config
+        if config is not None and config.config == state.config:
+            return joined(state, config)
+        now_s = time.monotonic()
+        if now_s - self._asked_s >= _ASK_AGAIN_S:
+            self._asked_s = now_s
+            with suppress(zenoh.ZError):  # the session is closed
+                self._session.get(keys.CONFIG, partial(self._receive, state.config), timeout=_ANSWER_S)
+        return None
+
+    def reads(self, take: Callable[[GatewayState], object]) -> Callable[[zenoh.Sample], None]:
+        """A subscriber's callback that calls `take` with each valid state."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            with suppress(ValidationError):
+                state = self.join(sample.payload.to_bytes())
+                if state is not None:
+                    take(state)
+
+        return receive
+
+    def _receive(self, wanted: str, reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            with suppress(ValidationError):
+                config = ConfigReport.model_validate_json(reply.ok.payload.to_bytes())
+                if config.config == wanted:  # else it has changed again, or another program answers
+                    self.config = config
 
 
 def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:

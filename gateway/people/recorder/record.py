@@ -21,16 +21,16 @@ from gateway import __version__
 from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
 from gateway.people.client.live import is_of_physics
-from gateway.people.client.subscriptions import subscribed
+from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, warning
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.messages import Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from schemas.calibration import Calibration
-from schemas.keys import CALIBRATION, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
+from schemas.keys import CALIBRATION, CONFIG, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import BodyReport, Event, FrameRecord, GatewayState, Telemetry
+from schemas.telemetry import BodyReport, ConfigReport, Event, FrameRecord, GatewayState, Telemetry
 
 try:
     import foxglove
@@ -47,13 +47,15 @@ METADATA: Final = "hexapod-gateway"
 
 REPORTS: Final[Mapping[str, type[BaseModel]]] = {
     STATE: GatewayState,
+    CONFIG: ConfigReport,
     EVENT: Event,
     FRAME: FrameRecord,
     CALIBRATION: Calibration,
     TELEMETRY: Telemetry,
     SIM_BODY: BodyReport,
 }
-"""The keys that are recorded, which are their channels' names, and what is published there."""
+"""The keys that are recorded, which are their channels' names, and what is recorded: each state with its
+configuration."""
 
 
 class Recording(ServerListener):
@@ -193,12 +195,20 @@ class ReportQueue:
         """The count of invalid reports."""
 
     @contextmanager
-    def receives(self, session: zenoh.Session) -> Iterator[None]:
-        """Subscribe, and put in what is received."""
+    def receives(self, session: zenoh.Session, states: States) -> Iterator[None]:
+        """Subscribe, and put in what is received; `states` joins states with their configuration."""
 
         def receive(key: str, sample: zenoh.Sample) -> None:
             if key == SIM_BODY and not is_of_physics(sample, self._physics):
                 self.invalid += 1
+            elif key == STATE:
+                try:
+                    state = states.join(sample.payload.to_bytes())
+                except ValidationError:
+                    self.invalid += 1
+                else:
+                    if state is not None:
+                        self.put(key, state.model_dump_json().encode())
             else:
                 self.put(key, sample.payload.to_bytes())
 
@@ -262,7 +272,9 @@ def record(
             reports = ReportQueue(state.physics)
             if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
                 reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
-            opened.enter_context(reports.receives(client.session))
+            if client.states.config is not None:
+                reports.put(CONFIG, client.states.config.model_dump_json().encode())
+            opened.enter_context(reports.receives(client.session, client.states))
             opened.enter_context(on_end_signals(reports.end))
             if path is not None and state.telemetry.frames is False:
                 hint(

@@ -4,7 +4,6 @@ where they are wanted.
 Only what the gateway publishes: while it is silent, there are no joint states, and the diagnostics are stale.
 """
 
-import json
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +14,7 @@ from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError
 from gateway.geometry import Geometry
+from gateway.people.client.subscriptions import States
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
@@ -68,6 +68,7 @@ class Reports:
         driving: Driving,
         topics: Topics,
         parameters: Parameters,
+        states: States,
         *,
         hardware_id: str,
         with_tf: bool,
@@ -84,6 +85,7 @@ class Reports:
         self._driving = driving
         self._topics = topics
         self._joints = CommandedJoints(geometry)
+        self._states = states
         self._state: GatewayState | None = None
         self._received_s = self._diagnosed_s = self._published_s = 0.0
         self._moved = False
@@ -107,7 +109,7 @@ class Reports:
     def tick(self, now_s: float) -> None:
         """Publish what has come since the last time."""
         self._take(keys.CALIBRATION, Calibration)
-        state = self._take(keys.STATE, GatewayState)
+        state = self._take(keys.STATE, GatewayState, self._states.join)
         if state is not None:
             self._moved = True
             self._state, self._received_s = state, now_s
@@ -142,17 +144,17 @@ class Reports:
         self._odom(robot.odometry(at, velocity, self._way_m, time_ns, base))
         self._tf(robot.odometry_frame(at, time_ns, base))
 
-    def _take(self, key: str, kind: type[R]) -> R | None:
+    def _take(self, key: str, kind: type[R], read: Callable[[bytes], R | None] | None = None) -> R | None:
         """The next report on a key, if it is one: without access control, anybody may publish there."""
         sample = self._received[key].handler.try_recv()
         if sample is None:
             return None
-        payload = sample.payload.to_bytes()
         try:
-            report = kind.model_validate_json(payload)
+            report = (read or kind.model_validate_json)(sample.payload.to_bytes())
         except ValidationError:
             return None
-        self._joints.take(key, json.loads(payload))
+        if report is not None:
+            self._joints.take(key, report.model_dump(mode="json"))
         return report
 
     def _gateway(self, now_s: float) -> tuple[ros.Message, ...]:

@@ -74,7 +74,16 @@ def serve(
             shown = node.parameters(parameters)
             robot = namespace.strip("/") or node.get_name()
             reports = Reports(
-                channels, node, shape, driving, topics, shown, hardware_id=robot, with_tf=with_tf, is_open=is_open
+                channels,
+                node,
+                shape,
+                driving,
+                topics,
+                shown,
+                client.states,
+                hardware_id=robot,
+                with_tf=with_tf,
+                is_open=is_open,
             )
             with suppress(UnansweredError):  # an older gateway has none
                 reports.begin(client.calibration())

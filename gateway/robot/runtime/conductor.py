@@ -52,7 +52,6 @@ from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
-from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, PowerReport, Reason
 
@@ -467,12 +466,16 @@ class Conductor:
         self._outbox.publish(key, report)
 
     def publish_state(self) -> None:
-        """Publish the state."""
-        self._outbox.publish(keys.STATE, self.state())
+        """Publish the state, and before it the configuration if that has changed."""
+        self.reports.publish(self.state(), self._outbox.publish)
 
     def answer_state(self, reply: Reply) -> None:
         """Answer a `get` on the state."""
-        reply(self.state().model_dump_json().encode())
+        reply(self.reports.payloads.of(self.state())[0].model_dump_json().encode())
+
+    def answer_config(self, reply: Reply) -> None:
+        """Answer a `get` on the configuration."""
+        reply(self.reports.payloads.of(self.state())[1].model_dump_json().encode())
 
     def state(self) -> GatewayState:
         """What the gateway knows now."""

@@ -1,10 +1,14 @@
-"""Makes the payload of `hexapod/state`."""
+"""Makes the states, whose parts are the payloads of `hexapod/state` and `hexapod/config`."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Final
 
+from pydantic import BaseModel
+
 from gateway import __version__
+from gateway.host.settings_table import ServoLimits
 from gateway.model.frames import Op
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.lease import RobotLease
@@ -13,12 +17,16 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.settings import Settings
+from schemas import keys
+from schemas.robot import SERVO_IDS
+from schemas.state import Payloads
 from schemas.telemetry import (
     Battery,
     ButtonsReport,
     CalibrationReport,
     CertificateReport,
     CommandCounts,
+    ConfigReport,
     ControllerReport,
     GatewayState,
     Kind,
@@ -95,12 +103,22 @@ class StateReports:
         """Since when the emergency stop is engaged; None: it is not."""
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
+        self.payloads = Payloads()
+        self._published: ConfigReport | None = None
         self.revocations: RevocationsReport | None = None
         """The list in force; None: there is none."""
 
     def has_missing(self, endpoints: tuple[str, ...]) -> None:
         """Report these as not listened on yet. Callable from any thread."""
         self._missing = endpoints
+
+    def publish(self, state: GatewayState, publish: Callable[[str, BaseModel], None]) -> None:
+        """Publish the state, and before it the configuration if that has changed."""
+        report, config = self.payloads.of(state)
+        if config != self._published:
+            self._published = config
+            publish(keys.CONFIG, config)
+        publish(keys.STATE, report)
 
     def state(
         self,
@@ -174,8 +192,9 @@ class StateReports:
 
 def limits_of(settings: Settings) -> LimitsReport:
     """The settings' limits, as in the state."""
-    servos = {name: ServoLimitsReport(**asdict(each)) for name, each in settings.limits.servos.items()}
     limits = settings.limits
+    each = {name: limits.servos.get(name, ServoLimits()) for name in map(str, SERVO_IDS)}
+    servos = {name: ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}
     return LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
 
 

@@ -25,11 +25,12 @@ from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, Rep
 from gateway.people.ros2.messages import Message, String
 from schemas import keys
 from schemas.robot import SERVO_IDS
+from schemas.state import Payloads
 from schemas.telemetry import Kind
 from tests.support.full_disk import disk_that_takes
 from tests.support.mcap_file import about, checked
 from tests.support.measuring import MEASURED
-from tests.support.published import event
+from tests.support.published import event, state
 from tests.support.ros2_messages import decode
 
 pytestmark = pytest.mark.full
@@ -64,9 +65,17 @@ def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
         for key, name in NAMES.items()
     }
     wires[keys.SIM_BODY] = [BODY]
+    wires[keys.CONFIG] = [json.loads(Payloads().of(state())[1].model_dump_json())]
     wires[keys.TELEMETRY] = [MEASURED.model_dump(mode="json")]
     for number in range(count):
-        others = {0: keys.STATE, 10: keys.CALIBRATION, 15: keys.EVENT, 20: keys.SIM_BODY, 25: keys.TELEMETRY}
+        others = {
+            0: keys.STATE,
+            10: keys.CALIBRATION,
+            12: keys.CONFIG,
+            15: keys.EVENT,
+            20: keys.SIM_BODY,
+            25: keys.TELEMETRY,
+        }
         key = others.get(number % 30, keys.FRAME)
         yield key, wires[key][number % len(wires[key])], START_NS + number * PERIOD_NS
 

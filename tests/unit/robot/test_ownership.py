@@ -22,7 +22,8 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.receiver import MOST_LOOKS, ReceiverThread
 from schemas import keys
-from schemas.telemetry import GatewayState, Mode
+from schemas.state import Payloads, StateReport
+from schemas.telemetry import Mode
 from tests.support.interleaved import (
     PATIENCE_S,
     Payload,
@@ -171,8 +172,8 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
     assert gateway.conductor.supervisor.latch.number == 1, "noted once, served once"
     (noted,) = gateway.noted
     assert gateway.kinds[noted:].count(False) <= 1, "the frame that was under way"
-    (state,) = map(GatewayState.model_validate_json, gateway.answers)
-    assert (state.protocol, state.calibration.kept) == ("1.0.0", False)
+    (state,) = map(StateReport.model_validate_json, gateway.answers)
+    assert state.config == Payloads().of(gateway.conductor.state())[1].config
 
 
 @pytest.mark.parametrize("order", range(ORDERS))

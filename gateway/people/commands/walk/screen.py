@@ -166,7 +166,7 @@ class WalkScreen:
         """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
-        taken = {wire.STATE: reports(GatewayState, self._take_state), wire.EVENT: reports(Event, self._take_event)}
+        taken = {wire.STATE: self._client.states.reads(self._take_state), wire.EVENT: reports(Event, self._take_event)}
         terminal, drawer = sys.stdin.fileno(), threading.Thread(target=self._draw, name="draw", daemon=True)
         with (
             subscribed(self._client.session, taken),

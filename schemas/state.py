@@ -1,0 +1,155 @@
+"""The payload of `hexapod/state`, and how it becomes a GatewayState with that of `hexapod/config`.
+
+A reader with little memory (zenoh-pico with its defaults received nothing of 4 074 bytes) receives each state: what
+seldom changes is on `hexapod/config`, legs are columns, and texts are cut if they are too long together.
+"""
+
+import zlib
+from bisect import bisect_left
+from collections.abc import Iterator
+from typing import Annotated, Final, TypeVar
+
+from pydantic import Field
+
+from schemas.robot import JOINTS, LEGS
+from schemas.telemetry import (
+    CUT,
+    AnyWatchdogState,
+    ChangingState,
+    ConfigReport,
+    GatewayState,
+    LegReport,
+    Report,
+    ServoReport,
+)
+
+MAX_STATE_BYTES: Final = 2048
+MOST_BUTTONS: Final = 16
+"""Names of stop buttons; `buttons.alive` counts all."""
+_CUTS: Final = ((400, 64), (200, 64), (100, 64), (48, 64), (24, 64), (16, 32), (12, 16), (8, 8), (4, 4), (1, 1))
+"""Most characters of a text, and of a name of who commands. The first that fits is used; the last always fits."""
+
+_IN_BOTH: Final = ("spi", "watchdog", "buttons")
+"""Parts that have settings and counters."""
+
+T = TypeVar("T", str, str | None)
+
+Angle = float | None
+Angles = tuple[Angle, Angle, Angle]
+SixAngles = tuple[Angles, Angles, Angles, Angles, Angles, Angles]
+_Age = float | None
+_Place = Annotated[int, Field(ge=0, lt=len(LEGS))] | None
+_Watchdog = AnyWatchdogState
+
+
+class LegsReport(Report):
+    """All legs, a column for each value: its first entry is leg 1's."""
+
+    watchdog: tuple[_Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog]
+    age_ms: tuple[_Age, _Age, _Age, _Age, _Age, _Age]
+    angles_deg: Annotated[SixAngles, Field(description="of joints 1 to 3 as last written; null: the servo is off")]
+    targets_deg: Annotated[
+        SixAngles | None, Field(description="where they are commanded to go; null: all are there, or off")
+    ] = None
+    source: Annotated[
+        tuple[_Place, _Place, _Place, _Place, _Place, _Place], Field(description="index into `sources`; null: nobody")
+    ]
+
+
+class StateReport(ChangingState):
+    """The payload of `hexapod/state`: at most 2 048 bytes. A text that was cut ends with `…`."""
+
+    legs: LegsReport
+    sources: Annotated[tuple[str, ...], Field(max_length=len(LEGS), description="whose commands are in force")] = ()
+
+    def cut(self, most: int, most_source: int) -> "StateReport":
+        """The same with at most `most` characters in each text, and `most_source` in each name of who commands."""
+        lease, buttons, power = self.lease, self.buttons, self.power
+        names = {"holder": _cut(lease.holder, most_source), "asked_by": _cut(lease.asked_by, most_source)}
+        buttons_names = tuple(_cut(each, most) for each in buttons.names[:MOST_BUTTONS])
+        return self.model_copy(
+            update={
+                "sources": tuple(_cut(each, most_source) for each in self.sources),
+                "estop_source": _cut(self.estop_source, most_source),
+                "estop_fault": _cut(self.estop_fault, most),
+                "incident": _cut(self.incident, most),
+                "lease": lease.model_copy(update=names),
+                "buttons": buttons.model_copy(update={"names": buttons_names}),
+                "power": power and power.model_copy(update={"interface": _cut(power.interface, most)}),
+            }
+        )
+
+
+class Payloads:
+    """Makes the payloads of `hexapod/state` and `hexapod/config`. The state contains the configuration's checksum."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[ConfigReport, ConfigReport] | None = None
+        """Without and with its checksum, which takes as long as the rest."""
+
+    def of(self, state: GatewayState) -> tuple[StateReport, ConfigReport]:
+        """The payloads of this state."""
+        values = {name: getattr(state, name) for name in ConfigReport.model_fields} | {"config": ""}
+        settings = {name: dict(getattr(state, name)) for name in _IN_BOTH}  # without the counters
+        plain = ConfigReport.model_validate(values | settings)
+        if self._newest is None or self._newest[0] != plain:
+            checksum = f"{zlib.crc32(plain.model_dump_json().encode()):08x}"
+            self._newest = plain, plain.model_copy(update={"config": checksum})
+        config = self._newest[1]
+        return _report_of(state, config.config), config
+
+
+def _report_of(state: GatewayState, config: str) -> StateReport:
+    sources = tuple(dict.fromkeys(leg.source for leg in state.legs if leg.source is not None))
+    angles, targets = zip(*map(_angles, state.legs), strict=True)
+    legs = {
+        "watchdog": tuple(leg.watchdog for leg in state.legs),
+        "age_ms": tuple(None if leg.age_ms is None else round(leg.age_ms, 1) for leg in state.legs),
+        "angles_deg": angles,
+        "targets_deg": None if targets == angles else targets,
+        "source": tuple(None if leg.source is None else sources.index(leg.source) for leg in state.legs),
+    }
+    values = {name: getattr(state, name) for name in ChangingState.model_fields}
+    report = StateReport.model_validate({**values, "config": config, "legs": legs, "sources": sources})
+    if _fits(report):
+        return report
+    level = bisect_left(_CUTS, True, hi=len(_CUTS) - 1, key=lambda most: _fits(report.cut(*most)))
+    return report.cut(*_CUTS[level])
+
+
+def _fits(report: StateReport) -> bool:
+    return len(report.model_dump_json().encode()) <= MAX_STATE_BYTES
+
+
+def joined(state: StateReport, config: ConfigReport) -> GatewayState:
+    """What both are, for programs."""
+    both = {name: {**dict(getattr(config, name)), **dict(getattr(state, name))} for name in _IN_BOTH}
+    return GatewayState.model_validate({**dict(config), **dict(state), **both, "legs": tuple(_legs(state))})
+
+
+def _legs(state: StateReport) -> Iterator[LegReport]:
+    legs = state.legs
+    targets = legs.angles_deg if legs.targets_deg is None else legs.targets_deg
+    for row, leg in enumerate(LEGS):
+        place = legs.source[row]
+        first, second, third = (
+            ServoReport(id=10 * leg + joint, running=at is not None, angle_deg=at, target_deg=target)
+            for joint, at, target in zip(JOINTS, legs.angles_deg[row], targets[row], strict=True)
+        )
+        yield LegReport(
+            leg=leg,
+            watchdog=legs.watchdog[row],
+            age_ms=legs.age_ms[row],
+            servos=(first, second, third),
+            source=None if place is None or place >= len(state.sources) else state.sources[place],
+        )
+
+
+def _angles(leg: LegReport) -> tuple[Angles, Angles]:
+    first, second, third = leg.servos
+    at = (first.angle_deg, second.angle_deg, third.angle_deg)
+    return at, (first.target_deg, second.target_deg, third.target_deg)
+
+
+def _cut(text: T, most: int) -> T:
+    return text if text is None or len(text) <= most else text[: most - 1] + CUT
