@@ -5,9 +5,8 @@ python -m tests --all      # make test-all: and what needs root or Debian's pack
 python -m tests --nightly  # the tests of make nightly: all of them
 python -m tests --quick    # make quick: ruff, mypy and the unit tests, at once
 
-Exit code 1: a test failed. One that failed beside others is run once more, alone: on two processors three workers, a
-browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then. What
-runs alone has no second chance.
+Exit code 1: a test failed. One that failed is run once more, behind all others: on two processors three workers, a
+browser and a robot with physics may hold a program up for longer than any patience. It is named as flaky then.
 
 The model check's searches, and mutants of the files that have changed, run behind the stages that leave processors
 idle, and only take these.
@@ -110,20 +109,20 @@ class Stages:
         if len(failed) > MOST_AGAIN or not self.run("again", "--last-failed"):
             return False
         for test in failed:
-            print(f"FLAKY: {test} failed beside others and passed alone")
+            print(f"FLAKY: {test} failed once and passed alone")
         return True
 
 
 def _stages(stages: Stages, workers: int, only: str) -> bool:
-    beside = [stages.run("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER + only)]
+    green = [stages.run("together", "--cache-clear", "-n", str(workers), "-m", TOGETHER + only)]
     search = [*_PYTEST, "-n", "auto", "-p", "no:cacheprovider", "-m", f"searches{only}"]
     mutants = [sys.executable, "-m", "tests.mutants", "--changed", "--sample", str(SAMPLE), "--seconds", str(MUTANTS_S)]
     with _behind(search, idle=True) as searches, _behind(mutants, idle=True) as judged:
-        beside.append(stages.run("attended", "-n", "2", "-m", f"attended{only}"))
-        green = stages.twice(beside)
-        green = stages.run("alone", "-m", f"alone{only}") and green
+        green.append(stages.run("attended", "-n", "2", "-m", f"attended{only}"))
+        green.append(stages.run("alone", "-m", f"alone{only}"))
+        passed = stages.twice(green)
         codes = stages.ended(searches, "the searches"), stages.ended(judged, "the mutants")
-    return green and not any(codes)
+    return passed and not any(codes)
 
 
 @contextmanager
