@@ -8,8 +8,8 @@ from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args, get_origin
 
-from gateway.host.settings_reader import words
-from gateway.host.settings_table import START_STAGGER_MS, Allowed, SpiSettings
+from gateway.host.settings_reader import is_others, words
+from gateway.host.settings_table import START_STAGGER_MS, Allowed
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.settings import Settings
 from schemas.robot import SERVO_IDS
@@ -32,6 +32,8 @@ def settings(section: Any = Settings, prefix: str = "") -> dict[str, Setting]:
     """Every setting by its dotted name; N is a servo."""
     found: dict[str, Setting] = {}
     for each in fields(section):
+        if is_others(each):
+            continue
         name = f"{prefix}{each.name}"
         inner = get_args(each.type)[1] if get_origin(each.type) is Mapping else each.type
         if is_dataclass(inner):
@@ -54,7 +56,7 @@ def table() -> str:
     for name, setting in settings().items():
         default = "none" if setting.default is MISSING else f"`{json.dumps(setting.default)}`"
         if name == "spi.speed_hz":
-            default = "; ".join(f"`{SpiSettings(protocol=each).speed_hz}` with `{each}`" for each in SpiProtocol)
+            default = "; ".join(f"`{each.speed_hz}` with `{each}`" for each in SpiProtocol)
         if name == "limits.start_stagger_ms":
             default = f"`{START_STAGGER_MS}`; `0.0` with a power board or `{SpiProtocol.ELKAPOD_2025}`"
         if name == "spi.framing":  # the one that has to be said for a real device

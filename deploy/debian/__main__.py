@@ -9,7 +9,7 @@ import sys
 
 if sys.argv[1:2] == ["ros2"]:
     sys.path += filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
-sys.path.append("/usr/lib/python3/dist-packages")
+sys.path += (f"/usr/local/lib/python3.{sys.version_info.minor}/dist-packages", "/usr/lib/python3/dist-packages")
 sys.argv[0] = "/usr/bin/hexapod-gateway"
 
 if sys.argv[1:] == ["take-release"]:  # by the package's postinst

@@ -15,7 +15,8 @@ from typing import Any, Final, NamedTuple
 from gateway import nesting
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
-from gateway.host.settings_table import FOR_STOPS, ControllerSettings, PowerSettings, SpiSettings
+from gateway.host.settings_table import FOR_STOPS, ControllerSettings, PowerSettings, SpiSettings, WireSettings
+from gateway.text import key_name
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
@@ -25,6 +26,7 @@ _INVOCATION: Final = "INVOCATION_ID"
 class Effective(NamedTuple):
     """What a service uses, and which one."""
 
+    wire: WireSettings
     spi: SpiSettings
     controller: ControllerSettings
     power: PowerSettings | None
@@ -52,10 +54,11 @@ def write(used: ForStops) -> None:
         f"[{section}]": {name: getattr(getattr(used, section), name) for name in names}
         for section, names in FOR_STOPS.items()
     }
+    stated["[wire]"] |= used.wire.options
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
     for head, table in {"": process, **stated}.items():
-        lines += [head, *(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in table.items())]
+        lines += [head, *(f"{key_name(name)} = {_toml(value)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
     staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
     staged.replace(folder / NAME)  # whole at any time; the folder is in memory, so nothing has to reach a disk
@@ -75,8 +78,8 @@ def read() -> Effective | None:
     except (OSError, ValueError):
         return None
     found, faults = read_for_stops(tables)
-    framed = found.spi.protocol.framed
-    return None if faults or (framed and "framing" not in tables.get("spi", {})) else Effective(*found, tables)
+    unsaid = found.wire.framed and "framing" not in tables.get("spi", {})
+    return None if faults or unsaid else Effective(*found, tables)
 
 
 def differences(used: Effective, path: Path) -> list[str]:
@@ -86,23 +89,38 @@ def differences(used: Effective, path: Path) -> list[str]:
             stated = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
     except (OSError, ValueError):
         return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
-    defaults = ForStops(SpiSettings(protocol=used.spi.protocol), ControllerSettings(), PowerSettings())
+    defaults = ForStops(used.wire, SpiSettings().of(used.wire), ControllerSettings(), PowerSettings())
     found = []
     for section, names in FOR_STOPS.items():
         table, theirs = stated.get(section), used.tables.get(section)
         table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
-        for name in names:
-            default = getattr(getattr(defaults, section), name)
+        for name in dict.fromkeys((*names, *theirs, *table) if section == "wire" else names):
+            if section == "spi" and not _uses(used.wire, name):
+                continue
+            default = getattr(getattr(defaults, section), name, None)
             value, uses = table.get(name, default), theirs.get(name, default)
             if value != uses:
                 found.append(f"{path} has {section}.{name} = {_shown(value)}, and the service uses {_shown(uses)}")
     return found
 
 
+def _uses(wire: WireSettings, name: str) -> bool:
+    """Whether this wire uses this setting of [spi]."""
+    return wire.framed or (wire.has_uart and name not in {"framing", "frame_gap_us"})
+
+
 def differs_here(path: Path = CONFIGURATION) -> list[str]:
     """The same for the service that runs on this machine; nothing where none runs, or nobody may look."""
     used = read()
     return [] if used is None or not used.runs else differences(used, path)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key_name(name)} = {_toml(each)}" for name, each in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool | int) else str(value)
 
 
 def _shown(value: Any) -> str:

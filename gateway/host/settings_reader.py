@@ -3,7 +3,7 @@
 import enum
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from typing import Any, Final, Literal, NamedTuple, TypeVar, cast, get_args, get_origin
 
 from gateway.host.settings_table import (
@@ -13,6 +13,7 @@ from gateway.host.settings_table import (
     PowerSettings,
     Section,
     SpiSettings,
+    WireSettings,
 )
 from gateway.text import echo, key_name
 from schemas.robot import SERVO_IDS
@@ -55,15 +56,19 @@ def read(kind: type[S], table: object, faults: list[SettingFault], place: Place 
         return kind()
     found: dict[str, Any] = {}
     before = len(faults)
-    known = fields(cast("Any", kind))
+    known = [each for each in fields(cast("Any", kind)) if not is_others(each)]
     for each in known:
         if each.name in table:
             allowed = each.metadata.get("allowed", _ANY)
             value = _value(each.type, allowed, table[each.name], (*place, each.name), faults)
             if value is not None:
                 found[each.name] = value
-    named = {each.name for each in known}
-    faults += [SettingFault((*place, name), NO_SETTING) for name in table if name not in named]
+    others = {name: value for name, value in table.items() if name not in {each.name for each in known}}
+    takes_others = next(filter(is_others, fields(cast("Any", kind))), None)
+    if takes_others is not None:
+        found[takes_others.name] = others
+    else:
+        faults += [SettingFault((*place, name), NO_SETTING) for name in others]
     made = kind(**found)
     sentence = made.fault() if isinstance(made, Section) and len(faults) == before else ""
     if sentence:
@@ -71,9 +76,15 @@ def read(kind: type[S], table: object, faults: list[SettingFault], place: Place 
     return made
 
 
+def is_others(each: "Field[Any]") -> bool:
+    """Whether this is no setting of its own, but all other keys of its section."""
+    return "others" in each.metadata
+
+
 class ForStops(NamedTuple):
     """What a Stop needs of the settings."""
 
+    wire: WireSettings
     spi: SpiSettings
     controller: ControllerSettings
     power: PowerSettings | None
@@ -81,14 +92,15 @@ class ForStops(NamedTuple):
 
 
 def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[SettingFault]]:
-    """What a Stop needs of these tables, and the faults that prevent it: of [spi] and of the UART only."""
+    """What a Stop needs of these tables, and the faults that prevent it: of [wire], [spi] and of the UART only."""
     of_spi, of_controller, of_power = list[SettingFault](), list[SettingFault](), list[SettingFault]()
+    wire = read(WireSettings, tables.get("wire", {}), of_spi, ("wire",))
     spi = read(SpiSettings, tables.get("spi", {}), of_spi, ("spi",))
     controller = read(ControllerSettings, tables.get("controller", {}), of_controller, ("controller",))
     power = read(PowerSettings, tables.get("power", {}), of_power, ("power",))
-    prevent = [fault for fault in of_spi if not fault.together]
+    prevent = of_spi
     prevent += [fault for fault in of_controller if _needed(fault)]
-    return ForStops(spi, controller, None if any(map(_needed, of_power)) else power), prevent
+    return ForStops(wire, spi.of(wire), controller, None if any(map(_needed, of_power)) else power), prevent
 
 
 def _needed(fault: SettingFault) -> bool:

@@ -8,11 +8,14 @@ that takes longer than all Stops.
 # ruff: noqa: E501, RUF009  (a row for each setting, however long; `_setting` returns a field)
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 from gateway.model.framing import Framing
-from gateway.model.protocols import SpiProtocol
+from gateway.model.protocols import BUILT_IN, FRAMED, SpiProtocol
+from gateway.text import key_name
+from gateway.wire import Capabilities, ServoWire
 from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
 
@@ -45,6 +48,11 @@ def _setting(
 def _table(meaning: str, limits: tuple[float, float] | None = None) -> Any:
     """A setting for each servo that the file names."""
     return field(default_factory=dict, metadata={"allowed": Allowed(meaning, limits)})
+
+
+def _others() -> Any:
+    """All other keys of the section, whatever they are."""
+    return field(default_factory=dict, metadata={"others": True})
 
 
 def _is_device(example: str) -> Callable[[str], str]:
@@ -106,10 +114,63 @@ class ZenohSettings(Section):
 
 
 @dataclass(frozen=True)
+class WireSettings(Section):
+    """What the controller speaks."""
+
+    name: str = _setting(str(FRAMED), "what the controller speaks ([protocol.md](protocol.md)): `hexapod-1.0`, `elkapod-2025` or a [plug-in](protocol.md#bring-your-own-wire), whose options are all other keys of `[wire]`. `spi.framing` and `spi.frame_gap_us` are for `hexapod-1.0`, a plug-in uses nothing of `[spi]`")
+    options: Mapping[str, object] = _others()
+
+    @property
+    def built_in(self) -> SpiProtocol | None:
+        """The wire, where the gateway brings it along; None: a plug-in."""
+        return BUILT_IN.get(self.name)
+
+    @cached_property
+    def plugin(self) -> ServoWire:
+        """The plug-in of this name. Raises ValueError with a sentence."""
+        from gateway.host.wire_plugins import load  # noqa: PLC0415  (a Stop over SPI does not wait for it)
+
+        return load(self.name, self.options, tuple(BUILT_IN))
+
+    @property
+    def framed(self) -> bool:
+        """Whether its frames need a framing (`spi.framing`)."""
+        return self.built_in is FRAMED
+
+    @property
+    def has_uart(self) -> bool:
+        """Whether a UART starts and stops the servos."""
+        return self.built_in is not None and not self.framed
+
+    @property
+    def supply_starts(self) -> bool:
+        """Whether a power board's supply is what starts each servo."""
+        return self.built_in is not None and self.built_in.supply_starts
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What it can do."""
+        if self.built_in is not None:
+            return self.built_in.capabilities
+        try:
+            return self.plugin.capabilities
+        except ValueError:  # which is a fault of these settings
+            return Capabilities()
+
+    def fault(self) -> str:
+        if self.built_in is not None:
+            return f"{', '.join(map(key_name, self.options))} is no setting of {self.name}" if self.options else ""
+        try:
+            _ = self.plugin
+        except ValueError as error:
+            return str(error)
+        return ""
+
+
+@dataclass(frozen=True)
 class SpiSettings(Section):
     """The device. The clock was measured to be clean at 2.5 MHz; the controller takes at most 20 MHz."""
 
-    protocol: SpiProtocol = _setting(SpiProtocol.HEXAPOD_1_0, "what the controller speaks ([protocol.md](protocol.md)); with `elkapod-2025`, `spi.framing`, `spi.frame_gap_us` and `limits.start_stagger_ms` are not used")
     device: str = _setting("/dev/spidev0.0", fault=_is_device("/dev/spidev0.0"))
     # 0: the protocol's.
     speed_hz: int = _setting(0, "with `length-prefixed` 5000000 at most: the published firmware loses bytes of a faster clock", (1, 20_000_000))
@@ -119,29 +180,27 @@ class SpiSettings(Section):
     # waits for the pause, six times for six legs.
     frame_gap_us: float = _setting(50.0, "least pause behind a transfer; 100 at least behind a preamble's zero. Linux makes it while chip select is asserted, and then releases chip select for 10 µs, whatever is set here. With `length-prefixed` 20 at least: in shorter pauses the published firmware loses frames, Stops too", (0, 1000))
 
-    def __post_init__(self) -> None:
-        if not self.speed_hz:
-            object.__setattr__(self, "speed_hz", self.protocol.speed_hz)
-
-    @property
-    def spoken(self) -> str:
-        """What the controller has to understand, in a word."""
-        return self.framing if self.protocol.framed else self.protocol
+    def of(self, wire: WireSettings) -> "SpiSettings":
+        """The same for this wire: with its clock by default, and without a framing where it has none."""
+        speed_hz = self.speed_hz or (wire.built_in or FRAMED).speed_hz
+        return replace(self, speed_hz=speed_hz, framing=self.framing if wire.framed else Framing.PLAIN)
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
-        return self.framing.avoid_cdeg if self.protocol.framed else None
+        return self.framing.avoid_cdeg
 
-    def fault(self) -> str:
-        return self.framing.too_fast(self.speed_hz, self.frame_gap_us) if self.protocol.framed else ""
+    @property
+    def too_fast(self) -> str:
+        """Why the controller loses frames of such transfers; "": it does not."""
+        return self.framing.too_fast(self.speed_hz, self.frame_gap_us)
 
     def within_limits(self) -> tuple["SpiSettings", str]:
         """Return these with the clock and the pause that the framing allows, and a sentence if that changed them.
 
         The service rejects what this changes. The last means of stopping must not fail for it, nor lose Stops by it.
         """
-        fault, framing = self.fault(), self.framing
+        fault, framing = self.too_fast, self.framing
         if not fault:
             return self, ""
         speed_hz, gap_us = min(self.speed_hz, framing.most_hz), max(self.frame_gap_us, framing.least_gap_us)
@@ -257,7 +316,8 @@ class PowerSettings(Section):
 
 FOR_STOPS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
-        "spi": ("framing", "protocol", "device", "speed_hz", "frame_gap_us"),
+        "wire": ("name",),
+        "spi": ("framing", "device", "speed_hz", "frame_gap_us"),
         "controller": ("uart",),
         "power": ("interface", "channel"),
     }

@@ -1,9 +1,8 @@
-"""The wires that a robot's controller may speak, by the names of `spi.protocol`."""
+"""The wires that the gateway brings along, by the names of `wire.name`: both go over SPI."""
 
 import enum
 from typing import Final
 
-from gateway.model.framing import Framing
 from gateway.wire import Capabilities
 
 
@@ -16,8 +15,12 @@ class SpiProtocol(enum.StrEnum):
     @property
     def capabilities(self) -> Capabilities:
         """What it can do."""
-        known = {SpiProtocol.ELKAPOD_2025: Capabilities(whole_robot=True, measures=True, supply_starts=True)}
-        return known.get(self, Capabilities())
+        return Capabilities() if self.framed else Capabilities(whole_robot=True, measures=True)
+
+    @property
+    def supply_starts(self) -> bool:
+        """Whether a power board's supply is what starts each servo: its angle is on the wire before."""
+        return not self.framed
 
     @property
     def framed(self) -> bool:
@@ -28,14 +31,6 @@ class SpiProtocol(enum.StrEnum):
     def words(self) -> str:
         """What it is, for people."""
         return "HexapodProtocol v1.0.0: SPI alone" if self.framed else "the Elkapod of 2025: SPI and a UART"
-
-    def version(self, framing: Framing) -> str:
-        """What its frames are, as the gateway reports it: the version of HexapodProtocol, or this wire's own name."""
-        return framing.protocol if self.framed else self
-
-    def framing(self, framing: Framing) -> str:
-        """The framing in use, as the gateway reports it: "none" where frames are transfers as they are."""
-        return framing if self.framed else "none"
 
     @property
     def speed_hz(self) -> int:
@@ -52,3 +47,5 @@ FRAMED: Final = SpiProtocol.HEXAPOD_1_0
 """The wire of SPI alone, whose frames need a framing."""
 WITH_UART: Final = SpiProtocol.ELKAPOD_2025
 """The wire whose controller also has a UART."""
+BUILT_IN: Final = {str(each): each for each in SpiProtocol}
+"""By name."""

@@ -19,7 +19,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME
-from gateway.host.settings_table import SpiSettings
+from gateway.model.protocols import FRAMED
 
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")
@@ -110,11 +110,11 @@ def _how_to_go_on(reason: str, command: str) -> str:
 def _is_set_up() -> bool:
     """Whether the configuration states a wire, or somebody has enabled the service without that."""
     try:
-        spi = tomllib.loads(CONFIGURATION.read_text()).get("spi", {})
+        stated = tomllib.loads(CONFIGURATION.read_text())
     except ValueError:  # the trial names the fault
         return True
-    usual = SpiSettings().protocol
-    return bool(spi.get("framing")) or spi.get("protocol", usual) != usual or _is_enabled()
+    other = stated.get("wire", {}).get("name", FRAMED) != FRAMED
+    return bool(stated.get("spi", {}).get("framing")) or other or _is_enabled()
 
 
 def _try(release: Path) -> None:

@@ -52,7 +52,7 @@ def _run(
     board: BoardProcess | None,
 ) -> None:
     """Once it is ready, print its address and what to try next."""
-    controller = "a simulated controller" if simulated else settings.spi.device
+    controller = "a simulated controller" if simulated else settings.device
     robot = controller if body is None else "a simulated robot"
 
     is_ready = False
@@ -64,7 +64,7 @@ def _run(
             body.connect(config)
         endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
-        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spi.spoken})")
+        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spoken})")
         _reach_by(endpoints)
         say(next_step(endpoints))
 

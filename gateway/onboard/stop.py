@@ -10,7 +10,7 @@ from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective, realtime
 from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
-from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings
+from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEATS
 from gateway.robot import settings
 from gateway.robot.spi.stop_all import stop_servos as stop
@@ -61,7 +61,7 @@ def run(path: Path | None) -> bool:
         _say(f"the servos keep their supply ({error}): switch the power off by hand")
         off = False
     try:
-        stop_servos(chosen.spi, chosen.controller, (lambda: None) if cut is None else cut.stops_written)
+        stop_servos(chosen.wire, chosen.spi, chosen.controller, (lambda: None) if cut is None else cut.stops_written)
     finally:
         off = off if cut is None else cut.end()
     if chosen.used is not None and not chosen.used.ended_here:  # the unit's file lacks the unit's variables
@@ -81,6 +81,7 @@ def _cut(power: PowerSettings | None) -> "SupplyCut | None":
 
 
 class _Chosen(NamedTuple):
+    wire: WireSettings
     spi: SpiSettings
     controller: ControllerSettings
     power: PowerSettings | None
@@ -96,7 +97,7 @@ def _choose(path: Path | None) -> _Chosen:
     by a file or a variable, means that one.
     """
     used = effective.read()
-    theirs = None if used is None else _Chosen(used.spi, used.controller, used.power, used)
+    theirs = None if used is None else _Chosen(used.wire, used.spi, used.controller, used.power, used)
     named = path is not None or bool(settings.overrides(os.environ))
     runs = used is not None and used.runs
     if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
@@ -112,7 +113,8 @@ def _choose(path: Path | None) -> _Chosen:
         if theirs is None:
             raise
         return theirs
-    return theirs if theirs is not None and runs and stated.spi.device == theirs.spi.device else stated
+    same = theirs is not None and (stated.wire.name, stated.spi.device) == (theirs.wire.name, theirs.spi.device)
+    return theirs if theirs is not None and runs and same else stated
 
 
 def unit() -> tuple[int, dict[str, str]]:
@@ -134,6 +136,7 @@ def unit() -> tuple[int, dict[str, str]]:
 
 
 def stop_servos(
+    wire: WireSettings,
     spi: SpiSettings,
     controller: ControllerSettings,
     written: Callable[[], None] = lambda: None,
@@ -141,13 +144,14 @@ def stop_servos(
     """Stop all six legs. Raises SpiError."""
     spi, changed = spi.within_limits()
     try:
-        noticed = stop(spi, controller, written)
+        noticed = stop(wire, spi, controller, written)
     finally:  # after the Stops, which wait for nobody who reads this
         if changed:
             _say(changed)
     times = 1 + STOP_REPEATS
-    lines = [f"Stop written to all six legs, {times} times each, on {spi.device}"]
-    if not spi.protocol.framed:
+    device = spi.device if wire.framed else wire.name
+    lines = [f"Stop written to all six legs, {times} times each, on {device}"]
+    if wire.has_uart:
         lines = [f"shutdown of all servos written {times} times, on {controller.uart}"]
     if noticed is not None:
         lines.append(_NOTICED if noticed else _NOT_NOTICED)

@@ -131,7 +131,7 @@ def rules(settings: Settings) -> Rules:
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
         max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
         power=bool(settings.power.interface),
-        angles_first=settings.spi.protocol.capabilities.supply_starts,
+        angles_first=settings.wire.supply_starts,
     )
 
 
@@ -140,7 +140,7 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
-        "framing": settings.spi.protocol.framing(settings.spi.framing),
+        "framing": settings.framing,
         "timeout_ms": settings.watchdog.timeout_ms,
     }
     stops = stop_note.take()
@@ -202,7 +202,7 @@ def _configured(
 
 def _show_settings(settings: Settings) -> None:
     try:
-        effective.write(ForStops(settings.spi, settings.controller, settings.power))
+        effective.write(ForStops(settings.wire, settings.spi, settings.controller, settings.power))
     except (OSError, ValueError) as error:
         logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
 
@@ -326,7 +326,7 @@ def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd,
     """What a wire says of its own accord from now on."""
     if isinstance(bus, CyclicBus):
         Cycle(bus, conductor, end.mistake).start()
-    wires.warn_of_driver(settings.spi, simulated=simulated)
+    wires.warn_of_driver(settings.wire, settings.spi, simulated=simulated)
 
 
 def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
@@ -363,7 +363,6 @@ def _inbox(
     """The inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
-    measures = settings.spi.protocol.capabilities.measures or bool(settings.power.interface)
     inbox = Inbox(
         session,
         loop,
@@ -375,7 +374,11 @@ def _inbox(
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
             CONFIG: lambda _query, _ns, reply: partial(conductor.answer_config, reply),
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
-            **({TELEMETRY: lambda _query, _ns, reply: partial(conductor.telemetry.answer, reply)} if measures else {}),
+            **(
+                {TELEMETRY: lambda _query, _ns, reply: partial(conductor.telemetry.answer, reply)}
+                if settings.measures
+                else {}
+            ),
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
@@ -402,8 +405,7 @@ def _attendants(
 
 def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
     """Publish the state, and what the robot measures if it does."""
-    measures = settings.spi.protocol.capabilities.measures or settings.power.interface
-    telemetry_hz = REPORTS_HZ if measures else 0.0
+    telemetry_hz = REPORTS_HZ if settings.measures else 0.0
     return [
         asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),
         asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.telemetry.publish, conductor, outbox)),

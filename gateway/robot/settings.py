@@ -40,11 +40,12 @@ from gateway.host.settings_table import (
     StateSettings,
     TelemetrySettings,
     WatchdogSettings,
+    WireSettings,
     ZenohSettings,
 )
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.framing import Framing
-from gateway.model.protocols import SpiProtocol
+from gateway.model.protocols import FRAMED
 from gateway.own_command import CONNECT_VARIABLE
 from gateway.text import echo, key_name
 
@@ -56,6 +57,7 @@ class Settings:
     """All settings of one service."""
 
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
+    wire: WireSettings = field(default_factory=WireSettings)
     spi: SpiSettings = field(default_factory=SpiSettings)
     controller: ControllerSettings = field(default_factory=ControllerSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
@@ -69,10 +71,37 @@ class Settings:
 
     @property
     def starts_whole(self) -> bool:
-        """Whether only the whole robot can be started and stopped: with a power board, each servo can."""
-        return self.spi.protocol.capabilities.whole_robot and not self.power.interface
+        """Whether only the whole robot can be started and stopped: where a board's supply starts servos, each can."""
+        singly = self.wire.supply_starts and self.power.interface
+        return self.wire.capabilities.whole_robot and not singly
+
+    @property
+    def measures(self) -> bool:
+        """Whether telemetry comes back, over the wire or from a power board."""
+        return self.wire.capabilities.measures or bool(self.power.interface)
+
+    @property
+    def protocol(self) -> str:
+        """What the wire's frames are, as the gateway reports it: HexapodProtocol's version, or the wire's name."""
+        return self.spi.framing.protocol if self.wire.framed else self.wire.name
+
+    @property
+    def framing(self) -> str:
+        """The framing in use, as the gateway reports it: "none" where the wire needs none."""
+        return self.spi.framing if self.wire.framed else "none"
+
+    @property
+    def device(self) -> str:
+        """Where the frames go: a device, or a plug-in's name."""
+        return self.wire.name if self.wire.built_in is None else self.spi.device
+
+    @property
+    def spoken(self) -> str:
+        """What the controller has to understand, in a word."""
+        return self.spi.framing if self.wire.framed else self.wire.name
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "spi", self.spi.of(self.wire))
         if self.limits.start_stagger_ms < 0:  # it is not set
             at_once = self.starts_whole or self.power.interface
             limits = replace(self.limits, start_stagger_ms=0.0 if at_once else START_STAGGER_MS)
@@ -90,17 +119,19 @@ class Settings:
 
     def faults(self) -> Iterable[SettingFault]:
         """What does not go together, of sections that are each right."""
-        protocol = self.spi.protocol
+        wire = self.wire.name
+        if self.spi.too_fast:
+            yield SettingFault(("spi",), self.spi.too_fast, together=True)
+        if self.starts_whole and self.power.interface:
+            yield SettingFault(("power", "interface"), f"{wire} starts all servos at once, which no power board does")
         if self.starts_whole and self.limits.start_stagger_ms:
-            yield SettingFault(
-                ("limits", "start_stagger_ms"), f"{protocol} starts all servos at once, so leave it at 0"
-            )
+            yield SettingFault(("limits", "start_stagger_ms"), f"{wire} starts all servos at once, so leave it at 0")
         if self.limits.start_stagger_ms >= self.watchdog.timeout_ms:
             sentence = f"a leg's start may not wait for as long as watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
             yield SettingFault(("limits", "start_stagger_ms"), sentence)
         for each in fields(self.safety):
-            if getattr(self.safety, each.name) and not protocol.capabilities.measures:
-                yield SettingFault(("safety", each.name), f"{protocol} has nothing that measures it; leave it at 0")
+            if getattr(self.safety, each.name) and not self.wire.capabilities.measures:
+                yield SettingFault(("safety", each.name), f"{wire} has nothing that measures it; leave it at 0")
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, ServoLimits())
             if not limits.min_deg <= angle_deg <= limits.max_deg:
@@ -151,8 +182,8 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     merged = _merged(_read(path), variables)
     found, faults = read_for_stops(merged)
     wrong = [(variable, fault) for variable, fault in misnamed if fault.place[0] == "spi"]
-    lines = [f"{key_name(variable)}: {fault.sentence}" for variable, fault in wrong if fault.place not in _REMOVED]
-    lines += [_line(path, fault, variables) for fault in faults if fault.place not in _REMOVED]
+    lines = [f"{key_name(variable)}: {fault.sentence}" for variable, fault in wrong if not _harmless(fault)]
+    lines += [_line(path, _said(fault), variables) for fault in faults if not _harmless(fault)]
     _require_framing(path, merged, lines)
     if lines:
         raise ConfigError("\n".join(lines))
@@ -163,10 +194,17 @@ def _faults(tables: Mapping[str, Any]) -> list[SettingFault]:
     faults: list[SettingFault] = []
     found = read(Settings, tables, faults)
     faults = faults or list(found.faults())
-    return [
-        fault._replace(sentence=_REMOVED.get(fault.place, NO_SETTING)) if fault.sentence == NO_SETTING else fault
-        for fault in faults
-    ]
+    return list(map(_said, faults))
+
+
+def _said(fault: SettingFault) -> SettingFault:
+    """The same, with what takes the place of a removed setting."""
+    return fault._replace(sentence=_REMOVED.get(fault.place, NO_SETTING)) if fault.sentence == NO_SETTING else fault
+
+
+def _harmless(fault: SettingFault) -> bool:
+    """Whether it is a setting of an earlier version without which a Stop is written all the same."""
+    return fault.place in _REMOVED and fault.place != _PROTOCOL
 
 
 def _line(path: Path | None, fault: SettingFault, variables: Variables = MappingProxyType({})) -> str:
@@ -182,9 +220,9 @@ _WHICH_FRAMING: Final = (
 
 
 def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
-    spi = tables.get("spi", {})
-    unframed = [each for each in SpiProtocol if not each.framed]
-    if isinstance(spi, Mapping) and spi.get("protocol") not in unframed and "framing" not in spi:
+    wire, spi = tables.get("wire", {}), tables.get("spi", {})
+    framed = isinstance(wire, Mapping) and WireSettings(wire.get("name", FRAMED)).framed
+    if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
 
@@ -213,10 +251,12 @@ def _read(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"{found}: {error}") from error
 
 
+_PROTOCOL: Final = ("spi", "protocol")
 _IN_STATE: Final = "was removed; name its folder with state.path, which has all that outlasts the gateway"
 _REMOVED: Final[Mapping[Place, str]] = {
     ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
     ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    _PROTOCOL: "was removed; write its value as name in [wire]",
     ("spi", "batch"): "was removed; lists of transfers are written, and single ones where the kernel takes no lists",
     ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
     ("spi", "avoid_deg"): "was removed; it follows from the framing",

@@ -7,7 +7,7 @@ from typing import Final
 
 from gateway.allowance import NS_PER_MS
 from gateway.host.descriptors import Spare
-from gateway.host.settings_table import SpiSettings
+from gateway.host.settings_table import SpiSettings, WireSettings
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.own_command import command
@@ -18,6 +18,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
+from gateway.robot.spi.plugin import PluginBus
 from gateway.robot.spi.uart import SerialUart, Uart
 from gateway.simulation.controller import SimulatedController
 from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart
@@ -46,8 +47,10 @@ def wire(
     sensed: SensedPage | None = None,
 ) -> Wire:
     """The way to the robot's controller, not yet open. `page`, `sensed`: a simulated body's."""
-    protocol = settings.spi.protocol
-    if protocol.framed:
+    protocol = settings.wire.built_in
+    if protocol is None and not simulated:
+        return PluginBus(settings.wire)
+    if protocol is None or protocol.framed:
         return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page))
     spare, spi, uart = Spare(), settings.spi, settings.controller.uart
     open_device: Callable[[], DuplexDevice]
@@ -67,13 +70,13 @@ def wire(
     )
 
 
-def warn_of_driver(spi: SpiSettings, *, simulated: bool) -> None:
+def warn_of_driver(wire: WireSettings, spi: SpiSettings, *, simulated: bool) -> None:
     """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
-    if not simulated and ioctls.are_used():
+    if simulated or wire.built_in is None:
+        return
+    if ioctls.are_used():
         logger.info("%s", ioctls.USED)
-    framed = spi.protocol.framed
-    needed = framed and spi.framing.needs_chip_select and not simulated
-    if needed and not gpio_selects(spi.device):
+    if wire.framed and spi.framing.needs_chip_select and not gpio_selects(spi.device):
         logger.warning(
             "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "
             "emergency stop stops only one leg. Test it: %s",

@@ -86,7 +86,7 @@ class ElkapodBed(SpiTestbed):
         """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""
         return {
             **sections,
-            "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})},
+            "wire": {"name": "elkapod-2025"},
             "controller": {"uart": str(self.uart), "silent_ms": 2000, **sections.get("controller", {})},
         }
 

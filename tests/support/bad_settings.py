@@ -1,6 +1,8 @@
 """Settings that will not do: in a file (its text), or in a variable; and the line that says so, after the place."""
 
-SECTIONS = "the sections are zenoh, spi, controller, limits, watchdog, lease, buttons, state, telemetry, safety, power"
+SECTIONS = (
+    "the sections are zenoh, wire, spi, controller, limits, watchdog, lease, buttons, state, telemetry, safety, power"
+)
 NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"
 WORD = "will not do: input should be"
 INTEGER = f"{WORD} a valid integer"
@@ -41,8 +43,10 @@ FILE_FAULTS = [
     # not among the words
     ('[spi]\nframing = "Plain"', "spi.framing: \"Plain\" will not do: input should be 'plain' or 'length-prefixed'"),
     ('[watchdog]\nscope = "all"', "watchdog.scope: \"all\" will not do: input should be 'leg' or 'robot'"),
-    ('[spi]\nprotocol = "elkapod"',
-     "spi.protocol: \"elkapod\" will not do: input should be 'hexapod-1.0' or 'elkapod-2025'"),
+    ('[wire]\nname = "elkapod"',
+     'wire: there is no wire "elkapod"; installed are "hexapod-1.0", "elkapod-2025"'),
+    ('[spi]\nprotocol = "elkapod-2025"', "spi.protocol: was removed; write its value as name in [wire]"),
+    ("[wire]\nbaud = 9600", "wire: baud is no setting of hexapod-1.0"),
     ('[watchdog]\nscope = "a\\nb"', "watchdog.scope: " + r""""a\nb" will not do: input should be 'leg' or 'robot'"""),
     # no finite number
     ("[limits]\nleg_rate_hz = nan", f"limits.leg_rate_hz: NaN {FINITE}"),
@@ -57,11 +61,11 @@ FILE_FAULTS = [
     ('[controller]\nuart = "ttyAMA1"', "controller.uart: write the path of a device, such as /dev/ttyAMA1"),
     ("[safety]\nmin_battery_v = 6", "safety.min_battery_v: hexapod-1.0 has nothing that measures it; leave it at 0"),
     ("[safety]\nmax_tilt_deg = 45", "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it; leave it at 0"),
-    ('[spi]\nprotocol = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
+    ('[wire]\nname = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
      "limits.start_stagger_ms: elkapod-2025 starts all servos at once, so leave it at 0"),
     ("[limits]\nstart_stagger_ms = 250",
      "limits.start_stagger_ms: a leg's start may not wait for as long as watchdog.timeout_ms, 250"),
-    ('[spi]\nprotocol = "elkapod-2025"\n[safety]\nmax_tilt_deg = 9',
+    ('[wire]\nname = "elkapod-2025"\n[safety]\nmax_tilt_deg = 9',
      "safety.max_tilt_deg: write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never"),
     # much is not repeated
     (f'[spi]\ndevice = ["{"x" * 999}"]', f'spi.device: ["{"x" * 78}… {STRING}'),

@@ -33,7 +33,7 @@ class ElkapodRobot(Robot):
 
     def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         sections = sections or {}
-        super().__init__({**sections, "spi": {"protocol": "elkapod-2025", **sections.get("spi", {})}})
+        super().__init__({**sections, "wire": {"name": "elkapod-2025"}})
         self.failed: list[Exception] = []
         self._cycle = Cycle(self.cyclic, self.conductor, self.failed.append, clock=self.now_ns)
         self.conductor.start()

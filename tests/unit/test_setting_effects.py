@@ -37,7 +37,8 @@ SHOWN_ELSEWHERE = {
     "zenoh.listen": "test_service.py",
     "zenoh.config": "test_service.py",
     "zenoh.allow_insecure": "test_exposure.py",
-    "spi.protocol": "test_elkapod_conductor.py",
+    "wire.name": "test_elkapod_conductor.py",
+    "wire.options": "test_plugin.py",
     "spi.device": "hil/test_service.py",
     "spi.speed_hz": "hil/test_service.py",
     "controller.uart": "hil/test_elkapod.py",
@@ -65,8 +66,8 @@ def test_where_nothing_is_set_the_supervisor_has_its_own_defaults() -> None:
         ({}, 15),
         ({"power": {"interface": "sim"}}, 0),
         ({"power": {"interface": "sim"}, "limits": {"start_stagger_ms": 15}}, 15),
-        ({"spi": {"protocol": "elkapod-2025"}}, 0),
-        ({"spi": {"protocol": "elkapod-2025"}, "power": {"interface": "sim"}}, 0),
+        ({"wire": {"name": "elkapod-2025"}}, 0),
+        ({"wire": {"name": "elkapod-2025"}, "power": {"interface": "sim"}}, 0),
         ({"limits": {"start_stagger_ms": 0}}, 0),
     ],
 )
@@ -106,7 +107,7 @@ RULES: list[tuple[str, object, dict[str, object]]] = [
 @pytest.mark.parametrize(("setting", "value", "changed"), RULES)
 def test_a_setting_is_a_rule(setting: str, value: object, changed: dict[str, Any]) -> None:
     section, _, name = setting.partition(".")
-    measures = {"spi": {"protocol": "elkapod-2025"}} if section == "safety" else {}
+    measures = {"wire": {"name": "elkapod-2025"}} if section == "safety" else {}
     before = rules(Settings.of(measures))
     assert rules(Settings.of({**measures, section: {name: value}})) == replace(before, **changed)
 

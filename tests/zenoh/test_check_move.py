@@ -177,7 +177,7 @@ def test_it_moves_under_the_lease(tmp_path: Path) -> None:
 # ---- a robot that starts and stops as a whole
 
 WHOLE: dict[str, dict[str, object]] = {
-    "spi": {"protocol": "elkapod-2025"},
+    "wire": {"name": "elkapod-2025"},
     "telemetry": {"frames": True},
     "watchdog": {"timeout_ms": 9000},
 }

@@ -89,7 +89,7 @@ def test_the_first_program(gateway: Gateway) -> None:
 def test_the_first_program_and_the_first_command_work_on_a_robot_that_starts_as_a_whole(tmp_path: Path) -> None:
     help_text = run_here("--help").stdout
     (command,) = re.findall(r"hexapod-gateway (send [a-z0-9 ]+--hold) 5", " ".join(help_text.replace("│", " ").split()))
-    with Gateway(tmp_path, {"spi": {"protocol": "elkapod-2025"}, "watchdog": {"timeout_ms": 2000}}) as whole:
+    with Gateway(tmp_path, {"wire": {"name": "elkapod-2025"}, "watchdog": {"timeout_ms": 2000}}) as whole:
         assert run("first.py", whole).count("accepted=True") == 2
         first = run_here(*command.split(), "0.2", "--connect", whole.endpoint)
         assert (first.returncode, first.stdout) == (0, "accepted\n"), first

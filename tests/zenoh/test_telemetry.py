@@ -6,7 +6,7 @@ from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard
 
-gateway = gateway_fixture({"spi": {"protocol": "elkapod-2025"}})
+gateway = gateway_fixture({"wire": {"name": "elkapod-2025"}})
 
 
 def test_what_is_measured_is_published_while_somebody_listens_and_answered(gateway: Gateway) -> None:

@@ -140,9 +140,9 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         yield Result("configuration", Verdict.OK, where)
         if used is not None:  # the wire is looked at with the service's settings
             uart = replace(settings.controller, uart=used.controller.uart)
-            if settings.spi.device != used.spi.device:
+            if settings.device != used.spi.device and used.wire.built_in is not None:
                 yield from results([wire.DEVICE], robot)
-            robot.settings = replace(settings, spi=used.spi, controller=uart)
+            robot.settings = replace(settings, wire=used.wire, spi=used.spi, controller=uart)
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(CONFIGURED, robot)

@@ -14,6 +14,7 @@ from contextlib import ExitStack, suppress
 from typing import Final
 
 from gateway.errors import ConfigError
+from gateway.model.protocols import BUILT_IN
 from gateway.onboard.check.bench import Commands, FailedError
 from gateway.own_command import command
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
@@ -45,7 +46,7 @@ _WHOLE_HOLDS: Final = (
 )
 _SILENT: Final = (
     "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
-    "that answers nothing needs another spi.protocol."
+    "that answers nothing needs another wire.name."
 )
 # fmt: off
 _BOARD, _ALL, _LEGS, _WHOLE = "board", "all", "legs", "whole"
@@ -115,6 +116,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
     if seen == "no":
         say("The gateway wrote every frame, and SPI has no way back: one of these, the likeliest first.")
         of = {_ALL, _WHOLE if whole else _LEGS, _ALL if state.power is None else _BOARD}
+        of -= {_LEGS, _WHOLE} if state.wire.name not in BUILT_IN else set()  # which are about SPI
         for place, text in enumerate((text for robots, text in _CAUSES if robots in of), 1):
             say(f"{place}. {text.format(spi=state.spi)}")
     if loose == "no":

@@ -22,12 +22,13 @@ from typing import TYPE_CHECKING, Final
 from gateway.allowance import NS_PER_MS
 from gateway.durable import staged_for
 from gateway.errors import GatewayError, SpiError
+from gateway.host import effective
 from gateway.host.settings_table import PowerSettings
 from gateway.model import power_board
 from gateway.model.elkapod import FRAME_BYTES, Heartbeats
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.model.protocols import FRAMED, WITH_UART
+from gateway.model.protocols import BUILT_IN, FRAMED, WITH_UART, SpiProtocol
 from gateway.onboard.check.table import RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
@@ -35,6 +36,7 @@ from gateway.robot.power.interface import BITRATE, open_bus, received, send
 from gateway.robot.spi import ioctls, machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.plugin import PluginDevice
 from gateway.robot.spi.uart import SerialUart
 from schemas.robot import LEGS
 
@@ -107,16 +109,23 @@ def _locked_by(path: str) -> str:
     return f"{text(Path(f'/proc/{found[1]}/comm'))} (process {found[1]})" if found else "another program"
 
 
-def _device(robot: CheckedRobot) -> Seen:
+def _protocol(robot: CheckedRobot) -> SpiProtocol | None:
+    """What is spoken over SPI; None: a plug-in has no SPI of the gateway's."""
+    return BUILT_IN.get(robot.settings.wire.name)
+
+
+def _device(robot: CheckedRobot) -> Seen | None:
     """Set it up as the service does it, and close it at once."""
-    spi = robot.settings.spi
+    spi, protocol = robot.settings.spi, _protocol(robot)
+    if protocol is None:
+        return None
     seen, held = node(robot, spi.device), False
     others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
     seen.absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
     seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
     if not (seen.lack or seen.denied):
         try:
-            KernelDevice(spi.device, spi.speed_hz, mode=spi.protocol.spi_mode).close()
+            KernelDevice(spi.device, spi.speed_hz, mode=protocol.spi_mode).close()
         except SpiError as error:
             held = isinstance(error.__cause__, BlockingIOError)
             seen.error = "" if held else str(error)
@@ -128,8 +137,10 @@ def _device(robot: CheckedRobot) -> Seen:
     return seen
 
 
-def _carrier(robot: CheckedRobot) -> Seen:
+def _carrier(robot: CheckedRobot) -> Seen | None:
     """Computer, kernel, driver and chip select; and whether this kernel loses clock edges."""
+    if _protocol(robot) is None:
+        return None
     device, root = robot.settings.spi.device, robot.root
     release, built = machine.kernel(root)
     selects = {True: ", chip select is a GPIO", False: ", the controller drives chip select", None: ""}
@@ -139,8 +150,18 @@ def _carrier(robot: CheckedRobot) -> Seen:
     return Seen(found=found, when=f"of {built}" if built else when, loses=machine.on_rp1(device, root) and old)
 
 
-def _speed(robot: CheckedRobot) -> Seen:
+def _neighbours(robot: CheckedRobot) -> Seen | None:
+    """Drivers of other devices on the same bus."""
+    if _protocol(robot) is None:
+        return None
+    found = machine.neighbours(robot.settings.spi.device, robot.root)
+    return Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in found))
+
+
+def _speed(robot: CheckedRobot) -> Seen | None:
     """The clock that the kernel gives where nobody has set one, as device tree and controller allow."""
+    if _protocol(robot) is None:
+        return None
     with suppress(OSError):
         fd = os.open(robot.settings.spi.device, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
         try:
@@ -155,17 +176,18 @@ def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
 
     `takes_ms`: six Stops on the wire; where these do not go over SPI, a frame.
     """
-    spi, runs = robot.settings.spi, robot.gateway_runs
+    spi, runs, protocol = robot.settings.spi, robot.gateway_runs, _protocol(robot) or FRAMED
     differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
     slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
     transfers = 1 + (spi.framing is Framing.LENGTH_PREFIXED)
     bits, pause_ms = 8 * (ONE_LEG_LEN + transfers - 1), transfers * (spi.frame_gap_us / 1e3 + CS_CHANGE_NS / 1e6)
     what, takes_ms = "an emergency stop", len(LEGS) * (bits / slowest_hz * 1e3 + pause_ms)
-    if not spi.protocol.framed:
+    if not protocol.framed:
         what, takes_ms = "a frame", 8 * FRAME_BYTES / slowest_hz * 1e3
     return Seen(
         spi=spi, differs=differs, takes_ms=takes_ms, takes=f"{what} takes {takes_ms:.1f} ms to write",
-        set=_megahertz(spi.speed_hz), known=_megahertz(spi.protocol.speed_hz), kernel=_megahertz(given_hz or 0),
+        set=_megahertz(spi.speed_hz), known_hz=protocol.speed_hz, known=_megahertz(protocol.speed_hz),
+        kernel=_megahertz(given_hz or 0),
         given=f", and the kernel gives {_megahertz(slowest_hz)}" if given_hz is not None else "",
         fix="sudo systemctl restart hexapod-gateway" if runs else f"set spi.speed_hz = {given_hz} or less",
     )  # fmt: skip
@@ -178,7 +200,7 @@ def _megahertz(hz: int) -> str:
 def _frames(robot: CheckedRobot) -> Seen | None:
     """The framing, and whether chip select is known to be released between transfers of one call."""
     spi = robot.settings.spi
-    if spi.protocol.capabilities.measures:
+    if not robot.settings.wire.framed:
         return None
     driver = machine.driver_of(spi.device, robot.root) or "this driver"
     gpio, (low, high) = machine.gpio_selects(spi.device, robot.root), spi.avoid_cdeg or (0, 0)
@@ -205,13 +227,33 @@ def _calibration(robot: CheckedRobot) -> Seen:
     return seen
 
 
+# ---- a plug-in
+
+
+def _plugin(robot: CheckedRobot) -> Seen | None:
+    """It is opened and closed, unless a gateway holds it."""
+    wire = robot.settings.wire
+    if wire.built_in is not None:
+        return None
+    used = effective.read()
+    robot.gateway_runs = used is not None and used.runs
+    can = [name.replace("_", " ") for name, has in wire.capabilities._asdict().items() if has]
+    seen = Seen(name=wire.name, error="", can=f"{type(wire.plugin).__name__}, {', '.join(can) or 'servos one by one'}")
+    if not robot.gateway_runs:
+        try:
+            PluginDevice(wire.name, wire.plugin, exclusive=False).close()
+        except SpiError as error:
+            seen.error = str(error)
+    return seen
+
+
 # ---- the UART
 
 
 def _uart(robot: CheckedRobot) -> Seen | None:
     """It is opened and closed, unless a gateway holds it."""
     path, root = robot.settings.controller.uart, robot.root
-    if not robot.settings.spi.protocol.capabilities.measures:
+    if not robot.settings.wire.has_uart:
         return None
     seen, name = node(robot, path), Path(path).resolve().name
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
@@ -321,22 +363,24 @@ BUS: Final = (
                 "transfers that only send; the controller then takes in nothing until it is reset",
                 "update the kernel (sudo apt full-upgrade) and reboot"),
     ), "{found}"),
-    Probe("SPI bus", lambda r: Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in machine.neighbours(
-        r.settings.spi.device, r.root))), (
+    Probe("SPI bus", _neighbours, (
         # A neighbour's transfer of 2 ms is what docs/safety.md allows.
         warning(lambda r: r.others, "on it, too: {others}: an emergency stop waits for two to four of its transfers",
                 "move it to another bus, or see that none of its transfers takes more than 2 ms"),
     ), "no other driver uses it"),
     Probe("SPI speed", _speed, (
-        warning(lambda r: r.spi.speed_hz > r.spi.protocol.speed_hz, "{set} is above the {known} up to which the "
+        warning(lambda r: r.spi.speed_hz > r.known_hz, "{set} is above the {known} up to which the "
                 "protocol was measured",
-                "set spi.speed_hz = {spi.protocol.speed_hz} or less, or measure the clock on your wires"),
+                "set spi.speed_hz = {known_hz} or less, or measure the clock on your wires"),
         warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: another program has set it, or the "
                 "controller takes no more, or the configuration was changed since; {takes}", "{fix}"),
         warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}",
-                "set spi.speed_hz = {spi.protocol.speed_hz}"),
+                "set spi.speed_hz = {known_hz}"),
     ), "{set}{given}; {takes}"),
 )
+PLUGIN: Final = Probe("wire", _plugin, (
+    failure(lambda r: r.error, "{error}", "see what the plug-in needs, and [wire] of the configuration"),
+), "{name} opens: {can}")
 FRAMES: Final = (
     Probe("framing", _frames, (
         warning(lambda r: r.framing is Framing.PLAIN,
@@ -371,7 +415,7 @@ CONTROLLER: Final = (
     Probe("heartbeat", _heartbeat, (
         failure(lambda r: not r.beats, "none came in {ms} ms, but {bytes} other bytes",
                 "see that the controller has power, that its TX leads to the Pi's RX, and both have the same ground; a "
-                f'controller of HexapodProtocol v1.0.0 needs spi.protocol = "{FRAMED}"'),
+                f'controller of HexapodProtocol v1.0.0 needs wire.name = "{FRAMED}"'),
     ), "{beats} came in {ms} ms, so the controller speaks " + WITH_UART),
 )
 POWER: Final = Probe("power board", _board, (
@@ -386,5 +430,5 @@ POWER: Final = Probe("power board", _board, (
             "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a resistor of "
             "120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
 ), "{answers}")
-PROBES: Final = (DEVICE, *BUS, *CONTROLLER, *FRAMES, CALIBRATION)
+PROBES: Final = (PLUGIN, DEVICE, *BUS, *CONTROLLER, *FRAMES, CALIBRATION)
 # fmt: on

@@ -52,7 +52,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
     elif stated:
         say(f'keep zenoh.config = "{stated}" in {configuration.FILE}; to use the certificates, name {CONFIG} there')
     else:
-        return configuration.write(machine, found, "zenoh", {"config": CONFIG})
+        return configuration.write(machine, found, {"zenoh.config": CONFIG})
     return found
 
 

@@ -14,15 +14,16 @@ from typing import Any, Final, NamedTuple
 import gateway
 from gateway import nesting
 from gateway.errors import ConfigError
-from gateway.host.settings_table import ControllerSettings, SpiSettings
+from gateway.host.settings_table import ControllerSettings, WireSettings
 from gateway.model.framing import Framing
-from gateway.model.protocols import SpiProtocol
+from gateway.model.protocols import FRAMED, SpiProtocol
 from gateway.onboard.setup.machine import ETC, SERVICE, Machine
 from gateway.people.terminal import say
 
 FILE: Final = f"{ETC}/gateway.toml"
 TEMPLATE: Final = f"/usr/share/{SERVICE}/gateway.toml"
 _SHIPPED: Final = Path(gateway.__file__).parent / "deploy"
+_WIRE, _FRAMING = "wire.name", "spi.framing"
 _WIRES: Final = {each: each.words for each in SpiProtocol}
 _FRAMINGS: Final = {
     Framing.LENGTH_PREFIXED: "the published STM32 firmware (after a plain frame, only a reset makes it receive again)",
@@ -46,9 +47,8 @@ class Configuration(NamedTuple):
     @property
     def uart(self) -> str | None:
         """The controller's UART, with a wire that has one."""
-        wire = self.get("spi", "protocol")
-        has_uart = any(each == wire and not each.framed for each in SpiProtocol)
-        return self.get("controller", "uart", ControllerSettings().uart) if has_uart else None
+        wire = WireSettings(self.get("wire", "name", FRAMED))
+        return self.get("controller", "uart", ControllerSettings().uart) if wire.has_uart else None
 
 
 def shipped(name: str) -> bytes:
@@ -73,34 +73,33 @@ def read(machine: Machine) -> Configuration:
 def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Configuration:
     """Let the file state the wire, and the framing where the wire has any; ask a person who gave neither."""
     found = read(machine)
-    stated = {name: found.get("spi", name) for name in ("protocol", "framing")}
+    stated = {_WIRE: found.get("wire", "name"), _FRAMING: found.get("spi", "framing")}
     if wire is None and framing is None and not any(stated.values()):
         wire = _ask("wire", _WIRES)
-    wanted = {"protocol": wire or stated["protocol"] or SpiSettings().protocol}
-    framed = [each for each in SpiProtocol if each.framed]
-    if wanted["protocol"] in framed:
-        wanted["framing"] = framing or stated["framing"] or _ask("framing", _FRAMINGS)
-        if not (wire or stated["protocol"]):
-            del wanted["protocol"]  # the default
+    wanted = {_WIRE: wire or stated[_WIRE] or FRAMED}
+    if wanted[_WIRE] == FRAMED:
+        wanted[_FRAMING] = framing or stated[_FRAMING] or _ask("framing", _FRAMINGS)
+        if not (wire or stated[_WIRE]):
+            del wanted[_WIRE]  # the default
     elif framing is not None:
-        raise ConfigError(f"--framing is for {framed[0]}; leave it out with {wanted['protocol']}")
-    changes = {name: value for name, value in wanted.items() if value != stated[name]}
-    for name, value in wanted.items():
-        if name not in changes:
-            say(f'{FILE} states {name} = "{value}"')
-    return write(machine, found, "spi", changes)
+        raise ConfigError(f"--framing is for {FRAMED}; leave it out with {wanted[_WIRE]}")
+    for setting, value in wanted.items():
+        if value == stated[setting]:
+            say(f'{FILE} states {setting} = "{value}"')
+    return write(machine, found, {setting: value for setting, value in wanted.items() if value != stated[setting]})
 
 
-def write(machine: Machine, found: Configuration, table: str, changes: Mapping[str, str]) -> Configuration:
-    """The file with these values of one table, and everything else as it was. Raises ConfigError."""
+def write(machine: Machine, found: Configuration, changes: Mapping[str, str]) -> Configuration:
+    """The file with these values (by dotted name), and everything else as it was. Raises ConfigError."""
     text = found.text
-    for name, value in changes.items():
+    for setting, value in changes.items():
+        table, _, name = setting.partition(".")
         try:
             text = with_value(text, table, name, value)
         except ConfigError as error:
             raise ConfigError(f"{FILE} {error}") from None
     new = "made from the template, " if machine.read(FILE) is None else ""
-    stated = " and ".join(f'{name} = "{value}"' for name, value in changes.items())
+    stated = " and ".join(f'{setting} = "{value}"' for setting, value in changes.items())
     if changes or new:
         machine.put(FILE, text.encode(), f"write {FILE}: {new}with {stated or 'its own values'}")
     return Configuration(text, nesting.read_toml(text.encode()))

@@ -434,7 +434,7 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
     """Version and settings, under the same names as in a recording."""
     return {
         "version": __version__,
-        "protocol": settings.spi.protocol.version(settings.spi.framing),
+        "protocol": settings.protocol,
         "simulated": facts.get("simulated"),
         "spi": asdict(settings.spi),
         "watchdog": asdict(settings.watchdog),

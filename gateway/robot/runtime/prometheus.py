@@ -90,7 +90,7 @@ class Numbers(Collector):
         )
         yield _histogram("loop_lag", "How late the loop's timers run", metrics.loop_lag)
         yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
-        if reports.wire.capabilities.measures:
+        if reports.measures:
             yield from _measured(self._conductor)
         power = self._conductor.power_report()
         if power is not None:

@@ -92,10 +92,11 @@ class StateReports:
         """Whether the calibration outlasts this process."""
         self._started_ns = started_ns
         self._limits = limits_of(settings)
-        self.wire = settings.spi.protocol
-        can = self.wire.capabilities._replace(whole_robot=settings.starts_whole)
-        self._wire = WireReport(name=self.wire, **can._asdict())
-        self.protocol = self.wire.version(settings.spi.framing)
+        wire = settings.wire
+        can = wire.capabilities._replace(whole_robot=settings.starts_whole)
+        self._wire = WireReport(name=wire.name, supply_starts=wire.supply_starts, **can._asdict())
+        self.measures = wire.capabilities.measures
+        self.protocol = settings.protocol
         self.certificate: CertificateReport | None = None
         """The first certificate in use to expire; None: none is in use."""
         self._missing: tuple[str, ...] = ()
@@ -152,8 +153,8 @@ class StateReports:
                 lost=metrics.lost,
             ),
             spi=SpiReport(
-                device="simulated controller" if self._simulated else settings.spi.device,
-                framing=self.wire.framing(settings.spi.framing),
+                device="simulated controller" if self._simulated else settings.device,
+                framing=settings.framing,
                 frames=bus.frames,
                 errors=bus.errors,
             ),

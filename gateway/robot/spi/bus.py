@@ -91,8 +91,10 @@ class Bus(Wire):
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
         resync_ns: int = RESYNC_NS,
+        computed: bool = True,
     ) -> None:
-        """`pause` is for a kernel that takes no lists; `resync_ns`: 0 is for never in a stream."""
+        """`pause` is for a kernel that takes no lists; `resync_ns`: 0 is for never in a stream. `computed`: when a call
+        began, and the clock, tell when a frame was on the wire; else it was by the end of its call."""
         self._open_device = open_device
         self._framing = settings.framing
         self.announces = self._framing is Framing.LENGTH_PREFIXED
@@ -111,6 +113,7 @@ class Bus(Wire):
         """How long a preamble takes at most, part by part in turns of a loop."""
         self._lists = True  # until the kernel rejects one
         self._resync_ns = resync_ns
+        self._computed = computed
         self._avoid_cdeg = settings.avoid_cdeg
         self._clock = clock
         self._pause = pause
@@ -289,7 +292,7 @@ class Bus(Wire):
                 self._synchronised_ns, self.resync_due, self._suspect = ended_ns, False, False
         if not frames:
             self._zeros = zeros_before
-        wire_ns = begun_ns + zeros * self._zero_ns
+        wire_ns = begun_ns + zeros * self._zero_ns if self._computed else ended_ns
         for frame in frames:
             wire_ns += self._byte_ns * frame.data[0] + self._announced_ns  # a frame's first byte is its length
             left_ns = wire_ns if wire_ns < ended_ns else ended_ns

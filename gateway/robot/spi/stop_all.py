@@ -1,4 +1,4 @@
-"""Stops all six legs straight over SPI, or over the UART of a wire that has one.
+"""Stops all six legs straight over SPI, over the UART of a wire that has one, or by a plug-in.
 
 No Zenoh, no running gateway, and little that could fail or be slow to load.
 """
@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from gateway.host.settings_table import ControllerSettings, SpiSettings
+from gateway.host.settings_table import ControllerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
 from gateway.robot.host import stop_note
 from gateway.robot.protocol import Wire
@@ -24,11 +24,12 @@ milliseconds, such as a device that comes back, and systemd still does not wait 
 
 
 def stop_servos(
+    wire: WireSettings,
     spi: SpiSettings,
     controller: ControllerSettings,
     written: Callable[[], None] = lambda: None,
 ) -> bool | None:
-    """Stop all six legs straight over the wire, repeated as the watchdog's Stops are. Raises SpiError.
+    """Stop all six legs straight over the wire, repeated as the watchdog's Stops are. Raises SpiError, ConfigError.
 
     `written` is called behind the first attempt to stop each leg, and must not wait.
 
@@ -38,11 +39,15 @@ def stop_servos(
     atomic on the bus, so none comes into a frame of the gateway's.
     """
     bus: Wire
-    if not spi.protocol.framed:
+    notice = Notice(spi.device)
+    if wire.framed:
+        bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))
+    elif wire.has_uart:
         bus = CyclicBus(None, lambda: SerialUart(controller.uart, exclusive=False))
     else:
-        bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))
-    notice = Notice(spi.device)
+        from gateway.robot.spi.plugin import PluginBus, lock_path  # noqa: PLC0415  (no Stop over SPI waits for it)
+
+        bus, notice = PluginBus(wire, exclusive=False), Notice(str(lock_path(wire.name)))
     unstopped = set(LEGS)
     fault: Exception | None = None
     first_ns = 0

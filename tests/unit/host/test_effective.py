@@ -33,13 +33,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY")
-    effective.write(ForStops(USED.spi, USED.controller, USED.power))
+    effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
     assert list(folder.iterdir()) == []
 
 
 def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
     """A number alone shows nothing: the kernel gives it again."""
-    effective.write(ForStops(USED.spi, USED.controller, USED.power))
+    effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
     written = (folder / effective.NAME).read_text()
     beyond = 2**22 + 1  # which the kernel gives to none
     for line, others in {"process": beyond, "begun": 1}.items():
@@ -60,7 +60,7 @@ def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
 
 
 def test_where_a_file_differs(folder: Path) -> None:
-    effective.write(ForStops(USED.spi, USED.controller, USED.power))
+    effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
     found = effective.read()
     assert found is not None
     file = folder / "gateway.toml"

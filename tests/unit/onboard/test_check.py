@@ -122,6 +122,9 @@ FACTS = (
            ({"running": 20}, "ok real-time"),
            ({"running": 0}, "warning real-time: the service that runs was granted none"),
            ({"rejected": "no"}, "priority 20 is not granted (no; RLIMIT_RTPRIO is 0)")),
+    *facts(wire.PLUGIN, {"name": "x", "error": "", "can": "Board, servos one by one"},
+           ({}, "ok wire: x opens: Board, servos one by one"),
+           ({"error": "x: no such device"}, "failure wire: x: no such device → see what the plug-in needs")),
     *facts(wire.DEVICE, WIRE,
            ({"lack": "cannot be looked at (no)"}, "failure SPI device: /dev/x cannot be looked at (no)"),
            ({"denied": True, "service": True}, "opened by me (r) → sudo chgrp spi /dev/x && sudo chmod 660 /dev/x"),
@@ -249,7 +252,7 @@ def dated(days_left: int, *lines: str) -> Scene:
 
 
 def uart(path: str, model: str) -> Callable[[Path], CheckedRobot]:
-    return here({"model": model}, spi={"protocol": "elkapod-2025"}, controller={"uart": path})
+    return here({"model": model}, wire={"name": "elkapod-2025"}, controller={"uart": path})
 
 
 def built(version: str) -> Callable[[Path], CheckedRobot]:
@@ -345,7 +348,7 @@ SCENES = (
     scene(LISTS, here(), "warning SPI lists: nobody has seen whether this driver"),
     scene(FRAMING, here(), "warning framing: plain, … the published STM32 firmware jams in it"),
     scene(FRAMING, here(spi=LENGTH), "ok framing: length-prefixed, … angles from 1 up to 4 degrees are never sent"),
-    scene((*wire.FRAMES,), here(spi={"protocol": "elkapod-2025"})),
+    scene((*wire.FRAMES,), here(wire={"name": "elkapod-2025"})),
     scene(wire.DEVICE, here(spi={"device": "/dev/null"}), "failure SPI device: /dev/null cannot be opened"),
     scene(wire.DEVICE, here(spi={"device": "/bin/sh"}), "failure … /bin/sh is no device node → switch SPI on"),
     scene(wire.DEVICE, here(spi={"device": "/dev/none"}), "failure … /dev/none does not exist → switch SPI on"),

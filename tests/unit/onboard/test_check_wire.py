@@ -31,7 +31,7 @@ class Terminal:
         self.ours, self._theirs = os.openpty()
         os.write(self.ours, BYTES)
         self.path = os.ttyname(self._theirs)
-        settings = Settings.of({"spi": {"protocol": "elkapod-2025"}, "controller": {"uart": self.path}})
+        settings = Settings.of({"wire": {"name": "elkapod-2025"}, "controller": {"uart": self.path}})
         self.units: dict[str, dict[str, str]] = {}
         self.robot = CheckedRobot(settings, root, lambda unit: self.units.get(unit, {}))
         MachineTree(root)

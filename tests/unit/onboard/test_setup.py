@@ -119,7 +119,7 @@ def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> Non
     done = capsys.readouterr().out.splitlines()
     assert done[:-1] == promised[:-1]
     assert done == [
-        f'write {TOML}: with framing = "plain"',
+        f'write {TOML}: with spi.framing = "plain"',
         f"switch SPI on (dtparam=spi=on) in {CONFIG_TXT}: a reboot is due",
         "enable hexapod-gateway: starts with the machine",
         "the service starts with the reboot",
@@ -130,7 +130,7 @@ def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> Non
     changed = computer.files()
     computer.set_up()
     assert capsys.readouterr().out.splitlines() == [
-        f'{TOML} states framing = "plain"',
+        f'{TOML} states spi.framing = "plain"',
         f"SPI is on in {CONFIG_TXT}, and /dev/spidev0.0 is not there: a reboot is due",
         "the service starts with the reboot",
         "Next: sudo reboot; then: sudo hexapod-gateway check",
@@ -210,7 +210,8 @@ def test_at_a_terminal_it_asks_until_the_answer_is_one(
     said = capsys.readouterr().out
     assert said.index("Which wire does the controller need?") < said.index("Which framing does the controller need?")
     assert "length-prefixed  the published STM32 firmware" in said
-    assert tomllib.loads(computer.read(TOML))["spi"] == {"framing": "plain", "protocol": "hexapod-1.0"}
+    tables = tomllib.loads(computer.read(TOML))
+    assert (tables["spi"], tables["wire"]) == ({"framing": "plain"}, {"name": "hexapod-1.0"})
     computer.set_up()
     assert answers == []
 
@@ -257,7 +258,7 @@ def test_the_elkapod_on_a_pi_5(computer: Computer, capsys: pytest.CaptureFixture
     computer.write("/boot/firmware/cmdline.txt", "console=ttyAMA1,115200 console=tty1 root=PARTUUID=1\n")
     computer.systemd.unit("serial-getty@ttyAMA1.service", ActiveState="active")
     computer.set_up(wire="elkapod-2025")
-    assert tomllib.loads(computer.read(TOML))["spi"] == {"protocol": "elkapod-2025"}
+    assert tomllib.loads(computer.read(TOML))["wire"] == {"name": "elkapod-2025"}
     assert overlay_is_on(computer.read(CONFIG_TXT), "uart1-pi5")
     assert computer.read("/boot/firmware/cmdline.txt") == "console=tty1 root=PARTUUID=1\n"
     assert "disable --quiet --now serial-getty@ttyAMA1.service" in computer.systemd.calls

@@ -8,7 +8,7 @@ import pytest
 from gateway.errors import ConfigError, SpiError
 from gateway.host import effective, realtime
 from gateway.host.settings_reader import ForStops
-from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings
+from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings, WireSettings
 from gateway.model.framing import Framing
 from gateway.onboard import stop
 from gateway.robot import settings as settings_file
@@ -41,7 +41,9 @@ class Robot:
         monkeypatch.setattr(stop, "unit", lambda: self.unit)
         monkeypatch.setattr(stop, "stop", self._stop)
 
-    def _stop(self, spi: SpiSettings, _controller: ControllerSettings, written: Callable[[], None]) -> None:
+    def _stop(
+        self, _wire: WireSettings, spi: SpiSettings, _controller: ControllerSettings, written: Callable[[], None]
+    ) -> None:
         self.used.append(spi)
         if self.spi_fails:
             raise SpiError("no such device")
@@ -52,7 +54,9 @@ class Robot:
         if state == NEVER:
             return
         self._patch.setenv("INVOCATION_ID", "1")
-        effective.write(ForStops(SpiSettings(framing=PREFIXED), ControllerSettings(), self.power))
+        effective.write(
+            ForStops(WireSettings(), SpiSettings(framing=PREFIXED).of(WireSettings()), ControllerSettings(), self.power)
+        )
         if state != ENDED_HERE:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:

@@ -234,7 +234,7 @@ async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happene
 
 
 async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -> None:
-    robot = recorded(folder, spi={"protocol": "elkapod-2025"})
+    robot = recorded(folder, wire={"name": "elkapod-2025"})
     measured = robot.conductor.measured
     measured(MEASURED, robot.now_ns())
     await asyncio.sleep(1)

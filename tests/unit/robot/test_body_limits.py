@@ -123,7 +123,7 @@ def test_measurements_of_a_bus_at_fault_are_kept() -> None:
 
 
 def test_the_settings_are_the_rules() -> None:
-    settings = {"spi": {"protocol": "elkapod-2025"}, "safety": {"min_battery_v": 6.6, "max_tilt_deg": 45}}
+    settings = {"wire": {"name": "elkapod-2025"}, "safety": {"min_battery_v": 6.6, "max_tilt_deg": 45}}
     made = rules(Settings.of(settings))
     assert (made.min_battery_mv, made.max_tilt_cdeg, made.tilt_ns) == (6600, 45_00, 200 * NS_PER_MS)
     assert made.starts_whole

@@ -54,7 +54,9 @@ class Scene:
         self.controller = Controller(framing, clock=lambda: 0)
         self.device = FailingDevice(self.controller)
         self.bus = Bus(
-            SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us), lambda: self.device, clock=lambda: 0
+            SpiSettings(speed_hz=2_500_000, framing=framing, frame_gap_us=framing.least_gap_us),
+            lambda: self.device,
+            clock=lambda: 0,
         )
         self.bus.open()
         assert self.bus.write(START_ALL).fault is None
@@ -135,7 +137,9 @@ def test_a_frame_that_moves_is_not_tried_again() -> None:
 def test_stops_are_tried_also_where_zeros_fail_again_and_again() -> None:
     """The controller may be synchronised, and then it receives them; but nobody knows, so they are tried on."""
     scene = Scene(PREFIXED)
-    scene.bus = Bus(SpiSettings(framing=PREFIXED, frame_gap_us=20), lambda: scene.device, clock=lambda: 0)
+    scene.bus = Bus(
+        SpiSettings(speed_hz=2_500_000, framing=PREFIXED, frame_gap_us=20), lambda: scene.device, clock=lambda: 0
+    )
     scene.bus.open()  # a program before it may have left the controller awaiting anything
     scene.device.begin(range(8))
     report = scene.bus.write(STOP_ALL)
@@ -183,7 +187,11 @@ def test_stops_are_not_tried_for_ever(step_ns: int, calls: int) -> None:
                 raise SpiError("told to fail")
 
     now_ns = itertools.count(0, step_ns) if step_ns else itertools.repeat(0)
-    bus = Bus(SpiSettings(framing=PREFIXED, frame_gap_us=PREFIXED.least_gap_us), OnlyZeros, clock=lambda: next(now_ns))
+    bus = Bus(
+        SpiSettings(speed_hz=2_500_000, framing=PREFIXED, frame_gap_us=PREFIXED.least_gap_us),
+        OnlyZeros,
+        clock=lambda: next(now_ns),
+    )
     bus.open()
     bus.write(STOP_ALL)
     assert sum(bus.transfer_latency.buckets) == 1 + calls
@@ -207,7 +215,7 @@ class Bed(ByteDevice):
         self.now_ns = 7_000 * MS
         self.controller = Controller(framing, clock=lambda: self.now_ns)
         self.log: list[bytes] = []
-        settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us)
+        settings = SpiSettings(speed_hz=2_500_000, framing=framing, frame_gap_us=framing.least_gap_us)
         self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns, resync_ns=resync_ns)
 
     def take(self, data: bytes) -> None:

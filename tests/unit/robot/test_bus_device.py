@@ -78,7 +78,7 @@ class Devices(SpiDevice):
         return self.now_ns
 
     def bus(self, framing: Framing = PREFIXED, *, frame_gap_us: float = 50) -> Bus:
-        settings = SpiSettings(framing=framing, frame_gap_us=frame_gap_us)
+        settings = SpiSettings(speed_hz=2_500_000, framing=framing, frame_gap_us=frame_gap_us)
         bus = Bus(settings, self.open, clock=self.clock, pause=self.pause, resync_ns=0)
         bus.open()
         assert bus.write([START]).fault is None  # behind the preamble
@@ -298,7 +298,7 @@ def test_a_device_that_cannot_be_opened_is_an_error() -> None:
         raise SpiError("told to fail")
 
     for framing, frame in itertools.product(Framing, (STOP, START)):
-        bus = Bus(SpiSettings(framing=framing), fails)
+        bus = Bus(SpiSettings(speed_hz=2_500_000, framing=framing), fails)
         assert not bus.resync_due
         for errors in (1, 3):
             assert "closed" in str(bus.write([frame]).fault), "before anything was opened, too"
@@ -318,7 +318,7 @@ def test_opening_again_releases_what_was_open() -> None:
 
 def test_stop_servos_is_seen_by_the_device_that_is_open() -> None:
     devices = Devices()
-    bus = Bus(SpiSettings(framing=PREFIXED), devices.open)
+    bus = Bus(SpiSettings(speed_hz=2_500_000, framing=PREFIXED), devices.open)
     for devices.stops_at_work in (True, False):
         assert bus.stop_servos_at_work() is None
         bus.open()
@@ -366,7 +366,7 @@ def test_without_a_pause_and_for_repeats_nothing_is_looked_at() -> None:
 def test_a_bus_that_is_closed_finds_nothing() -> None:
     devices = Devices()
     devices.meddled = "mode 3"
-    assert Bus(SpiSettings(framing=PREFIXED), devices.open).put_right() is None
+    assert Bus(SpiSettings(speed_hz=2_500_000, framing=PREFIXED), devices.open).put_right() is None
 
 
 def test_what_it_opens_is_guarded() -> None:

@@ -38,7 +38,7 @@ class Scene(SpiDevice):
         self.stall_ns = 0
         """What the next call takes besides."""
         self.looks = 0
-        settings = SpiSettings(framing=framing, frame_gap_us=framing.least_gap_us)
+        settings = SpiSettings(speed_hz=2_500_000, framing=framing, frame_gap_us=framing.least_gap_us)
         self.bus = Bus(settings, lambda: self, clock=lambda: self.now_ns)
         self.bus.open()
         if synchronised:

@@ -32,6 +32,7 @@ pytestmark = pytest.mark.usefixtures("_clean_environment")
 def in_toml(made: Settings) -> str:
     """A file that has each setting, as it is."""
     sections = json.loads(json.dumps(asdict(made)))
+    del sections["wire"]["options"]
     return "".join(
         f"{section}.{name} = {_toml(value)}\n" for section in sections for name, value in sections[section].items()
     )
@@ -59,18 +60,18 @@ def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch,
     low, high = RANGES[place]
     variable = f"HEXAPOD_{place.upper().replace('.', '__')}"
     protocol = "elkapod-2025" if place.startswith("safety.") else "hexapod-1.0"  # what only that one measures
-    monkeypatch.setenv("HEXAPOD_SPI__PROTOCOL", protocol)
+    monkeypatch.setenv("HEXAPOD_WIRE__NAME", protocol)
     other = "watchdog.timeout_ms = 10000\n" if place == "limits.start_stagger_ms" else ""  # which has to be below it
     if other:
         monkeypatch.setenv("HEXAPOD_WATCHDOG__TIMEOUT_MS", "10000")
     for value in (low, high):
-        file.write_text(f'spi.protocol = "{protocol}"\n{other}{place} = {value}')
+        file.write_text(f'wire.name = "{protocol}"\n{other}{place} = {value}')
         load(file)
         monkeypatch.setenv(variable, str(value))
         assert load() == load(file)
         monkeypatch.delenv(variable)
     for value, limit in ((low - 1, f"greater than or equal to {low}"), (high + 1, f"less than or equal to {high}")):
-        file.write_text(f'spi.protocol = "{protocol}"\n{place} = {value}')
+        file.write_text(f'wire.name = "{protocol}"\n{place} = {value}')
         assert faults(file) == [f"file: {place}: {value} will not do: input should be {limit}"]
         monkeypatch.setenv(variable, str(value))
         assert faults() == [f'{variable}: "{value}" will not do: input should be {limit}']
@@ -128,7 +129,7 @@ def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
     assert settings.load(uncommented) == expected
     shown = {match[1] for line in lines if (match := re.match(r"# (\w+) = ", line))}
     named = {name for table in (*asdict(Settings()).values(), asdict(servo)) for name in table}
-    assert shown - {"11"} == named - {"landing"}
+    assert shown - {"11"} == named - {"landing", "options"}
 
 
 # ---- faults of the file

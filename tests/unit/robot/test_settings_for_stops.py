@@ -20,9 +20,10 @@ PREVENTING = [
     (FRAMED + "spi.speed = 5\n", "spi.speed: is no setting"),
     (FRAMED + 'spi.speed_hz = "5"\n', "spi.speed_hz"),
     (FRAMED + 'spi.device = "spidev0.0"\n', "spi.device"),
-    (FRAMED + 'spi.protocol = "elkapod"\n', "spi.protocol"),
-    ('spi.protocol = "hexapod-1.0"\n', "spi.framing: is not set"),
-    ('spi.protocol = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n', "controller.uart"),
+    (FRAMED + 'wire.name = "elkapod"\n', "wire"),
+    (FRAMED + 'spi.protocol = "elkapod-2025"\n', "spi.protocol"),
+    ('wire.name = "hexapod-1.0"\n', "spi.framing: is not set"),
+    ('wire.name = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n', "controller.uart"),
     (FRAMED + "controller = 3\n", "controller: 3"),
     ("no TOML", "is not TOML"),
 ]
@@ -60,8 +61,8 @@ def test_nothing_else_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatc
     file.write_text(text if "framing" in text else FRAMED + text)
     for variable in ("HEXAPOD_SPI__BATCH", "HEXAPOD_WATCHDOG__TIMEOUT_MS", "HEXAPOD_X"):
         monkeypatch.setenv(variable, "false")
-    spi, _, power = settings.load_for_stops(file)
-    assert spi == SpiSettings()
+    wire, spi, _, power = settings.load_for_stops(file)
+    assert spi == SpiSettings().of(wire)
     assert power is not None
     with pytest.raises(ConfigError):
         settings.load(file)
@@ -74,10 +75,10 @@ def test_a_wrong_power_board_is_none_and_the_rest_counts(file: Path, power: str)
 
 
 def test_it_is_what_the_service_uses(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.write_text('spi.protocol = "elkapod-2025"\ncontroller.uart = "/dev/ttyS3"\npower.interface = "slcan"\n')
+    file.write_text('wire.name = "elkapod-2025"\ncontroller.uart = "/dev/ttyS3"\npower.interface = "slcan"\n')
     monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/spidev1.0")
     theirs = settings.load(file)
-    assert settings.load_for_stops(file) == (theirs.spi, theirs.controller, theirs.power)
+    assert settings.load_for_stops(file) == (theirs.wire, theirs.spi, theirs.controller, theirs.power)
 
 
 PREFIXED = 'spi.framing = "length-prefixed"\n'

@@ -35,7 +35,9 @@ class Bed:
     def __init__(self, framing: Framing) -> None:
         self.now_ns = 1_000 * MS
         self.controller = FaultyController(framing, clock=lambda: self.now_ns, spend=self._spend)
-        self.bus = Bus(SpiSettings(framing=framing), lambda: self.controller, clock=lambda: self.now_ns)
+        self.bus = Bus(
+            SpiSettings(speed_hz=2_500_000, framing=framing), lambda: self.controller, clock=lambda: self.now_ns
+        )
         self.bus.open()
         assert self.bus.write([OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3) for leg in LEGS]).fault is None
         assert len(self.controller.energised) == 18
@@ -158,7 +160,7 @@ def test_wherever_up_to_three_transfers_are_lost_each_delays_the_last_stop_by_it
 def test_a_bus_that_knows_nothing_yet_tries_stops_soon_where_zeros_fail_slowly() -> None:
     """Such as that of `stop-servos`, when the gateway is dead: most likely the controller is synchronised."""
     bed = Bed(PREFIXED)
-    fresh = Bus(SpiSettings(framing=PREFIXED), lambda: bed.controller, clock=lambda: bed.now_ns)
+    fresh = Bus(SpiSettings(speed_hz=2_500_000, framing=PREFIXED), lambda: bed.controller, clock=lambda: bed.now_ns)
     fresh.open()
     bed.controller.fail_where(lambda data: data == ZERO, COST_MS)
     since_ns = bed.now_ns

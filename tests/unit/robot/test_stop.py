@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
-from gateway.host.settings_table import ControllerSettings, SpiSettings
+from gateway.host.settings_table import ControllerSettings, SpiSettings, WireSettings
 from gateway.model.elkapod import SHUTDOWN
 from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
@@ -47,7 +47,7 @@ class Device(ByteDevice):
 @pytest.mark.parametrize("leg", LEGS)
 def test_whatever_one_legs_stop_meets_the_others_get_theirs(mistake: Exception, leg: int) -> None:
     device = Device(mistake, leg)
-    bus = Bus(SpiSettings(), device.open)
+    bus = Bus(SpiSettings(speed_hz=2_500_000), device.open)
     bus.open()
     for _ in range(2):  # again and again
         device.seen.clear()
@@ -61,7 +61,7 @@ def test_whatever_one_legs_stop_meets_the_others_get_theirs(mistake: Exception, 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=repr)
 def test_each_leg_tries_to_open_a_device_that_does_not_answer(mistake: Exception) -> None:
     device = Device(mistake, None)
-    assert stop_once(Bus(SpiSettings(), device.open)) == (set(), mistake)
+    assert stop_once(Bus(SpiSettings(speed_hz=2_500_000), device.open)) == (set(), mistake)
     assert device.openings == 1 + len(LEGS)
 
 
@@ -69,7 +69,7 @@ def test_each_leg_tries_to_open_a_device_that_does_not_answer(mistake: Exception
 def test_a_device_that_works_is_not_opened_again(opened: bool) -> None:
     """Opening could fail where writing does not: no descriptor may be left for it."""
     device = Device(KeyError(), LEGS[-1])
-    bus = Bus(SpiSettings(), device.open)
+    bus = Bus(SpiSettings(speed_hz=2_500_000), device.open)
     if opened:
         bus.open()
     stop_once(bus, opened=opened)
@@ -84,13 +84,13 @@ def test_a_device_at_fault_is_opened_again_for_the_leg_that_got_no_stop() -> Non
             super().take(data)
 
     device = Recovers(SpiError("told to fail"), LEGS[-1])
-    stopped, fault = stop_once(Bus(SpiSettings(), device.open))
+    stopped, fault = stop_once(Bus(SpiSettings(speed_hz=2_500_000), device.open))
     assert (stopped, str(fault), device.openings) == (set(LEGS), "told to fail", 2)
 
 
 def test_a_repetition_resynchronises_the_controller_first() -> None:
     device = Device(KeyError(), None)
-    bus = Bus(SpiSettings(framing=Framing.LENGTH_PREFIXED), lambda: device)
+    bus = Bus(SpiSettings(speed_hz=2_500_000, framing=Framing.LENGTH_PREFIXED), lambda: device)
     bus.open()
     for _ in range(2):
         device.seen.clear()
@@ -171,11 +171,11 @@ Stops = Callable[..., bool | None]
 def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
-    def run(rounds: Rounds, spi: SpiSettings = SpiSettings()) -> bool | None:  # noqa: B008
+    def run(rounds: Rounds, wire: WireSettings = WireSettings()) -> bool | None:  # noqa: B008
         replaced = {"KernelDevice": rounds.device, "SerialUart": rounds.uart, "Notice": rounds.notice, "time": rounds}
         for name, instead in replaced.items():
             monkeypatch.setattr(stop_all, name, instead)
-        return stop_servos(spi, ControllerSettings(), rounds.written)
+        return stop_servos(wire, SpiSettings(speed_hz=2_500_000), ControllerSettings(), rounds.written)
 
     return run
 
@@ -236,7 +236,7 @@ def test_the_supply_is_taken_also_where_each_stop_fails(stops: Stops) -> None:
 @pytest.mark.parametrize("failing_rounds", [0, 2])
 def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_rounds: int, stops: Stops) -> None:
     scene = Rounds(set(LEGS), failing_rounds)
-    assert stops(scene, SpiSettings(protocol=SpiProtocol.ELKAPOD_2025)) is None
+    assert stops(scene, WireSettings(SpiProtocol.ELKAPOD_2025)) is None
     assert scene.log.count("stop") == 2 * (4 - failing_rounds), "opening it is one, too"
     assert scene.sleeps_ms == [20] * 3
     assert scene.log[-2:] == ["closed", "ended"]

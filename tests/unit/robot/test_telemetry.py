@@ -22,7 +22,7 @@ from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time
 
-ELKAPOD = {"protocol": "elkapod-2025"}
+ELKAPOD = {"name": "elkapod-2025"}
 
 
 def published(robot: Robot) -> list[Telemetry]:
@@ -49,7 +49,7 @@ def asked(robot: Robot) -> list[bytes]:
 async def test_a_body_without_an_orientation_has_no_tilt(
     orientation_wxyz: tuple[float, float, float, float], tilt_deg: float | None
 ) -> None:
-    robot = started(spi=ELKAPOD)
+    robot = started(wire=ELKAPOD)
     robot.conductor.measured(MEASURED._replace(orientation_wxyz=orientation_wxyz), robot.now_ns())
     (answer,) = asked(robot)
     assert json.loads(answer).get("tilt_deg") == tilt_deg
@@ -58,8 +58,8 @@ async def test_a_body_without_an_orientation_has_no_tilt(
 
 
 async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> None:
-    for spi in ({}, ELKAPOD):
-        robot = started(spi=spi)
+    for wire in ({}, ELKAPOD):
+        robot = started(wire=wire)
         assert published(robot) == []
         assert asked(robot) == []
         assert robot.conductor.state().battery is None
@@ -85,7 +85,7 @@ def samples(robot: Robot) -> dict[str, float]:
 
 async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeypatch: pytest.MonkeyPatch) -> None:
     other = started()
-    robot = started(spi=ELKAPOD)
+    robot = started(wire=ELKAPOD)
     names = {name for name, _, _ in documented("that measures")}
     assert not names & samples(other).keys()
     assert {name for name, _, _ in described(page(robot)) - described(page(other))} == names, "also before any answer"
@@ -113,7 +113,7 @@ def measured_in(folder: Path) -> list[Measured]:
 
 
 async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(folder: Path) -> None:
-    robot = recorded(folder, spi=ELKAPOD)
+    robot = recorded(folder, wire=ELKAPOD)
     for number in range(100):  # 2 s
         robot.conductor.measured(MEASURED._replace(temperature_c=float(number)), robot.now_ns())
         await asyncio.sleep(0.02)

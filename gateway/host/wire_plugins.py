@@ -1,0 +1,32 @@
+"""Wires that other packages bring (`gateway.wire`), by their entry points."""
+
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+
+from gateway.text import visible
+from gateway.wire import GROUP, Capabilities, ServoWire
+
+
+def load(name: str, options: Mapping[str, object], built_in: tuple[str, ...]) -> ServoWire:
+    """The plug-in of this name, made with these options. Raises ValueError with a sentence."""
+    found = {each.name: each for each in entry_points(group=GROUP)}
+    if name not in found:
+        known = ", ".join(f'"{each}"' for each in (*built_in, *sorted(found.keys() - {*built_in})))
+        raise ValueError(f'there is no wire "{visible(name)}"; installed are {known}')
+    made = _made(found[name], options)
+    if not isinstance(made, ServoWire) or not isinstance(made.capabilities, Capabilities):
+        raise ValueError(f'"{name}" ({found[name].value}) is no gateway.wire.ServoWire with its Capabilities')
+    return made
+
+
+def _made(entry: EntryPoint, options: Mapping[str, object]) -> object:
+    try:
+        kind = entry.load()
+    except Exception as error:  # whatever somebody else's module raises
+        raise ValueError(f'"{entry.name}" ({entry.value}) cannot be loaded: {type(error).__name__}: {error}') from error
+    try:
+        return kind(options)
+    except ValueError:
+        raise
+    except Exception as error:
+        raise ValueError(f'"{entry.name}" takes no such options: {type(error).__name__}: {error}') from error

@@ -1,0 +1,107 @@
+"""A plug-in (`gateway.wire`) as a device behind the bus: frames in, changes of servos out.
+
+So what holds for a frame on SPI holds for a plug-in: the guard reads each frame before (`spi.guard`), Stops leave in a
+call of their own, and each that failed is tried alone (`spi.bus`).
+"""
+
+import fcntl
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from gateway.errors import ConfigError, SpiError
+from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
+from gateway.host.settings_table import SpiSettings, WireSettings
+from gateway.model.frames import OP_STOP, decode
+from gateway.model.framing import Framing
+from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi.bus import Bus
+from gateway.robot.spi.outside import Listener
+from gateway.wire import ServoWire
+from schemas.robot import SERVO_IDS
+
+_FRAMES: Final = SpiSettings(speed_hz=20_000_000, framing=Framing.PLAIN, frame_gap_us=0)
+"""Six legs are one call."""
+_STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)
+
+
+class PluginBus(Bus):
+    """The bus of a plug-in."""
+
+    def __init__(self, wire: WireSettings, *, exclusive: bool = True) -> None:
+        """`exclusive`: this program is the gateway, and not `stop-servos`. Raises ConfigError."""
+        try:
+            plugin = wire.plugin
+        except ValueError as error:
+            raise ConfigError(f"wire: {error}") from error
+        super().__init__(_FRAMES, lambda: PluginDevice(wire.name, plugin, exclusive=exclusive), computed=False)
+
+
+class PluginDevice(SpiDevice):
+    """An opened plug-in."""
+
+    def __init__(self, name: str, wire: ServoWire, *, exclusive: bool) -> None:
+        """Open it. Raises SpiError."""
+        self._name = name
+        self._wire = wire
+        self._lock = _lock_of(name) if exclusive else None
+        self._listener = None if self._lock is None else Listener(self._lock)
+        try:
+            wire.open()
+        except OSError as error:
+            self.close()
+            raise SpiError(f"{name}: {_words(error)}") from error
+
+    def transfer(self, batch: Batch) -> None:
+        """Write the batch's frames in one call. Raises SpiError."""
+        servos = [servo for data, _ in batch for servo in decode(data).servos]
+        stops = all(op.op is OP_STOP for _, op in servos)
+        changes: tuple[tuple[int, float | None], ...] = tuple(
+            (servo_id, None if stops else op.angle_cdeg / 100)
+            for servo_id, op in dict(servos).items()
+            if stops or op.op is not OP_STOP  # a servo of a leg that moves, and does not run
+        )
+        if stops and self._wire.capabilities.whole_robot:
+            changes = _STOP_ALL
+        try:
+            self._wire.apply(changes)
+        except OSError as error:
+            raise SpiError(f"{self._name}: {_words(error)}") from error
+
+    def stop_servos_at_work(self) -> bool | None:
+        return None if self._listener is None else self._listener.look()
+
+    def close(self) -> None:
+        with suppress(Exception):  # whatever it raises, its Stops are written
+            self._wire.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = self._listener = None
+
+
+def lock_path(name: str) -> Path:
+    """The file by which a gateway with this plug-in and `stop-servos` learn of each other (`spi.outside`)."""
+    return (runtime_directory() or SERVICE_RUNTIME) / f"{name.replace('/', '_')}.wire"
+
+
+def _lock_of(name: str) -> int | None:
+    """The gateway's descriptor of that file; None without a runtime directory. Raises SpiError if another has it."""
+    if runtime_directory() is None:
+        return None
+    try:
+        found = os.open(lock_path(name), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
+        try:
+            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(found)
+            raise
+    except BlockingIOError as error:
+        raise SpiError(f"another gateway has {name}; end it first") from error
+    except OSError as error:
+        raise SpiError(f"{lock_path(name)}: {_words(error)}") from error
+    return found
+
+
+def _words(error: OSError) -> str:
+    return error.strerror or str(error) or type(error).__name__

@@ -1,0 +1,135 @@
+"""A plug-in's wire (`gateway.wire`), installed as somebody else's package: what it is called with, and when."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.errors import GatewayError
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Mode
+from tests.support.child import Child
+from tests.support.fixtures import patient
+from tests.support.gateway_process import Gateway, write_settings
+from tests.support.heard import events, states
+from tests.support.plugin import NAME, Call, Installed
+
+LEG_3 = {31: 90.0, 32: 45.0, 33: 120.0}
+
+
+@pytest.fixture
+def plugin(tmp_path: Path) -> Installed:
+    return Installed(tmp_path)
+
+
+@pytest.fixture
+def gateway(plugin: Installed, tmp_path: Path) -> Iterator[Gateway]:
+    env = {**plugin.env, "RUNTIME_DIRECTORY": str(tmp_path)}
+    with Gateway(tmp_path, patient(wire=plugin.section), options=(), env=env) as running:
+        yield running
+
+
+def stops_of(calls: list[Call]) -> list[set[int]]:
+    return [set(each.changes) for each in calls if each.stops]
+
+
+def stop_servos(gateway: Gateway, plugin: Installed) -> Child:
+    """The command in a process of its own, to its end."""
+    command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(gateway.config)]
+    with Child(command, {**plugin.env, "RUNTIME_DIRECTORY": str(gateway.config.parent)}) as child:
+        child.wait()
+    return child
+
+
+def test_it_starts_moves_and_stops_servos_stops_first_and_alone(plugin: Installed, gateway: Gateway) -> None:
+    assert [set(each.changes) for each in plugin.calls()[:1]] == [{*SERVO_IDS}], "Stops before any command can arrive"
+    with gateway.client() as client:
+        state = client.state()
+        assert (state.wire.name, state.spi.device, state.spi.framing, state.protocol) == (NAME, NAME, "none", NAME)
+        since = len(plugin.calls())
+        client.start_leg(3, *LEG_3.values())
+        client.servo(32, "set", 46)
+        moved = [each.changes for each in plugin.calls(since) if not each.stops]
+        assert moved == [LEG_3, {32: 46.0}]
+        since = len(plugin.calls())
+        heard = states(client)
+        assert client.estop().accepted
+        heard.wait(lambda state: state.mode == Mode.ESTOPPED)
+        stopped = [each for each in plugin.calls(since) if each.changes.keys() & LEG_3]
+        assert stopped[0].changes.keys() == {*SERVO_IDS}, "not only those that ran"
+        assert all(each.stops for each in stopped)
+        assert client.reset().accepted
+
+
+def test_unplugged_it_is_opened_again_and_hears_all_stops_before_anything_else(
+    plugin: Installed, gateway: Gateway
+) -> None:
+    with gateway.client() as client:
+        heard = events(client)
+        client.start_leg(3, *LEG_3.values())
+        plugin.unplugged.touch()
+        since = len(plugin.calls())
+        heard.wait(lambda event: event.kind == "bus_fault" and f"{NAME}: " in (event.detail or ""))
+        assert not client.start_leg(3, *LEG_3.values(), check=False).accepted
+        plugin.unplugged.unlink()
+        heard.wait(lambda event: event.kind == "bus_recovered")
+        client.start_leg(3, *LEG_3.values())
+        assert set(plugin.calls(since)[0].changes) == {*SERVO_IDS}
+        assert plugin.calls(since)[0].stops
+
+
+def test_stop_servos_goes_through_it_in_a_process_of_its_own(plugin: Installed, gateway: Gateway) -> None:
+    with gateway.client() as client:
+        client.start_leg(3, *LEG_3.values())
+        ended = stop_servos(gateway, plugin)
+        assert ended.returncode == 0, str(ended)
+        assert f"Stop written to all six legs, 4 times each, on {NAME}" in ended.stdout
+        assert "The running gateway counts all servos as stopped" in ended.stdout
+        theirs = [each for each in plugin.calls() if each.process == ended.pid]
+        assert [set(each.changes) for each in theirs] == [{*SERVO_IDS}] * 4
+        assert not any(servo.running for leg in client.state().legs for servo in leg.servos)
+    gateway.child.kill()
+    assert stop_servos(gateway, plugin).returncode == 0, "without a gateway, too"
+
+
+def test_a_mistake_in_it_ends_the_gateway_with_stops_tried(plugin: Installed, gateway: Gateway) -> None:
+    with gateway.client() as client:
+        client.start_leg(3, *LEG_3.values())
+        plugin.mistake.touch()
+        with suppress(GatewayError):  # it may end before it answers
+            client.servo(32, "set", 46)
+        assert gateway.child.wait() == 1
+    assert "a mistake in the plug-in" in gateway.child.stderr
+    assert "no Stop could be written to legs 1, 2, 3, 4, 5, 6" in gateway.child.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda wire: wire.pop("path"), "wire: path is missing: the file to write to"),
+        (lambda wire: wire.update(name="nothing"), f'installed are "hexapod-1.0", "elkapod-2025", "{NAME}"'),
+    ],
+)
+def test_what_its_options_lack_is_a_sentence(
+    change: Callable[[dict[str, Any]], object], line: str, plugin: Installed, tmp_path: Path
+) -> None:
+    section = plugin.section
+    change(section)
+    with Gateway(tmp_path, {"wire": section}, options=(), env=plugin.env, wait=False) as gateway:
+        assert gateway.child.wait() == 2
+        assert line in gateway.child.stderr
+        assert "Traceback" not in gateway.child.stderr
+
+
+def test_check_opens_it_and_says_what_it_is(plugin: Installed, tmp_path: Path) -> None:
+    file = write_settings(tmp_path / "gateway.toml", {"wire": plugin.section})
+    for unplugged, line in ((False, f"{NAME} opens: ToFile, servos one by one"), (True, f"{NAME}: no such device")):
+        if unplugged:
+            plugin.unplugged.touch()
+        with Child([sys.executable, "-m", "gateway", "check", "--config", str(file)], plugin.env) as child:
+            child.wait()
+        assert line in child.stdout
+        assert plugin.calls() == [], "it writes nothing"
