@@ -42,7 +42,7 @@ from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.cycle import Cycle
 from gateway.robot.runtime.estop_keeper import EstopKeeper
-from gateway.robot.runtime.report import wall_clock
+from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
@@ -265,7 +265,7 @@ async def _run(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         with owner:
-            for part in (conductor, keeper, calibrations):
+            for part in (conductor.reports, keeper, calibrations):
                 part.announce_start()
         on_ready(config)  # first, so what `make run` prints when it is notified comes after this
         notifier.ready("takes commands")
@@ -369,10 +369,10 @@ def _inbox(
         conductor.owner,
         on_wakeup=conductor.tick,
         on_estop=conductor.serve_estops,
-        on_state_query=conductor.answer_state,
+        on_state_query=conductor.reports.answer_state,
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
-            CONFIG: lambda _query, _ns, reply: partial(conductor.answer_config, reply),
+            CONFIG: lambda _query, _ns, reply: partial(conductor.reports.answer_config, reply),
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
             **(
                 {TELEMETRY: lambda _query, _ns, reply: partial(conductor.telemetry.answer, reply)}
@@ -407,7 +407,7 @@ def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox)
     """Publish the state, and what the robot measures if it does."""
     telemetry_hz = REPORTS_HZ if settings.measures else 0.0
     return [
-        asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.publish_state, conductor, outbox)),
+        asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.reports.publish, conductor, outbox)),
         asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.telemetry.publish, conductor, outbox)),
     ]
 

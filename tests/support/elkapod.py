@@ -37,7 +37,7 @@ class ElkapodRobot(Robot):
         self.failed: list[Exception] = []
         self._cycle = Cycle(self.cyclic, self.conductor, self.failed.append, clock=self.now_ns)
         self.conductor.start()
-        self.conductor.announce_start()
+        self.conductor.reports.announce_start()
         self.loop.call_later(1 / self._hz, self._go_on)
 
     def wire(self) -> Wire:

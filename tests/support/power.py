@@ -112,7 +112,7 @@ class VirtualLine:
 
 def running(robot: Robot) -> list[int]:
     """The servos that run, as the state says it."""
-    return [each.id for leg in robot.conductor.state().legs for each in leg.servos if each.running]
+    return [each.id for leg in robot.conductor.reports.state().legs for each in leg.servos if each.running]
 
 
 class FedRobot(Robot):
@@ -123,7 +123,7 @@ class FedRobot(Robot):
     def __init__(self, **sections: dict[str, Any]) -> None:
         super().__init__({"power": {"interface": "sim", **sections.pop("power", {})}, **sections})
         self.conductor.start()
-        self.conductor.announce_start()
+        self.conductor.reports.announce_start()
 
     def supply(self) -> RobotSupply:
         return _feed(self, None)

@@ -232,7 +232,7 @@ class Robot:
     @property
     def states(self) -> list[GatewayState]:
         """The states that were published, with their configurations."""
-        now = self.conductor.reports.payloads.of(self.conductor.state())[1]
+        now = self.conductor.reports.payloads.of(self.conductor.reports.state())[1]
         configs = {now.config: now}
         configs |= {each.config: each for _, each in self.reports if isinstance(each, ConfigReport)}
         states = (report for _, report in self.reports if isinstance(report, StateReport))
@@ -244,14 +244,14 @@ class Robot:
 
     @property
     def mode(self) -> str:
-        return self.conductor.state().mode
+        return self.conductor.reports.state().mode
 
 
 def started(**sections: Mapping[str, Any]) -> Robot:
     """A robot whose gateway takes commands; its start's frames and their repeats are forgotten."""
     robot = Robot(sections)
     robot.conductor.start()
-    robot.conductor.announce_start()
+    robot.conductor.reports.announce_start()
     return robot
 
 

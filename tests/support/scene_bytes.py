@@ -24,7 +24,7 @@ async def _play(framing: Framing, *, lists: bool) -> Robot:
     if not lists:
         robot.take_no_lists()
     robot.conductor.start()
-    robot.conductor.announce_start()
+    robot.conductor.reports.announce_start()
     await asyncio.sleep(0.03)  # among the repeats of the first Stops
     robot.put(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 45.25, 120) for number in LEGS}})
     for step in range(8):  # leg 1 is commanded above its rate, leg 2 below it

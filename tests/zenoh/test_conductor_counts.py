@@ -7,7 +7,7 @@ import pytest
 
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO
-from gateway.robot.core.events import Transmit
+from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.intake import MAX_KEY
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Reason
@@ -61,7 +61,7 @@ async def test_an_event_repeats_little_of_a_key_of_the_senders_own_making() -> N
     (event,) = robot.events(Kind.COMMAND_REJECTED)
     assert event.key is not None
     assert len(event.key) == MAX_KEY == 100
-    robot.conductor.announce(Kind.REVOKED, "bert", keys.REVOCATION)
+    robot.conductor.events.announce(Announce(Kind.REVOKED, "bert", key=keys.REVOCATION))
     (event,) = robot.events(Kind.REVOKED)
     assert (event.detail, event.key) == ("bert", keys.REVOCATION)
 
@@ -83,7 +83,7 @@ async def test_stops_leave_before_repeated_ones_and_these_before_what_moves() ->
     move = OneLeg(2, (ServoOp(Op.START, 90_00),) * 3)
     effects = [Transmit(stop_leg(1), Cause.COMMAND), Transmit(stop_leg(3), Cause.REPEAT), Transmit(move, Cause.COMMAND)]
     for order in itertools.permutations(effects):
-        written = robot.conductor._carry_out(order).written
+        written = robot.conductor._executor.carry_out(order).written
         assert [transmit for transmit, _ in written] == effects
 
 

@@ -55,7 +55,7 @@ class Calibrations(RequestAnswers):
     def publish(self) -> None:
         """Publish and record what is in force."""
         self._conductor.recorder.calibration(self._in_force)
-        self._conductor.publish(keys.CALIBRATION, report_of(self._in_force))
+        self._conductor.events.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
 
     def answer(self, reply: Reply) -> None:
         """Answer a `get` on what is in force."""
@@ -106,7 +106,7 @@ class Calibrations(RequestAnswers):
         self._conductor.ask(CalibrationSaved(number, fault))
         if self._in_force is not before:
             self.publish()
-            self._conductor.publish_state()
+            self._conductor.reports.publish()
 
     @property
     def _in_force(self) -> RobotCalibration:

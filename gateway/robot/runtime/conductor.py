@@ -6,12 +6,9 @@ transfer.
 
 import asyncio
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Final
 
-from pydantic import BaseModel
-
-from gateway import __version__
 from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.model.elkapod import Measured
 from gateway.model.staleness import Staleness
@@ -25,7 +22,6 @@ from gateway.robot.core.events import (
     Calibrate,
     CalibrationSaved,
     Command,
-    Effect,
     EmergencyStop,
     EstopKept,
     Event,
@@ -38,22 +34,22 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.intake import Rejection, echo_of, read
 from gateway.robot.core.losses import DETAIL, Losses, stops_in
-from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Reply, Verb
+from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands, legs_of
-from gateway.robot.runtime.event_publisher import EventPublisher
+from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
-from gateway.robot.runtime.report import StateReports, wall_clock
+from gateway.robot.runtime.report import Reports
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, Cause, GatewayState, Kind, Mode, PowerReport, Reason
+from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
 REOPEN_S: Final = 0.02
 """Between two tries to open a device that is at fault, and never longer: until the Stops behind the opening are
@@ -100,23 +96,32 @@ class Conductor:
         self.metrics = Metrics()
         self.recorder = recorder
         self.telemetry = LatestTelemetry(outbox, clock, supply)
-        self._outbox = outbox
         self.events = EventPublisher(outbox, recorder, self.metrics, clock)
         self.supply = supply
         self.answers = PendingCommands(self.metrics, recorder, self.events, supply.confirm if supply else None)
         self._executor = Executor(
-            bus, self.answers, self.events, recorder, self.metrics, publish_frames=settings.telemetry.frames
+            bus,
+            self.answers,
+            self.events,
+            recorder,
+            self.metrics,
+            publish_frames=settings.telemetry.frames,
+            supervisor=supervisor,
+            supply=supply,
         )
         if supply is not None:
             supply.on_news = self.power_changed
         self._clock = clock
         self._instant_ns = clock()
-        self.reports = StateReports(
+        self.reports = Reports(
             settings,
+            supervisor,
+            bus,
+            self.events,
+            self.telemetry,
             simulated=simulated,
             physics=physics,
             calibration_kept=calibration_kept,
-            started_ns=self._instant_ns,
         )
         self._messages: Messages = NoMessages()
         self._losses = Losses()
@@ -132,8 +137,6 @@ class Conductor:
         self._engaged = 0  # the number of the emergency stop; 0: none is engaged
         self.on_latch: Callable[[], None] = lambda: None
         """Called as owner, behind its Stops, when an emergency stop is engaged or left."""
-        self._published_mode: Mode | None = None
-        """None until the start is announced: however long that takes, it is starting."""
         self.done = asyncio.Event()
         """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
 
@@ -142,7 +145,7 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
         self.bus.open()
-        fault = self._carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
+        fault = self._executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
         if fault is not None:
             raise fault
         self._look_for_stop_servos()
@@ -151,16 +154,6 @@ class Conductor:
     def connect(self, messages: Messages) -> None:
         """From now on, take what comes there."""
         self._messages = messages
-
-    def announce_start(self) -> None:
-        """Publish that commands are taken from now on."""
-        self.announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands")
-        self._published_mode = Mode.STARTING
-        self._publish_mode()
-
-    def announce(self, kind: Kind, detail: str, key: str | None = None) -> None:
-        """Publish an event that the supervisor does not know of."""
-        self.events.announce(Announce(kind, detail, None, key))
 
     def shut_down(self) -> bool:
         """Reject all commands from now on, and stop all six legs: whether all Stops were written without a fault."""
@@ -249,9 +242,9 @@ class Conductor:
             self.bus_failed(silent)
         meddled = self.bus.put_right()
         if meddled is not None:
-            self.announce(Kind.BUS_MEDDLED, meddled)
+            self.events.announce(Announce(Kind.BUS_MEDDLED, meddled))
             self._meddled(meddled)
-            self._publish_mode()
+            self.reports.publish_mode()
             self._arm()
             return  # whether `stop-servos` is at work, the device says when it is open again
         self._look_for_stop_servos()
@@ -287,7 +280,7 @@ class Conductor:
         if any(each.kind is Kind.OFF_BUTTON for each in announcements):
             self._emergency_stop(off_button(self._clock()), self._clock())
         self._arm()
-        self.publish_state()
+        self.reports.publish()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
         if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
@@ -368,7 +361,7 @@ class Conductor:
     ) -> Outcome:
         """Let the supervisor take an event, and carry out what it wants. `heard`: the command that the event is."""
         now_ns = self._clock() if now_ns is None else now_ns
-        outcome = self._carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
+        outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:
@@ -376,22 +369,7 @@ class Conductor:
         latch = self.supervisor.latch
         if self._engaged != (0 if latch.since_ns is None else latch.number):
             self._latch_changed(0 if latch.since_ns is None else latch.number)
-        if self.supervisor.mode is not self._published_mode:
-            self._publish_mode()
-        return outcome
-
-    def _carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
-        """The board is asked for what is to be off before the frames, and for what is to be on behind them."""
-        if self.supply is None:
-            return self._executor.carry_out(effects, heard)
-        cuts = self.supply.before_step(self.supervisor)
-        outcome = self._executor.carry_out(effects, heard)
-        if outcome.resets:
-            self.supply.reset()
-        if outcome.fault is None:  # else it follows, and feeds nothing
-            self.supply.after_step(self.supervisor)
-        for each in cuts:
-            self.events.announce(each)
+        self.reports.publish_mode()
         return outcome
 
     def _latch_changed(self, number: int) -> None:
@@ -410,7 +388,7 @@ class Conductor:
         again, self._in_fault = self._in_fault, True
         if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
-        self._carry_out(effects)
+        self._executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
 
@@ -428,7 +406,7 @@ class Conductor:
         if self._closed:
             return
         self._bus_failed(fault)
-        self._publish_mode()
+        self.reports.publish_mode()
         self._arm()
 
     def _reopen(self) -> None:
@@ -458,46 +436,3 @@ class Conductor:
             self._timer.cancel()
         else:
             self._timer.set(due_ns / 1e9)
-
-    # ---- reports
-
-    def publish(self, key: str, report: BaseModel) -> None:
-        """Publish a report."""
-        self._outbox.publish(key, report)
-
-    def publish_state(self) -> None:
-        """Publish the state, and before it the configuration if that has changed."""
-        self.reports.publish(self.state(), self._outbox.publish)
-
-    def answer_state(self, reply: Reply) -> None:
-        """Answer a `get` on the state."""
-        reply(self.reports.payloads.of(self.state())[0].model_dump_json().encode())
-
-    def answer_config(self, reply: Reply) -> None:
-        """Answer a `get` on the configuration."""
-        reply(self.reports.payloads.of(self.state())[1].model_dump_json().encode())
-
-    def state(self) -> GatewayState:
-        """What the gateway knows now."""
-        return self.reports.state(
-            self.supervisor,
-            self.bus,
-            self.metrics,
-            self._clock(),
-            estop_source=self.events.estop_source,
-            incident=self.recorder.incident,
-            battery=self.telemetry.battery,
-            power=self.power_report(),
-        )
-
-    def power_report(self) -> PowerReport | None:
-        """The power board; None: there is none. Reading it needs no owner."""
-        return None if self.supply is None else self.supply.report(self._clock())
-
-    def _publish_mode(self) -> None:
-        mode = self.supervisor.mode
-        if mode is not self._published_mode is not None:
-            self._published_mode = mode
-            self.recorder.mode(mode)
-            logger.info("mode %s", mode, extra={"mode": mode})
-            self.publish_state()

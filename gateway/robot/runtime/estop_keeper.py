@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.robot.core.events import EstopKept
+from gateway.robot.core.events import Announce, EstopKept
 from gateway.robot.host import estop_file
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.disk_writer import DiskWriter
@@ -97,12 +97,12 @@ class EstopKeeper:
         if self._unknown is not None:
             number = self._conductor.supervisor.latch.number
             what = f"emergency stop {number} is engaged, since it is not known what an earlier run has left"
-            self._conductor.announce(Kind.ESTOP_KEPT, f"{what} ({self._unknown}); {_LOOK}", ESTOP)
+            self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, f"{what} ({self._unknown}); {_LOOK}", key=ESTOP))
         elif found is not None and found.engaged and found.time is not None:
             since = f"{found.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
             by = "" if found.source is None else f", by {found.source}"
             detail = f"emergency stop {found.number} of {since}{by} is engaged still; {_LOOK}"
-            self._conductor.announce(Kind.ESTOP_KEPT, detail, ESTOP)
+            self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
 
     # ---- what changes
 
@@ -162,8 +162,8 @@ class EstopKeeper:
             what = "the emergency stop" if engaged else "the end of the emergency stop"
             then = "may forget it" if engaged else "engages it again"
             detail = f"{what} is not kept, so a restart {then}: {fault}"
-            self._conductor.announce(Kind.ESTOP_NOT_KEPT, detail, ESTOP)
-        self._conductor.publish_state()
+            self._conductor.events.announce(Announce(Kind.ESTOP_NOT_KEPT, detail, key=ESTOP))
+        self._conductor.reports.publish()
 
     def _show(self) -> None:
         self._conductor.reports.estop_fault = self._fault or self._unknown

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from typing import Final
 
 from gateway.allowance import AllowanceBySource
@@ -10,7 +11,6 @@ from gateway.robot.core.events import Announce
 from gateway.robot.core.intake import named_source
 from gateway.robot.core.message import Outbox, Received
 from gateway.robot.runtime.metrics import Metrics
-from gateway.robot.runtime.report import WARNINGS, wall_clock
 from schemas import keys, telemetry
 from schemas.telemetry import Kind
 
@@ -18,17 +18,50 @@ EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10
 """Of each source and kind."""
 
+WARNINGS: Final = frozenset(
+    {
+        Kind.COMMAND_REJECTED,
+        Kind.WATCHDOG_EXPIRED,
+        Kind.LANDING,
+        Kind.ESTOP_ENGAGED,
+        Kind.ESTOP_KEPT,
+        Kind.ESTOP_NOT_KEPT,
+        Kind.BUS_FAULT,
+        Kind.BUS_MEDDLED,
+        Kind.STOPPED_OUTSIDE,
+        Kind.OVERFLOW,
+        Kind.REVOKED,
+        Kind.BUTTON_SILENT,
+        Kind.BUTTON_LEFT,
+        Kind.CONTROLLER_SILENT,
+        Kind.CONTROLLER_RESTARTED,
+        Kind.BATTERY_LOW,
+        Kind.FALLEN,
+        Kind.POWER_UNCONFIRMED,
+        Kind.POWER_FAULT,
+        Kind.SERVO_DRAWS,
+        Kind.SERVO_SILENT,
+        Kind.OFF_BUTTON,
+    }
+)
+"""Kinds that are logged as warnings; the others are informational."""
+
 logger: Final = logging.getLogger(__name__)
+
+
+def wall_clock() -> datetime:
+    """Now in UTC, for people; no decision depends on it."""
+    return datetime.now(UTC)
 
 
 class EventPublisher:
     """Called by the owner of the state."""
 
     def __init__(self, outbox: Outbox, recorder: Recorder, metrics: Metrics, clock: Callable[[], int]) -> None:
-        self._outbox = outbox
-        self._recorder = recorder
-        self._metrics = metrics
-        self._clock = clock
+        self.outbox = outbox
+        self.recorder = recorder
+        self.metrics = metrics
+        self.clock = clock
         self._limits = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
         self._unread: Received | None = None
         self._estop_source: str | None = None
@@ -52,13 +85,13 @@ class EventPublisher:
     def announce(self, what: Announce) -> None:
         """Publish an event, unless its kind and source exceed their rate limit."""
         kind = what.kind
-        self._metrics.events[kind] += 1
+        self.metrics.events[kind] += 1
         source = self.estop_source if kind is Kind.ESTOP_ENGAGED else what.source
         limit = self._limits.get(kind)
-        left_out = 0 if limit is None else limit.admit(source, self._clock())
+        left_out = 0 if limit is None else limit.admit(source, self.clock())
         if left_out is None:
             return
-        incident = self._recorder.event(what, source, left_out)
+        incident = self.recorder.event(what, source, left_out)
         extra = {
             "kind": kind, "source": source, "key": what.key, "reason": what.reason, "left_out": left_out or None,
             "legs": list(what.legs) or None, "incident": incident,
@@ -68,7 +101,7 @@ class EventPublisher:
             time=wall_clock(), kind=kind, source=source, key=what.key, reason=what.reason, detail=what.detail,
             left_out=left_out, legs=what.legs, incident=incident,
         )  # fmt: skip
-        self._outbox.publish(keys.EVENT, event)
+        self.outbox.publish(keys.EVENT, event)
 
     def frames(self, written: Sequence[Written]) -> None:
         """Publish a step's frames, after the last was written."""
@@ -76,4 +109,4 @@ class EventPublisher:
             record = telemetry.FrameRecord(
                 time=wall_clock(), monotonic_ns=sent.ns, bytes=sent.data.hex(), cause=transmit.cause
             )
-            self._outbox.publish(keys.FRAME, record)
+            self.outbox.publish(keys.FRAME, record)

@@ -20,10 +20,12 @@ from gateway.robot.core.events import (
     Transmit,
 )
 from gateway.robot.core.outcome import Result, results
+from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
+from gateway.robot.runtime.supply import RobotSupply
 from schemas.telemetry import Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)
@@ -78,6 +80,8 @@ class Executor:
         metrics: Metrics,
         *,
         publish_frames: bool,
+        supervisor: Supervisor,
+        supply: RobotSupply | None,
     ) -> None:
         self._bus = bus
         self._answers = answers
@@ -85,12 +89,29 @@ class Executor:
         self._recorder = recorder
         self._metrics = metrics
         self._publish_frames = publish_frames
+        self._supervisor = supervisor
+        self._supply = supply
 
     def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
         """The frames first, as batches; then the record of it, answers and events. `heard`: the command of this step.
 
-        No answer, no record and no event stands before a frame of the same step.
+        No answer, no record and no event stands before a frame of the same step. The power board is asked for what is
+        to be off before the frames, and for what is to be on behind them.
         """
+        supply = self._supply
+        if supply is None:
+            return self._carry_out(effects, heard)
+        cuts = supply.before_step(self._supervisor)
+        outcome = self._carry_out(effects, heard)
+        if outcome.resets:
+            supply.reset()
+        if outcome.fault is None:  # else it follows, and feeds nothing
+            supply.after_step(self._supervisor)
+        for each in cuts:
+            self._events.announce(each)
+        return outcome
+
+    def _carry_out(self, effects: Sequence[Effect], heard: Request | None) -> Outcome:
         outcome = Outcome()
         self._write(effects, outcome)
         failed = () if outcome.fault is None else outcome.failed(effects)

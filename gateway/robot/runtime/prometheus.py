@@ -92,7 +92,7 @@ class Numbers(Collector):
         yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
         if reports.measures:
             yield from _measured(self._conductor)
-        power = self._conductor.power_report()
+        power = self._conductor.telemetry.power()
         if power is not None:
             yield from powered(power, self._conductor.telemetry.report(), metrics.events)
 

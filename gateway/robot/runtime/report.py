@@ -1,27 +1,26 @@
 """Makes the states, whose parts are the payloads of `hexapod/state` and `hexapod/config`."""
 
-from collections.abc import Callable
+import logging
 from dataclasses import asdict
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Final
-
-from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.host.settings_table import ServoLimits
 from gateway.model.frames import Op
-from gateway.robot.core.buttons import Buttons
+from gateway.robot.core.events import Announce
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
+from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
-from gateway.robot.runtime.metrics import Metrics
+from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
+from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.state import Payloads
 from schemas.telemetry import (
-    Battery,
     ButtonsReport,
     CalibrationReport,
     CertificateReport,
@@ -34,7 +33,7 @@ from schemas.telemetry import (
     LegReport,
     LimitsReport,
     LoopLag,
-    PowerReport,
+    Mode,
     RevocationsReport,
     ServoLimitsReport,
     ServoReport,
@@ -45,52 +44,34 @@ from schemas.telemetry import (
     WireReport,
 )
 
-WARNINGS: Final = frozenset(
-    {
-        Kind.COMMAND_REJECTED,
-        Kind.WATCHDOG_EXPIRED,
-        Kind.LANDING,
-        Kind.ESTOP_ENGAGED,
-        Kind.ESTOP_KEPT,
-        Kind.ESTOP_NOT_KEPT,
-        Kind.BUS_FAULT,
-        Kind.BUS_MEDDLED,
-        Kind.STOPPED_OUTSIDE,
-        Kind.OVERFLOW,
-        Kind.REVOKED,
-        Kind.BUTTON_SILENT,
-        Kind.BUTTON_LEFT,
-        Kind.CONTROLLER_SILENT,
-        Kind.CONTROLLER_RESTARTED,
-        Kind.BATTERY_LOW,
-        Kind.FALLEN,
-        Kind.POWER_UNCONFIRMED,
-        Kind.POWER_FAULT,
-        Kind.SERVO_DRAWS,
-        Kind.SERVO_SILENT,
-        Kind.OFF_BUTTON,
-    }
-)
-"""Kinds that are logged as warnings; the others are informational."""
+logger: Final = logging.getLogger(__name__)
 
 
-def wall_clock() -> datetime:
-    """Now in UTC, for people; no decision depends on it."""
-    return datetime.now(UTC)
-
-
-class StateReports:
-    """Makes the states of one run of the service."""
+class Reports:
+    """Makes and publishes the state and the configuration of one run. Called by the owner of the state."""
 
     def __init__(
-        self, settings: Settings, *, simulated: bool, physics: str | None, calibration_kept: bool, started_ns: int
+        self,
+        settings: Settings,
+        supervisor: Supervisor,
+        bus: Wire,
+        events: EventPublisher,
+        telemetry: LatestTelemetry,
+        *,
+        simulated: bool,
+        physics: str | None,
+        calibration_kept: bool,
     ) -> None:
         self._settings = settings
+        self._supervisor = supervisor
+        self._bus = bus
+        self._events = events
+        self._telemetry = telemetry
         self._simulated = simulated
         self._physics = physics
         self._calibration_kept = calibration_kept
         """Whether the calibration outlasts this process."""
-        self._started_ns = started_ns
+        self._started_ns = events.clock()
         self._limits = limits_of(settings)
         wire = settings.wire
         can = wire.capabilities._replace(whole_robot=settings.starts_whole)
@@ -104,37 +85,53 @@ class StateReports:
         """Since when the emergency stop is engaged; None: it is not."""
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
-        self.payloads = Payloads()
-        self._published: ConfigReport | None = None
         self.revocations: RevocationsReport | None = None
         """The list in force; None: there is none."""
+        self.payloads = Payloads()
+        self._published: ConfigReport | None = None
+        self._published_mode: Mode | None = None
+        """None until the start is announced: until then the mode is not published."""
 
     def has_missing(self, endpoints: tuple[str, ...]) -> None:
         """Report these as not listened on yet. Callable from any thread."""
         self._missing = endpoints
 
-    def publish(self, state: GatewayState, publish: Callable[[str, BaseModel], None]) -> None:
+    def announce_start(self) -> None:
+        """Publish that commands are taken from now on."""
+        self._events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
+        self._published_mode = Mode.STARTING
+        self.publish_mode()
+
+    def publish_mode(self) -> None:
+        """Publish the state if its mode has changed."""
+        mode = self._supervisor.mode
+        if mode is not self._published_mode is not None:
+            self._published_mode = mode
+            self._events.recorder.mode(mode)
+            logger.info("mode %s", mode, extra={"mode": mode})
+            self.publish()
+
+    def publish(self) -> None:
         """Publish the state, and before it the configuration if that has changed."""
-        report, config = self.payloads.of(state)
+        report, config = self.payloads.of(self.state())
         if config != self._published:
             self._published = config
-            publish(keys.CONFIG, config)
-        publish(keys.STATE, report)
+            self._events.outbox.publish(keys.CONFIG, config)
+        self._events.outbox.publish(keys.STATE, report)
 
-    def state(
-        self,
-        supervisor: Supervisor,
-        bus: Wire,
-        metrics: Metrics,
-        now_ns: int,
-        *,
-        estop_source: str | None,
-        incident: str | None,
-        battery: Battery | None,
-        power: PowerReport | None,
-    ) -> GatewayState:
-        """The state at `now_ns`."""
+    def answer_state(self, reply: Reply) -> None:
+        """Answer a `get` on the state."""
+        reply(self.payloads.of(self.state())[0].model_dump_json().encode())
+
+    def answer_config(self, reply: Reply) -> None:
+        """Answer a `get` on the configuration."""
+        reply(self.payloads.of(self.state())[1].model_dump_json().encode())
+
+    def state(self) -> GatewayState:
+        """Return the state now."""
+        supervisor, bus, metrics, now_ns = self._supervisor, self._bus, self._events.metrics, self._events.clock()
         settings = self._settings
+        buttons = supervisor.buttons
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
         return GatewayState(
             mode=supervisor.mode,
@@ -165,15 +162,15 @@ class StateReports:
                 stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
             estop=supervisor.latch.number,
-            estop_source=estop_source,
+            estop_source=self._events.estop_source,
             estop_since=self.estop_since,
             estop_fault=self.estop_fault,
-            incident=incident,
+            incident=self._events.recorder.incident,
             loop_lag_us=LoopLag(
                 p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
             ),
             lease=_lease(supervisor.lease, now_ns),
-            buttons=_buttons(supervisor.buttons),
+            buttons=ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names),
             calibration=CalibrationReport(
                 revision=supervisor.calibrating.in_force.revision,
                 fault=supervisor.calibrating.fault,
@@ -186,8 +183,8 @@ class StateReports:
             limits=self._limits,
             wire=self._wire,
             controller=_controller(bus, now_ns),
-            battery=battery,
-            power=power,
+            battery=self._telemetry.battery,
+            power=self._telemetry.power(),
         )
 
 
@@ -207,10 +204,6 @@ def _lease(lease: RobotLease, now_ns: int) -> LeaseReport:
         expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
         asked_by=lease.asked_by,
     )
-
-
-def _buttons(buttons: Buttons) -> ButtonsReport:
-    return ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names)
 
 
 def _controller(bus: Wire, now_ns: int) -> ControllerReport:

@@ -18,7 +18,7 @@ from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
 from gateway.robot.core.intake import Rejection, is_json, too_large
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.report import wall_clock
+from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from schemas import keys

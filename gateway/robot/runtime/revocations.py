@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from gateway import certs
 from gateway.errors import ConfigError
+from gateway.robot.core.events import Announce
 from gateway.robot.core.message import Reply
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
@@ -104,7 +105,7 @@ class Revocations(RequestAnswers):
         self._kept = kept._replace(known=found)  # so that no older list is accepted before the service ends
         names = ", ".join(sorted(found.common_names - known)) or "nobody else"
         detail = f"list {found.number} shuts out {names}: all legs stop, and the service starts anew"
-        self._conductor.announce(Kind.REVOKED, detail, self.key)
+        self._conductor.events.announce(Announce(Kind.REVOKED, detail, key=self.key))
         reply(self.accepted(number=found.number))
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             self._loop.call_soon_threadsafe(self._begin_again)

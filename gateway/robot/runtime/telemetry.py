@@ -8,10 +8,10 @@ from gateway.model.elkapod import Measured
 from gateway.model.telemetry import battery_of, report_of
 from gateway.robot.core.message import Outbox, Reply
 from gateway.robot.power.board import Status
-from gateway.robot.runtime.report import wall_clock
+from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.supply import RobotSupply
 from schemas import keys
-from schemas.telemetry import Battery, ServoTelemetry, Supply, Telemetry
+from schemas.telemetry import Battery, PowerReport, ServoTelemetry, Supply, Telemetry
 
 _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 
@@ -44,6 +44,10 @@ class LatestTelemetry:
     def battery(self) -> Battery | None:
         """For the state."""
         return None if self.newest is None else battery_of(self.newest.values)
+
+    def power(self) -> PowerReport | None:
+        """Return the power board's report; None: there is no board. Reading it needs no owner."""
+        return None if self._supply is None else self._supply.report(self._clock())
 
     def publish(self) -> None:
         """Publish what the robot measures, if it does."""

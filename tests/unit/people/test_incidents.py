@@ -23,6 +23,7 @@ from gateway.people.recorder.messages import messages
 from gateway.people.recorder.story import WORDS, frames_in, headline, story
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.core.events import Announce
 from gateway.robot.runtime.calibrations import Calibrations
 from schemas import keys
 from schemas.telemetry import Kind
@@ -242,7 +243,9 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
     await asyncio.sleep(1)
     measured(ON_ITS_SIDE._replace(feet=(0.0,) * 6), robot.now_ns())
     await asyncio.sleep(0.2)
-    robot.conductor.announce(Kind.FALLEN, "the body tilts by 82°, beyond 45°; all six legs are stopped")
+    robot.conductor.events.announce(
+        Announce(Kind.FALLEN, "the body tilts by 82°, beyond 45°; all six legs are stopped")
+    )
     await asyncio.sleep(1)
     measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
     ((incident,), content) = incidents(folder)

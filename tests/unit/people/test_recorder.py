@@ -32,7 +32,7 @@ def recorded(folder: Path, **sections: Any) -> Robot:
     robot = Robot({"state": {"path": str(folder)}, **sections})
     robot.conductor.start()
     robot.conductor.recorder.open()
-    robot.conductor.announce_start()
+    robot.conductor.reports.announce_start()
     return robot
 
 
@@ -206,7 +206,7 @@ async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
     await asyncio.sleep(1)
     event = robot.events()[-1]
     assert (event.kind, event.incident) == (Kind.WATCHDOG_EXPIRED, None), "no incident that nobody can look at"
-    assert robot.conductor.state().incident is None
+    assert robot.conductor.reports.state().incident is None
     said = [entry.message for entry in caplog.records if "black box" in entry.message]
     assert len(said) == 1
     assert said[0].startswith("the black box is off: ")

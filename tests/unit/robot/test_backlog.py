@@ -38,7 +38,7 @@ class WaitingRobot(Robot):
 def made(robot_class: type[Robot] = WaitingRobot) -> Robot:
     robot = robot_class()
     robot.conductor.start()
-    robot.conductor.announce_start()
+    robot.conductor.reports.announce_start()
     return robot
 
 
@@ -85,7 +85,7 @@ async def test_fifty_ordinary_programs_of_each_style_are_not_rejected(style: str
             robot.put(keys.leg_command(at), leg(op, 90, 90, 90))
         await asyncio.sleep(0.1)
         assert not robot.events(Kind.COMMAND_REJECTED)
-        assert robot.conductor.state().commands.rejected == 0
+        assert robot.conductor.reports.state().commands.rejected == 0
         begins_ms = {frame.leg: at_ms for at_ms, frame in reversed(robot.frames) if not frame.is_stop}
         assert all(0 <= begins_ms[at] - came_ms <= PERIOD_S * 1000 for at, came_ms in first_ms.items())
         robot.conductor.close()

@@ -38,8 +38,8 @@ async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
     assert (event.source, event.legs) == ("kitchen", tuple(LEGS))
     assert robot.conductor.metrics.frames[Cause.WATCHDOG] == len(LEGS)
     assert robot.conductor.metrics.events == {Kind.STARTED: 1, Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
-    assert robot.conductor.state().watchdog.stop_latency_us.max is not None
-    assert robot.conductor.state().buttons == ButtonsReport(required=1)
+    assert robot.conductor.reports.state().watchdog.stop_latency_us.max is not None
+    assert robot.conductor.reports.state().buttons == ButtonsReport(required=1)
 
 
 @pytest.mark.parametrize("required", [0, 1, 2])
@@ -58,7 +58,7 @@ async def test_what_is_rejected_is_told_with_its_reason() -> None:
     assert told == [(keys.BUTTON, Reason.STALE), (keys.BUTTON, Reason.UNKNOWN_BUTTON)]
     assert not any(str(ack.button) in event.detail for event in robot.events(Kind.COMMAND_REJECTED))
     assert robot.button("leave", button=ack.button).accepted
-    assert robot.conductor.state().buttons.alive == 0
+    assert robot.conductor.reports.state().buttons.alive == 0
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ async def test_what_cannot_be_read_changes_nothing(payload: dict[str, Any], deta
     ack = robot.button(do, **payload)
     assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
     assert str(ack.detail).startswith(detail)
-    assert robot.conductor.state().buttons.alive == 1
+    assert robot.conductor.reports.state().buttons.alive == 1
 
 
 async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they_are() -> None:
@@ -101,5 +101,5 @@ async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...]
     ack = robot.button("register", "kitchen/phone")
     alive = robot.button("alive", button=ack.button, count=1)
     assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
-    assert robot.conductor.state().buttons.names == ("kitchen/phone",)
+    assert robot.conductor.reports.state().buttons.names == ("kitchen/phone",)
     assert robot.ask(LEG_3, START).accepted is counts

@@ -42,7 +42,7 @@ class Disk:
 async def on_disk(disk: Disk, **sections: Any) -> Robot:
     robot = Robot(sections, keep=disk)
     robot.conductor.start()
-    robot.conductor.announce_start()
+    robot.conductor.reports.announce_start()
     await asyncio.sleep(1)
     robot.controller.transfers.clear()
     robot.reports.clear()
@@ -80,7 +80,7 @@ async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
     assert robot.ask(keys.leg_command(1), START).accepted, "another leg's numbers do not change"
     disk.write()
     assert answers[0].accepted
-    assert robot.conductor.state().calibration.kept
+    assert robot.conductor.reports.state().calibration.kept
     assert robot.ask(LEG_3, START).accepted
     assert robot.frames[-1][1].servos[0][1].angle_cdeg == 97_50
 
@@ -144,8 +144,8 @@ async def test_one_that_cannot_be_trusted_starts_nothing_until_a_person_takes_th
     robot = Robot({}, keep=(disk := Disk()))
     robot.conductor.supervisor.calibrating.load(RobotCalibration(7), "calibration.toml: is not TOML")
     robot.conductor.start()
-    robot.conductor.announce_start()
-    assert robot.conductor.state().calibration.fault == "calibration.toml: is not TOML"
+    robot.conductor.reports.announce_start()
+    assert robot.conductor.reports.state().calibration.fault == "calibration.toml: is not TOML"
     assert robot.controller.energised == set()
     for ack in (robot.ask(LEG_3, START), robot.calibrate(OWN)[0]):
         assert ack.reason == Reason.SERVO_STOPPED
@@ -156,7 +156,7 @@ async def test_one_that_cannot_be_trusted_starts_nothing_until_a_person_takes_th
     assert robot.ask(LEG_3, START).reason == Reason.SERVO_STOPPED, "it is not kept yet"
     disk.write()
     assert answers[0].accepted
-    assert (told(robot).revision, robot.conductor.state().calibration.fault) == (8, None)
+    assert (told(robot).revision, robot.conductor.reports.state().calibration.fault) == (8, None)
     assert robot.ask(LEG_3, START).accepted
 
 

@@ -56,18 +56,18 @@ async def test_two_laptops_on_one_leg_are_both_named() -> None:
     robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
     robot.put(LEG_3, leg("set", 2, 2, 3, source="anna"))
     assert not robot.events(Kind.SOURCE_CHANGED), "the leg was nobody's before"
-    assert robot.conductor.state().legs[2].source == "anna"
+    assert robot.conductor.reports.state().legs[2].source == "anna"
     robot.put(LEG_3, leg("set", 3, 2, 3), source="0123abc")
     (event,) = robot.events(Kind.SOURCE_CHANGED)
     assert (event.source, event.detail) == ("0123abc", "leg 3 is commanded by 0123abc, and was by anna")
     assert event.legs == (3,)
     robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3, "source": "ben"})
     assert robot.events(Kind.SOURCE_CHANGED)[-1].detail == "leg 3 is commanded by ben, and was by 0123abc"
-    assert [each.source for each in robot.conductor.state().legs] == [None, None, "ben", None, None, None]
+    assert [each.source for each in robot.conductor.reports.state().legs] == [None, None, "ben", None, None, None]
     robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
     assert len(robot.events(Kind.SOURCE_CHANGED)) == 2, "a stopped leg is taken from nobody"
     await asyncio.sleep(1)
-    assert robot.conductor.state().legs[2].source is None, "the watchdog has stopped it"
+    assert robot.conductor.reports.state().legs[2].source is None, "the watchdog has stopped it"
 
 
 @pytest.mark.parametrize(("scope", "legs"), [("leg", [(2,), (5,)]), ("robot", [tuple(LEGS), tuple(LEGS)])])

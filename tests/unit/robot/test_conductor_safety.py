@@ -35,7 +35,7 @@ async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it()
     assert [at_ms - last_ms for at_ms, _ in stops[::6]] == pytest.approx([250, 270, 290, 310], abs=0.01)
     (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
     assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
-    state = robot.conductor.state()
+    state = robot.conductor.reports.state()
     assert state.legs[2].watchdog == "expired"
     assert state.watchdog.expirations == 1
     assert state.watchdog.stop_latency_us.max is not None
@@ -80,7 +80,8 @@ async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latche
     assert (again.stop_frames, again.estop) == (6, 2), "engaging twice sends the Stops again"
     assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [Kind.ESTOP_ENGAGED]
     await asyncio.sleep(1)
-    assert robot.ask(keys.RESET, {"estop": robot.conductor.state().estop, "source": "anna", "sent_ms": 1}).accepted
+    number = robot.conductor.reports.state().estop
+    assert robot.ask(keys.RESET, {"estop": number, "source": "anna", "sent_ms": 1}).accepted
     assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
     assert robot.ask(LEG_3, START).accepted
     assert robot.events()[-2].kind == Kind.ESTOP_RESET
@@ -162,7 +163,7 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     robot.put(LEG_3, leg("start", 90, 90, 90, source="anna"))
     waiting = robot.get(LEG_3, leg("set", 91, 91, 91, source="anna"))
     assert not waiting, "its leg's rate slot has not come"
-    accepted = robot.conductor.state().commands.accepted
+    accepted = robot.conductor.reports.state().commands.accepted
     robot.controller.transfers.clear()
     robot.put_later(LEG_3, verb=Verb.LOST, size=50)
     robot.conductor.tick()
@@ -170,14 +171,14 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     assert all(frame.is_stop for _, frame in robot.frames)
     assert [ack.reason for ack in waiting] == [Reason.OVERFLOW]
     assert not robot.events(Kind.SOURCE_CHANGED)
-    state = robot.conductor.state()
+    state = robot.conductor.reports.state()
     assert state.legs[2].source is None
     assert state.commands.accepted == accepted
     assert (state.commands.overflows, state.commands.lost) == (1, 50)
     robot.put_later(LEG_3, verb=Verb.LOST, size=50)
     robot.conductor.tick()
     assert len(robot.events(Kind.OVERFLOW)) == 1, "nothing ran any more"
-    assert robot.conductor.state().commands.overflows == 2
+    assert robot.conductor.reports.state().commands.overflows == 2
 
 
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])

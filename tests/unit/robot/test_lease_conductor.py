@@ -35,7 +35,7 @@ async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> No
     (event,) = robot.events(Kind.LEASE_ACQUIRED)
     assert (event.source, event.key, event.detail) == ("anna", keys.LEASE, "anna has acquired the lease")
     await asyncio.sleep(0.1)
-    lease = robot.conductor.state().lease
+    lease = robot.conductor.reports.state().lease
     assert (lease.holder, lease.verified, lease.asked_by) == ("anna", False, None)
     assert lease.held_s == pytest.approx(0.1, abs=1e-6)
     assert lease.expires_in_ms == pytest.approx(900, abs=0.001)
@@ -115,7 +115,8 @@ async def test_no_report_has_the_token() -> None:
     robot.ask(LEG_3, {str(anna.lease): 1})
     robot.lease("take", "bert")
     robot.ask(LEG_3, with_token(SET, anna))
-    out = "".join(report.model_dump_json() for _, report in robot.reports) + robot.conductor.state().model_dump_json()
+    state = robot.conductor.reports.state()
+    out = "".join(report.model_dump_json() for report in (*(each for _, each in robot.reports), state))
     assert anna.lease is not None
     assert anna.lease not in out
     assert "anna" in out

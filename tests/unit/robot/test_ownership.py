@@ -121,7 +121,7 @@ class Gateway:
         return Ownership(cast(Any, lambda: SteppedLock(self.stage)))
 
     def _answer(self, reply: Reply) -> None:
-        self.conductor.answer_state(reply)
+        self.conductor.reports.answer_state(reply)
 
     def play(self, *then: Callable[[], None]) -> None:
         """The whole of it, until nothing is left to happen."""
@@ -173,7 +173,7 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
     (noted,) = gateway.noted
     assert gateway.kinds[noted:].count(False) <= 1, "the frame that was under way"
     (state,) = map(StateReport.model_validate_json, gateway.answers)
-    assert state.config == Payloads().of(gateway.conductor.state())[1].config
+    assert state.config == Payloads().of(gateway.conductor.reports.state())[1].config
 
 
 @pytest.mark.parametrize("order", range(ORDERS))

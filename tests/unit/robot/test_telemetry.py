@@ -62,7 +62,7 @@ async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> 
         robot = started(wire=wire)
         assert published(robot) == []
         assert asked(robot) == []
-        assert robot.conductor.state().battery is None
+        assert robot.conductor.reports.state().battery is None
     robot.conductor.close()
     robot.conductor.measured(MEASURED, robot.now_ns())
     assert published(robot) == [], "an answer that comes after the end changes nothing"
