@@ -19,77 +19,105 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
 from datetime import UTC, datetime
-from functools import partial
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
 from typing import Final
 
 from gateway.host.directories import runtime_directory
-from gateway.host.worker import Worker
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.text import visible, visible_json
 
+_TEXT: Final = "text"
+"""Name of a record that is not of a logger."""
 MAX_LINES_WAITING: Final = 1000
 """Some 1 MB. Above it, lines are dropped until half of the queue is written."""
 
 
-class LogWriter:
-    """One descriptor, and the thread that writes to it.
+class LogWriter(QueueHandler):
+    """Queues records; a QueueListener's thread writes them to one descriptor.
 
-    `put` never blocks. With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
+    Queuing never blocks. With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
     """
 
-    def __init__(
-        self,
-        descriptor: int,
-        render: Callable[[logging.LogRecord], str] = logging.LogRecord.getMessage,
-    ) -> None:
+    queue: SimpleQueue[logging.LogRecord | None]  # without a lock that a descheduled thread could hold
+
+    def __init__(self, descriptor: int, formatter: logging.Formatter | None = None) -> None:
+        super().__init__(SimpleQueue())
         self.descriptor = descriptor
         self.dropped = 0
         """Lines that were not written: the queue was full, or writing failed."""
-        self._render = render
-        self._dropped_logged = 0
         self._full = False
-        self._worker = Worker(f"log_writer-{descriptor}")
+        self._writing = _Writing(self, formatter or logging.Formatter())
+        self._writing.start()
 
-    def put(self, item: logging.LogRecord | str) -> None:
-        """Queue a record, written as one line, or a text, written unchanged."""
-        waiting = self._worker.waiting
-        if waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2):
-            self._full = True
-            self.dropped += 1
-            return
-        self._full = False
-        self._worker.do(partial(self._write, item))
-
-    def close(self, timeout_s: float) -> None:
-        """Write the queued lines and end the thread; gives up after `timeout_s`."""
-        self._worker.close(timeout_s)
-
-    # ---- on the thread
-
-    def _write(self, item: logging.LogRecord | str) -> None:
-        written = self._write_item(item)
-        dropped = self.dropped
-        if written and dropped != self._dropped_logged and self._worker.waiting <= MAX_LINES_WAITING // 2:
-            self._write_item(_left_out(dropped - self._dropped_logged))
-            self._dropped_logged = dropped
-
-    def _write_item(self, item: logging.LogRecord | str) -> bool:
-        try:
-            text = item if isinstance(item, str) else f"{self._render(item)}\n"
-            self._write_bytes(text.encode(errors="backslashreplace"))
-        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: continue with the next
-            self.dropped += 1
-            return False
+    def handle(self, record: logging.LogRecord) -> bool:
+        """Queue a record; without the handler's lock, which a descheduled thread may hold."""
+        self.emit(record)
         return True
 
-    def _write_bytes(self, data: bytes) -> None:
-        # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
-        while data:
-            try:
-                data = data[os.write(self.descriptor, data) :]
-            except BlockingIOError:  # another program has made the shared terminal non-blocking
-                select.select([], [self.descriptor], [])
+    def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
+        """Format the message at once, since its arguments may change later. Exceptions need files, so the thread's."""
+        record.msg, record.args = record.getMessage(), None
+        return record
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Queue a record, or drop it where too many wait."""
+        waiting = self.queue.qsize()
+        self._full = waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2)
+        if self._full:
+            self.dropped += 1
+        else:
+            self.queue.put_nowait(record)
+
+    def put(self, text: str) -> None:
+        """Queue a text, written unchanged."""
+        self.enqueue(logging.makeLogRecord({"name": _TEXT, "msg": text}))
+
+    def stop(self, timeout_s: float) -> None:
+        """Write the queued lines and end the thread; gives up after `timeout_s`."""
+        self._writing.stop_within(timeout_s)
+
+
+class _Writing(QueueListener):
+    """The thread of a LogWriter. It holds no handler's lock while it writes: `logging.shutdown` takes these."""
+
+    def __init__(self, log_writer: LogWriter, formatter: logging.Formatter) -> None:
+        super().__init__(log_writer.queue)
+        self._log_writer = log_writer
+        self._formatter = formatter
+        self._dropped_logged = 0
+
+    def stop_within(self, timeout_s: float) -> None:
+        self.enqueue_sentinel()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def _monitor(self) -> None:
+        prefer_thread(PAGE_PRIORITY)
+        super()._monitor()  # type: ignore[misc]  # typeshed does not know it
+
+    def handle(self, record: logging.LogRecord) -> None:
+        written = self._write(record)
+        dropped = self._log_writer.dropped
+        if written and dropped != self._dropped_logged and self._log_writer.queue.qsize() <= MAX_LINES_WAITING // 2:
+            self._write(_left_out(dropped - self._dropped_logged))
+            self._dropped_logged = dropped
+
+    def _write(self, record: logging.LogRecord) -> bool:
+        try:
+            text = record.msg if record.name is _TEXT else f"{self._formatter.format(record)}\n"
+            data = text.encode(errors="backslashreplace")
+            # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
+            while data:
+                try:
+                    data = data[os.write(self._log_writer.descriptor, data) :]
+                except BlockingIOError:  # another program has made the shared terminal non-blocking
+                    select.select([], [self._log_writer.descriptor], [])
+        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: continue with the next
+            self._log_writer.dropped += 1
+            return False
+        return True
 
 
 def _left_out(lines: int) -> logging.LogRecord:
@@ -142,14 +170,12 @@ def set_up() -> None:
 
     From now on two background threads write to stdout and stderr.
     """
-    journal = _is_journal(2)
-    render = _formatter(terminal=os.isatty(2), journal=journal).format
-    out, err = LogWriter(1), LogWriter(2, _with_priority(render) if journal else render)
+    out, err = LogWriter(1), LogWriter(2, _formatter(terminal=os.isatty(2), journal=_is_journal(2)))
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = LogStream(out), LogStream(err)
     atexit.register(close)
     root = logging.getLogger()
-    root.handlers[:] = [_Handler(err)]
+    root.handlers[:] = [err]
     root.setLevel(logging.DEBUG if sys.flags.dev_mode else logging.INFO)
 
 
@@ -159,22 +185,11 @@ def _is_journal(descriptor: int) -> bool:
     return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
 
 
-def _with_priority(render: Callable[[logging.LogRecord], str]) -> Callable[[logging.LogRecord], str]:
-    """Prefix each line with its syslog priority, for `journalctl -p warning`; the journal removes it."""
-
-    def rendered(record: logging.LogRecord) -> str:
-        levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
-        priority = next((number for level, number in levels if record.levelno >= level), 7)
-        return "\n".join(f"<{priority}>{line}" for line in render(record).split("\n"))
-
-    return rendered
-
-
 def close(timeout_s: float = FLUSH_S) -> None:
     """Write the queued lines; gives up after `timeout_s`."""
     end = time.monotonic() + timeout_s
     for log_writer in reversed(_log_writers):
-        log_writer.close(max(0.0, end - time.monotonic()))
+        log_writer.stop(max(0.0, end - time.monotonic()))
     _log_writers.clear()
 
 
@@ -197,28 +212,6 @@ def keep_stacks() -> None:
             faulthandler.register(signal.SIGALRM, stacks, chain=True)  # see SystemdNotifier; `chain`: then it ends
         except OSError as error:
             logging.getLogger(__name__).warning("the stacks of a hang cannot be kept: %s", error)
-
-
-class _Handler(logging.Handler):
-    """Puts records into the LogWriter's queue.
-
-    `logging.handlers.QueueHandler` would render exceptions here, which reads files, and take a lock, which a
-    descheduled thread may hold.
-    """
-
-    def __init__(self, log_writer: LogWriter) -> None:
-        super().__init__()
-        self._log_writer = log_writer
-
-    def handle(self, record: logging.LogRecord) -> bool:
-        """Formats the message at once, since its arguments may change later."""
-        try:
-            record.msg, record.args = record.getMessage(), None
-        except Exception:
-            self.handleError(record)
-        else:
-            self._log_writer.put(record)
-        return True
 
 
 def _formatter(*, terminal: bool, journal: bool) -> logging.Formatter:
@@ -268,7 +261,15 @@ class _LinesForPeople(logging.Formatter):
 
 
 class _LinesForJournal(_LinesForPeople):
-    """The message first; the journal adds time and priority."""
+    """The message first, each line behind its syslog priority, for `journalctl -p warning`; the journal removes that.
+
+    The journal adds the time.
+    """
+
+    def format(self, record: logging.LogRecord) -> str:
+        levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+        priority = next((number for level, number in levels if record.levelno >= level), 7)
+        return "\n".join(f"<{priority}>{line}" for line in super().format(record).split("\n"))
 
     def _head(self, record: logging.LogRecord) -> list[str]:
         return [visible(record.getMessage())]

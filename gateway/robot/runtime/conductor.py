@@ -43,7 +43,7 @@ from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
-from gateway.robot.runtime.report import Reports
+from gateway.robot.runtime.report import StateReports
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
@@ -113,7 +113,7 @@ class Conductor:
             supply.on_news = self.power_changed
         self._clock = clock
         self._instant_ns = clock()
-        self.reports = Reports(
+        self.reports = StateReports(
             settings,
             supervisor,
             bus,

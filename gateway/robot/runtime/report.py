@@ -47,7 +47,7 @@ from schemas.telemetry import (
 logger: Final = logging.getLogger(__name__)
 
 
-class Reports:
+class StateReports:
     """Makes and publishes the state and the configuration of one run. Called by the owner of the state."""
 
     def __init__(

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import IO
@@ -52,7 +53,7 @@ def test_while_most_of_it_waits_nothing_more_is_taken(pipe: Pipe) -> None:
     assert log_writer.dropped == dropped + 1
     left = [next(lines) for _ in range(2 * MAX_LINES_WAITING - dropped)]
     assert left.count(line) == len(left) - 1, "and the line that says how many are missing"
-    log_writer.close(10)
+    log_writer.stop(10)
 
 
 def test_a_descriptor_that_rejects_holds_nobody() -> None:
@@ -60,20 +61,56 @@ def test_a_descriptor_that_rejects_holds_nobody() -> None:
     log_writer = LogWriter(full)
     for _ in range(5):
         log_writer.put("lost\n")
-    log_writer.close(10)
+    log_writer.stop(10)
     os.close(full)
     assert log_writer.dropped == 5
 
 
+class NoNumbers(logging.Formatter):
+    """Fails for a message that is a number."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        if record.msg.isdigit():
+            raise ValueError(record.msg)
+        return super().format(record)
+
+
 def test_a_line_that_cannot_be_rendered_is_dropped_and_the_next_is_written() -> None:
     ours, theirs = os.pipe()
-    log_writer = LogWriter(theirs)
-    for message, arguments in (("%d", ("no number",)), ("next", ())):
-        log_writer.put(logging.LogRecord("test", logging.INFO, __file__, 1, message, arguments, None))
-    log_writer.close(10)
+    log_writer = LogWriter(theirs, NoNumbers())
+    for message in ("1", "next"):
+        log_writer.handle(logging.makeLogRecord({"msg": message}))
+    log_writer.stop(10)
     os.close(theirs)
     with os.fdopen(ours) as reader:
         assert reader.read() == "next\n1 lines were dropped here, since they were not read in time\n"
+
+
+def test_a_record_is_queued_though_a_thread_that_does_not_run_holds_the_handlers_lock() -> None:
+    ours, theirs = os.pipe()
+    log_writer = LogWriter(theirs)
+    held, end = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        log_writer.acquire()
+        held.set()
+        end.wait()
+        log_writer.release()
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    held.wait()
+    caller = threading.Thread(target=log_writer.handle, args=(logging.makeLogRecord({"msg": "queued"}),), daemon=True)
+    caller.start()
+    caller.join(5)
+    blocked = caller.is_alive()
+    end.set()
+    holder.join()
+    assert not blocked
+    log_writer.stop(10)
+    os.close(theirs)
+    with os.fdopen(ours) as reader:
+        assert reader.read() == "queued\n"
 
 
 def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
@@ -85,4 +122,4 @@ def test_what_is_printed_goes_the_same_way(pipe: Pipe) -> None:
     assert [next(lines) for _ in range(2)] == ["a result", "two"]
     print(flush=True, file=stream)
     assert next(lines) == "lines and a part"
-    log_writer.close(10)
+    log_writer.stop(10)
