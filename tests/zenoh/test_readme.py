@@ -47,7 +47,8 @@ def test_the_second_terminal_works_as_printed(tmp_path: Path) -> None:
     lines = next(block for block in blocks(README, "console") if "source .venv" in block).splitlines()
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
         (tmp_path / ".venv").symlink_to(sys.prefix)
-        commands = [line.removeprefix("$ ").replace("--seconds 5", "--seconds 0.5") for line in lines]
+        typed = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        commands = [line.replace("--seconds 5", "--seconds 0.5") for line in typed]
         commands = [f"{each} --connect {gateway.endpoint}" if "hexapod-gateway" in each else each for each in commands]
         commands += ["python -c 'import gateway.client'"]
         environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}

@@ -44,7 +44,7 @@ _LEAST_FREE_MB: Final = 20
 """For some calibrations and lists."""
 _LEAST_INODES: Final = 100
 _LITTLE_MB: Final = 100
-"""The service takes 60 to 70 (docs/performance.md), and an upgrade tries the next release beside it."""
+"""The service takes 60 to 70 (docs/design.md, *How fast*), and an upgrade tries the next release beside it."""
 _HARMLESS: Final = frozenset(
     ("Description", "After", "Wants", "Environment", "ReadWritePaths", "CPUWeight", "IOWeight", "LogLevelMax")
 )

@@ -1,4 +1,4 @@
-"""How many Python calls lie between a message and the device: what is added shows here (docs/performance.md)."""
+"""How many Python calls lie between a message and the device: what is added shows here (docs/design.md, *How fast*)."""
 
 import asyncio
 import sys
