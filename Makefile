@@ -64,7 +64,7 @@ check: $(VENV)/dev
 	$(BIN)/mypy
 	$(BIN)/mypy examples
 	$(BIN)/python -m schemas --check
-	$(BIN)/python -m release.settings_page --check
+	$(BIN)/python -m release.interface_page --check
 
 bench: $(VENV)/dev debian-packages
 	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick) $(if $(RELEASE),--release $(RELEASE))
@@ -84,7 +84,7 @@ docs: $(VENV)/dev
 
 schemas: $(VENV)/dev
 	$(BIN)/python -m schemas
-	$(BIN)/python -m release.settings_page
+	$(BIN)/python -m release.interface_page
 
 format: $(VENV)/dev
 	$(BIN)/ruff format .

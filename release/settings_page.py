@@ -1,8 +1,6 @@
-"""`python -m release.settings_page [--check]`: write what is made from the table of settings, or list what is out of
-date: the table in docs/interface.md, and the JSON Schema of gateway.toml (docs/settings.schema.json, for editors)."""
+"""What is made from the table of settings: its rows in docs/interface.md, and the JSON Schema of gateway.toml."""
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
@@ -15,8 +13,6 @@ from gateway.robot.settings import Settings
 from schemas.robot import SERVO_IDS
 
 ROOT: Final = Path(__file__).parents[1]
-PAGE, SCHEMA = ROOT / "docs/interface.md", ROOT / "docs/settings.schema.json"
-_HEAD: Final = "| setting | default | range | meaning |\n|---|---|---|---|\n"
 
 
 class Setting(NamedTuple):
@@ -50,9 +46,9 @@ def limits(setting: Setting) -> str:
     return ", ".join(f"`{word}`" for word in words(setting.kind))
 
 
-def table() -> str:
-    """The table of docs/interface.md."""
-    rows = []
+def settings_rows() -> list[tuple[str, ...]]:
+    """The rows of docs/interface.md."""
+    rows: list[tuple[str, ...]] = []
     for name, setting in settings().items():
         default = "none" if setting.default is MISSING else f"`{json.dumps(setting.default)}`"
         if name == "spi.speed_hz":
@@ -61,9 +57,8 @@ def table() -> str:
             default = f"`{START_STAGGER_MS}`; `0.0` with a power board or `{SpiProtocol.ELKAPOD_2025}`"
         if name == "spi.framing":  # the one that has to be said for a real device
             default = f"none; {default} with `--sim`"
-        cells = (f"`{name}`", default, limits(setting), setting.allowed.meaning)
-        rows.append("|" + "".join(f" {cell} |" if cell else " |" for cell in cells) + "\n")
-    return _HEAD + "".join(rows)
+        rows.append((f"`{name}`", default, limits(setting), setting.allowed.meaning))
+    return rows
 
 
 _TYPES: Final = {bool: "boolean", int: "integer", float: "number", str: "string"}
@@ -104,23 +99,3 @@ def _value(setting: Setting) -> dict[str, Any]:
     if setting.default is not MISSING and (low is None or setting.default >= low):
         items |= {"default": setting.default}
     return found | items | ({"description": setting.allowed.meaning} if setting.allowed.meaning else {})
-
-
-def main(arguments: list[str]) -> int:
-    """Write the two; with `--check` only compare, and return 1 if one differs."""
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(_HEAD)
-    wanted = {
-        PAGE: f"{before}{table()}{rest[rest.index(chr(10) + chr(10)) + 1 :]}",
-        SCHEMA: json.dumps(schema(), indent=2, ensure_ascii=False) + "\n",
-    }
-    stale = [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
-    for path in stale:
-        if arguments == ["--check"]:
-            sys.stderr.write(f"{path.relative_to(ROOT)} is out of date; run `python -m release.settings_page`\n")
-        else:
-            path.write_text(wanted[path], encoding="utf-8")
-    return int(bool(stale) and arguments == ["--check"])
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -8,16 +8,16 @@ from schemas.command import MAX_NUMBER, Closed, SentMs, Source, hex_digits
 from schemas.lease import Challenge, Proof
 from schemas.telemetry import Answer, Count
 
-ButtonToken = Annotated[str, hex_digits(": the token of the registration, from the answer that gave it")]
+ButtonToken = Annotated[str, hex_digits("token of the registration, a secret")]
 """A secret: in no report, log line or repr."""
 
 
 class Register(Closed):
     """Registers a button, replacing an older one of that name."""
 
-    do: Literal["register"]
+    do: Annotated[Literal["register"], Field(description="get a nonce, become a button, check in, or leave")]
     source: Source
-    proof: Proof | None = None
+    proof: Annotated[Proof | None, Field(description="if the gateway has a CA (Behaviour *Proof*)")] = None
     sent_ms: SentMs | None = None
 
 
@@ -47,11 +47,11 @@ BUTTON_REQUEST: Final[TypeAdapter[Challenge | Register | Alive | Leave]] = TypeA
 class ButtonAck(Answer):
     """The answer to a ButtonRequest; null fields are left out of the JSON."""
 
-    nonce: str | None = None
-    button: Annotated[str | None, Field(repr=False, description="the token that check-ins carry")] = None
-    timeout_ms: float | None = None
-    alive: Count | None = None
-    required: Count | None = None
+    nonce: Annotated[str | None, Field(description="of a challenge, if a proof is needed")] = None
+    button: Annotated[str | None, Field(repr=False, description="token for check-ins, a secret")] = None
+    timeout_ms: Annotated[float | None, Field(description="the setting: check in three times in this time")] = None
+    alive: Annotated[Count | None, Field(description="as in the state")] = None
+    required: Annotated[Count | None, Field(description="the setting")] = None
 
 
 def signed_text(do: str, source: str, nonce: str) -> bytes:

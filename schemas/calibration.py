@@ -21,7 +21,7 @@ TrimDeg = Annotated[
         ge=-MAX_TRIM_DEG,
         le=MAX_TRIM_DEG,
         allow_inf_nan=False,
-        description="degrees added to the angle on the wire, to the nearest hundredth",
+        description="added to the angle on the wire",
     ),
 ]
 
@@ -37,27 +37,27 @@ if get_args(ServoName) != tuple(map(str, SERVO_IDS)):  # a type cannot be comput
 class ServoCalibration(Report):
     """One servo: `wire = (180 - angle if inverted else angle) + trim_deg`; the limits are users' angles."""
 
-    trim_deg: float = 0.0
-    inverted: bool = False
-    min_deg: float = 0.0
-    max_deg: float = 180.0
+    trim_deg: Annotated[float, Field(description="added to the angle on the wire")] = 0.0
+    inverted: Annotated[bool, Field(description="180 - angle on the wire")] = False
+    min_deg: Annotated[float, Field(description="least angle of commands")] = 0.0
+    max_deg: Annotated[float, Field(description="greatest angle of commands")] = 180.0
 
 
 class Calibration(Report):
     """The payload of `hexapod/calibration`: what is in force. An unnamed servo has no trim and the full range."""
 
-    revision: Count
-    servos: dict[str, ServoCalibration]
-    landing: Annotated[dict[str, float], Field(description="the landing pose: degrees, as users count them")]
+    revision: Annotated[Count, Field(description="counts the changes; 0: the default")]
+    servos: Annotated[dict[str, ServoCalibration], Field(description="by id")]
+    landing: Annotated[dict[str, float], Field(description="landing pose; else that of the settings")]
 
 
 class ServoChange(Closed):
     """Changes of one servo; an unnamed value stays."""
 
     trim_deg: TrimDeg | None = None
-    inverted: bool | None = None
-    min_deg: AngleDeg | None = None
-    max_deg: AngleDeg | None = None
+    inverted: Annotated[bool | None, Field(description="180 - angle on the wire")] = None
+    min_deg: Annotated[AngleDeg | None, Field(description="least angle of commands")] = None
+    max_deg: Annotated[AngleDeg | None, Field(description="greatest angle of commands")] = None
 
 
 class CalibrationCommand(Sender):
@@ -68,7 +68,9 @@ class CalibrationCommand(Sender):
     the calibration without any trim as this robot's, if its own file cannot be read.
     """
 
-    revision: Count | None = None
-    servos: Annotated[dict[ServoName, ServoChange], Field(default_factory=dict)]
-    landing: Annotated[dict[ServoName, AngleDeg | None], Field(default_factory=dict)]
-    accept_default: Literal[True] | None = None
+    revision: Annotated[Count | None, Field(description="of the calibration that it changes; another: `stale`")] = None
+    servos: Annotated[dict[ServoName, ServoChange], Field(default_factory=dict, description="by id")]
+    landing: Annotated[
+        dict[ServoName, AngleDeg | None], Field(default_factory=dict, description="landing pose; null: removed")
+    ]
+    accept_default: Annotated[Literal[True] | None, Field(description="use no trim, since the file is broken")] = None

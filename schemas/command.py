@@ -16,33 +16,31 @@ MAX_SENT_MS: Final = 2**53
 MAX_NUMBER: Final = 2**53
 """Larger whole numbers are not exact in every JSON reader."""
 
-AngleDeg = Annotated[
-    float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="degrees, to the nearest hundredth")
+AngleDeg = Annotated[float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="to the nearest hundredth")]
+Source = Annotated[
+    str, Field(min_length=1, max_length=MAX_SOURCE, description="who; a command's default is the publisher's Zenoh id")
 ]
-Source = Annotated[str, Field(min_length=1, max_length=MAX_SOURCE, description="who is commanding")]
 SentMs = Annotated[
     float,
     Field(
         ge=0.0,
         le=MAX_SENT_MS,
         allow_inf_nan=False,
-        description="the publisher's own monotonic clock, in milliseconds",
+        description="the publisher's own monotonic clock",
     ),
 ]
 
 
 def hex_digits(what: str) -> FieldInfo:
     """For 128 random bits that the gateway made."""
-    field: FieldInfo = Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description=f"32 hex digits{what}")
+    field: FieldInfo = Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description=what)
     return field
 
 
-LeaseToken = Annotated[str, hex_digits(": the token of the lease, from the answer that gave it")]
+LeaseToken = Annotated[str, hex_digits("token of the lease, a secret")]
 """A secret: in no report, log line or repr."""
 
-EstopNumber = Annotated[
-    int, Field(ge=0, le=MAX_NUMBER, description="the number of the latest emergency stop, from the state or its Ack")
-]
+EstopNumber = Annotated[int, Field(ge=0, le=MAX_NUMBER, description="number of the latest emergency stop")]
 
 
 class Closed(BaseModel):
@@ -72,7 +70,7 @@ SENDER: Final[TypeAdapter[AnySender]] = TypeAdapter(AnySender)
 class Move(Closed):
     """Energise a servo and set its angle (`start`), or set the angle of one that runs (`set`)."""
 
-    op: Literal["start", "set"]
+    op: Annotated[Literal["start", "set"], Field(description="energise and set, set, or de-energise")]
     angle_deg: AngleDeg
 
 
@@ -88,7 +86,7 @@ ServoSetpoint = Annotated[Move | Stop, Field(discriminator="op")]
 class LegSetpoint(Closed):
     """What the three servos of one leg should do: joints 1, 2, 3, counted from the body outward."""
 
-    servos: tuple[ServoSetpoint, ServoSetpoint, ServoSetpoint]
+    servos: Annotated[tuple[ServoSetpoint, ServoSetpoint, ServoSetpoint], Field(description="joints 1, 2, 3")]
 
 
 class LegCommand(LegSetpoint, Sender):
@@ -98,7 +96,9 @@ class LegCommand(LegSetpoint, Sender):
 class LegsCommand(Sender):
     """The payload of `hexapod/legs/cmd`: one to six legs, accepted or rejected as a whole."""
 
-    legs: Annotated[dict[Literal["1", "2", "3", "4", "5", "6"], LegSetpoint], Field(min_length=1)]
+    legs: Annotated[
+        dict[Literal["1", "2", "3", "4", "5", "6"], LegSetpoint], Field(min_length=1, description="one to six legs")
+    ]
 
 
 class MoveCommand(Move, Sender):

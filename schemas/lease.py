@@ -7,15 +7,15 @@ from pydantic import ConfigDict, Field, TypeAdapter
 from schemas.command import Closed, LeaseToken, Source, hex_digits
 from schemas.telemetry import Answer
 
-Nonce = Annotated[str, hex_digits(", from a challenge")]
+Nonce = Annotated[str, hex_digits("from a challenge; valid once, for 5 s")]
 
 
 class Proof(Closed):
     """Shows that the sender has the key of a certificate whose person is `source`."""
 
     nonce: Nonce
-    certificate: Annotated[str, Field(description="the person's certificate as PEM")]
-    signature: Annotated[str, Field(description="base64; of what `signed_text` returns, with the certificate's key")]
+    certificate: Annotated[str, Field(description="PEM, of the sender")]
+    signature: Annotated[str, Field(description="base64 (Behaviour *Proof*)")]
 
 
 class Challenge(Closed):
@@ -27,9 +27,9 @@ class Challenge(Closed):
 class Claim(Closed):
     """Acquires the lease, asks its holder for it, or takes it from its holder."""
 
-    do: Literal["acquire", "ask", "take"]
+    do: Annotated[Literal["acquire", "ask", "take"], Field(description="as in Behaviour *Lease*")]
     source: Source
-    proof: Proof | None = None
+    proof: Annotated[Proof | None, Field(description="if the gateway has a CA (Behaviour *Proof*)")] = None
 
 
 class Renew(Closed):
@@ -44,7 +44,7 @@ class Release(Closed):
 
     do: Literal["release"]
     lease: Annotated[LeaseToken, Field(repr=False)]
-    to: Annotated[Source | None, Field(description="who gets it: one who has asked for it")] = None
+    to: Annotated[Source | None, Field(description="who gets it, of those that asked")] = None
 
 
 LeaseRequest = Annotated[Challenge | Claim | Renew | Release, Field(discriminator="do")]
@@ -57,11 +57,11 @@ LEASE_REQUEST: Final[TypeAdapter[Challenge | Claim | Renew | Release]] = TypeAda
 class LeaseAck(Answer):
     """The answer to a LeaseRequest; null fields are left out of the JSON."""
 
-    nonce: str | None = None
-    lease: Annotated[str | None, Field(repr=False, description="the token that commands carry from now on")] = None
-    holder: str | None = None
-    ttl_ms: float | None = None
-    verified: bool | None = None
+    nonce: Annotated[str | None, Field(description="of a challenge, if a proof is needed")] = None
+    lease: Annotated[str | None, Field(repr=False, description="token for commands, a secret")] = None
+    holder: Annotated[str | None, Field(description="who holds the lease, or may acquire it")] = None
+    ttl_ms: Annotated[float | None, Field(description="the setting: renew more often")] = None
+    verified: Annotated[bool | None, Field(description="whether a certificate proved the name")] = None
 
 
 def signed_text(do: str, source: str, nonce: str) -> bytes:

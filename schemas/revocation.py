@@ -15,13 +15,11 @@ file."""
 class RevocationRequest(Closed):
     """Puts a newer list in force; without a list, it queries the one in force."""
 
-    revoked: Annotated[
-        str | None, Field(description="X.509 CRL as PEM, signed by a CA of this robot, with a higher number")
-    ] = None
+    revoked: Annotated[str | None, Field(description="newer X.509 CRL (PEM); without it: which is in force?")] = None
 
 
 class RevocationAck(Answer):
     """The answer to a RevocationRequest; null fields are left out of the JSON."""
 
-    number: Annotated[int | None, Field(description="of the list in force; 0: none is")] = None
-    revoked: Annotated[str | None, Field(description="the list in force, where the request has none")] = None
+    number: Annotated[int | None, Field(description="of the list in force; 0: none")] = None
+    revoked: Annotated[str | None, Field(description="that list, if the request has none")] = None

@@ -45,14 +45,20 @@ _Watchdog = AnyWatchdogState
 class LegsReport(Report):
     """All legs, a column for each value: its first entry is leg 1's."""
 
-    watchdog: tuple[_Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog]
-    age_ms: tuple[_Age, _Age, _Age, _Age, _Age, _Age]
-    angles_deg: Annotated[SixAngles, Field(description="of joints 1 to 3 as last written; null: the servo is off")]
+    watchdog: Annotated[
+        tuple[_Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog], Field(description="of legs 1 to 6")
+    ]
+    age_ms: Annotated[
+        tuple[_Age, _Age, _Age, _Age, _Age, _Age],
+        Field(description="since an accepted command started or set a servo; null: none yet"),
+    ]
+    angles_deg: Annotated[SixAngles, Field(description="joints 1 to 3 as last written; null: does not run")]
     targets_deg: Annotated[
-        SixAngles | None, Field(description="where they are commanded to go; null: all are there, or off")
+        SixAngles | None, Field(description="where they are commanded to go; null: as `angles_deg`")
     ] = None
     source: Annotated[
-        tuple[_Place, _Place, _Place, _Place, _Place, _Place], Field(description="index into `sources`; null: nobody")
+        tuple[_Place, _Place, _Place, _Place, _Place, _Place],
+        Field(description="whose command is in force, an index into `sources`; null: nobody's, or no name"),
     ]
 
 
@@ -60,7 +66,9 @@ class StateReport(ChangingState):
     """The payload of `hexapod/state`: at most 2 048 bytes. A text that was cut ends with `…`."""
 
     legs: LegsReport
-    sources: Annotated[tuple[str, ...], Field(max_length=len(LEGS), description="whose commands are in force")] = ()
+    sources: Annotated[
+        tuple[str, ...], Field(max_length=len(LEGS), description="names that `legs.source` refers to")
+    ] = ()
 
     def cut(self, most: int, most_source: int) -> "StateReport":
         """The same with at most `most` characters in each text, and `most_source` in each name of who commands."""

@@ -21,106 +21,126 @@ class Report(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
-class Reason(StrEnum):
+class Value(StrEnum):
+    """A word of the interface, and its meaning."""
+
+    meaning: str
+
+    def __new__(cls, value: str, meaning: str = "") -> Self:
+        member = str.__new__(cls, value)
+        member._value_, member.meaning = value, meaning
+        return member
+
+
+class Reason(Value):
     """Why a command was rejected."""
 
-    TOO_LARGE = "too_large"
-    BAD_ENCODING = "bad_encoding"
-    MALFORMED = "malformed"
-    INVALID = "invalid"
-    SERVO_STOPPED = "servo_stopped"
-    JOINT_LIMIT = "joint_limit"
-    STALE = "stale"
-    ESTOPPED = "estopped"
-    BUS_FAULT = "bus_fault"
-    STOPPING = "stopping"
-    NOT_HOLDER = "not_holder"
-    NO_LEASE = "no_lease"
-    LEASE_HELD = "lease_held"
-    LEASE_DENIED = "lease_denied"
-    LANDING = "landing"
-    OVERFLOW = "overflow"
-    REVOCATION_DENIED = "revocation_denied"
-    NO_BUTTON = "no_button"
-    UNKNOWN_BUTTON = "unknown_button"
-    BUTTON_DENIED = "button_denied"
-    BATTERY_LOW = "battery_low"
-    WHOLE_ROBOT = "whole_robot"
-    FALLEN = "fallen"
-    NO_POWER = "no_power"
+    TOO_LARGE = "too_large", "the payload has more than 4096 bytes"
+    BAD_ENCODING = "bad_encoding", "the encoding is not JSON"
+    MALFORMED = "malformed", "the payload is not JSON"
+    INVALID = "invalid", "a field is missing, unknown or out of range, or the key is none"
+    SERVO_STOPPED = (
+        "servo_stopped",
+        "a `set` names a stopped servo, or a Stop arrived too; or its calibration changes or cannot be used",
+    )
+    JOINT_LIMIT = (
+        "joint_limit",
+        "the angle is outside the servo's limits, or is never sent (*Angles that are not sent*)",
+    )
+    STALE = "stale", "it was delayed for too long, belongs to a burst, names an old calibration, or repeats a check-in"
+    ESTOPPED = "estopped", "the emergency stop is engaged, or a reset names another one"
+    BUS_FAULT = "bus_fault", "the controller cannot be reached"
+    STOPPING = "stopping", "the gateway ends"
+    NOT_HOLDER = "not_holder", "somebody else holds the lease, or its own has ended"
+    NO_LEASE = "no_lease", "nobody holds the lease, and it is required or asked for"
+    LEASE_HELD = "lease_held", "the lease is not free"
+    LEASE_DENIED = "lease_denied", "the name is not proved, or the lease cannot be taken or handed over"
+    LANDING = "landing", "the robot lands"
+    OVERFLOW = "overflow", "messages of its key were lost, perhaps a Stop"
+    REVOCATION_DENIED = "revocation_denied", "the list is signed by another CA, not newer, or cannot be kept"
+    NO_BUTTON = "no_button", "too few buttons are alive"
+    UNKNOWN_BUTTON = "unknown_button", "no button has this token"
+    BUTTON_DENIED = "button_denied", "the name is not proved, or its places are taken"
+    BATTERY_LOW = "battery_low", "it starts a servo on a low battery"
+    WHOLE_ROBOT = "whole_robot", "only all 18 servos together can be started"
+    FALLEN = "fallen", "it starts or sets a servo while the body tilts too far"
+    NO_POWER = "no_power", "the power board does not answer or does not feed that servo"
 
 
-class Mode(StrEnum):
+class Mode(Value):
     """What the gateway as a whole is doing."""
 
-    STARTING = "starting"
-    IDLE = "idle"
-    ACTIVE = "active"
-    ESTOPPED = "estopped"
-    BUS_FAULT = "bus_fault"
-    STOPPING = "stopping"
+    STARTING = "starting", "the device is not open yet"
+    IDLE = "idle", "commands are accepted; no servo runs"
+    ACTIVE = "active", "a servo runs"
+    ESTOPPED = "estopped", "the emergency stop is engaged"
+    BUS_FAULT = "bus_fault", "the device failed and is being reopened"
+    STOPPING = "stopping", "the gateway ends"
 
 
-class Kind(StrEnum):
+class Kind(Value):
     """What an event reports."""
 
-    STARTED = "started"
-    COMMAND_REJECTED = "command_rejected"
-    WATCHDOG_EXPIRED = "watchdog_expired"
-    ESTOP_ENGAGED = "estop_engaged"
-    ESTOP_RESET = "estop_reset"
-    ESTOP_KEPT = "estop_kept"
-    ESTOP_NOT_KEPT = "estop_not_kept"
-    BUS_FAULT = "bus_fault"
-    BUS_RECOVERED = "bus_recovered"
-    STOPPING = "stopping"
-    STOPPED_OUTSIDE = "stopped_outside"
-    SOURCE_CHANGED = "source_changed"
-    LEASE_ACQUIRED = "lease_acquired"
-    LEASE_RELEASED = "lease_released"
-    LEASE_EXPIRED = "lease_expired"
-    LEASE_TAKEN = "lease_taken"
-    LEASE_ASKED = "lease_asked"
-    LANDING = "landing"
-    CALIBRATED = "calibrated"
-    OVERFLOW = "overflow"
-    BUS_MEDDLED = "bus_meddled"
-    REVOKED = "revoked"
-    BUTTON_REGISTERED = "button_registered"
-    BUTTON_SILENT = "button_silent"
-    BUTTON_LEFT = "button_left"
-    BUTTON_RETURNED = "button_returned"
-    CONTROLLER_SILENT = "controller_silent"
-    CONTROLLER_RESTARTED = "controller_restarted"
-    CONTROLLER_RETURNED = "controller_returned"
-    BATTERY_LOW = "battery_low"
-    FALLEN = "fallen"
-    POWER_CUT = "power_cut"
-    POWER_RESTORED = "power_restored"
-    POWER_UNCONFIRMED = "power_unconfirmed"
-    POWER_FAULT = "power_fault"
-    SERVO_DRAWS = "servo_draws"
-    SERVO_SILENT = "servo_silent"
-    OFF_BUTTON = "off_button"
+    STARTED = "started", "commands are accepted from now on"
+    COMMAND_REJECTED = "command_rejected", "a command took no effect"
+    WATCHDOG_EXPIRED = "watchdog_expired", "a leg was silent and is stopped"
+    ESTOP_ENGAGED = "estop_engaged", "an emergency stop was requested"
+    ESTOP_RESET = "estop_reset", "the emergency stop was left"
+    ESTOP_KEPT = "estop_kept", "the gateway started with the emergency stop engaged"
+    ESTOP_NOT_KEPT = "estop_not_kept", "the emergency stop, or its end, could not be written to disk"
+    BUS_FAULT = "bus_fault", "a transfer failed"
+    BUS_RECOVERED = "bus_recovered", "the device answers again; all servos are stopped"
+    STOPPING = "stopping", "the gateway ends"
+    STOPPED_OUTSIDE = "stopped_outside", "`stop-servos` stopped the servos"
+    SOURCE_CHANGED = "source_changed", "another source commands or stops a running leg"
+    LEASE_ACQUIRED = "lease_acquired", "somebody drives from now on"
+    LEASE_RELEASED = "lease_released", "the holder released the lease or handed it over"
+    LEASE_EXPIRED = "lease_expired", "the holder, or the nominee, was silent for too long"
+    LEASE_TAKEN = "lease_taken", "somebody stopped all legs and took the lease"
+    LEASE_ASKED = "lease_asked", "somebody asks the holder for the lease"
+    LANDING = "landing", "the robot goes to its landing pose; `watchdog_expired` follows"
+    CALIBRATED = "calibrated", "a changed calibration is in force and kept"
+    OVERFLOW = "overflow", "messages of one key were lost, perhaps a Stop: its servos are stopped"
+    BUS_MEDDLED = "bus_meddled", "another program changed the SPI settings; they are restored, and `bus_fault` follows"
+    REVOKED = (
+        "revoked",
+        "a newer list is in force, and the gateway restarts; or, at a start, the stored list was older",
+    )
+    BUTTON_REGISTERED = "button_registered", "a button is registered and replaces an older one of its name"
+    BUTTON_SILENT = "button_silent", "a button was silent for too long"
+    BUTTON_LEFT = "button_left", "a button left"
+    BUTTON_RETURNED = "button_returned", "a silent button checks in again"
+    CONTROLLER_SILENT = "controller_silent", "heartbeats or answers are missing: all servos are stopped"
+    CONTROLLER_RESTARTED = "controller_restarted", "the controller may have restarted: all servos are stopped"
+    CONTROLLER_RETURNED = "controller_returned", "heartbeats and answers arrive again"
+    BATTERY_LOW = "battery_low", "starts are rejected; running servos go on"
+    FALLEN = "fallen", "the body tilted too far: all legs stop or land"
+    POWER_CUT = "power_cut", "the power board is to cut the supply of these legs"
+    POWER_RESTORED = "power_restored", "servos are fed again"
+    POWER_UNCONFIRMED = "power_unconfirmed", "the board has not confirmed the supply off: **switch it off by hand**"
+    POWER_FAULT = "power_fault", "a fault of the board, or another program switches servos through it"
+    SERVO_DRAWS = "servo_draws", "a stopped servo draws current"
+    SERVO_SILENT = "servo_silent", "a running servo draws nothing for 1 s"
+    OFF_BUTTON = "off_button", "the board's off button was pressed: all legs are stopped"
 
 
-class Cause(StrEnum):
+class Cause(Value):
     """Why a frame was written."""
 
-    COMMAND = "command"
-    WATCHDOG = "watchdog"
-    ESTOP = "estop"
-    STARTUP = "startup"
-    SHUTDOWN = "shutdown"
-    REPEAT = "repeat"
+    COMMAND = "command", "for a command"
+    WATCHDOG = "watchdog", "a leg was silent, or too few buttons were alive"
+    ESTOP = "estop", "for an emergency stop"
+    STARTUP = "startup", "the device was opened"
+    SHUTDOWN = "shutdown", "the gateway ends"
+    REPEAT = "repeat", "repeats a Stop"
 
 
-class WatchdogState(StrEnum):
+class WatchdogState(Value):
     """State of a leg's watchdog: no servo runs, it is armed, or it has stopped the leg."""
 
-    IDLE = "idle"
-    ARMED = "armed"
-    EXPIRED = "expired"
+    IDLE = "idle", "no servo runs or waits to start"
+    ARMED = "armed", "silence will stop the leg"
+    EXPIRED = "expired", "silence has stopped the leg"
 
 
 OrText = Field(union_mode="left_to_right")
@@ -146,9 +166,9 @@ class Sparse(Report):
 class Answer(Sparse):
     """What every reply to a request says."""
 
-    accepted: bool
-    reason: AnyReason | None = None
-    detail: str | None = None
+    accepted: Annotated[bool, Field(description="whether the request took effect")]
+    reason: Annotated[AnyReason | None, Field(description="why not")] = None
+    detail: Annotated[str | None, Field(description="one sentence")] = None
 
     def or_raise(self) -> Self:
         """Return itself. Raises gateway.errors.RejectedError with the gateway's reason if the command was rejected."""
@@ -162,18 +182,26 @@ class Answer(Sparse):
 class Ack(Answer):
     """The reply to an acknowledged command; null fields are left out of the JSON."""
 
-    coalesced: Literal[True] | None = None
-    written: list[int] | None = None
+    coalesced: Annotated[
+        Literal[True] | None, Field(description="a newer command replaced this one before its frame")
+    ] = None
+    written: Annotated[
+        list[int] | None,
+        Field(description="if not accepted: legs whose frame was written before (Behaviour *Answered in part*)"),
+    ] = None
     stopped: Annotated[
-        Literal[True] | None, Field(description="with accepted false: what it may stop is stopped all the same")
+        Literal[True] | None,
+        Field(description="if not accepted: its servos are stopped all the same; left out during a bus fault"),
     ] = None
-    stop_frames: Count | None = None
-    estop: Count | None = None
-    latency_us: Annotated[float, Field(ge=0)] | None = None
+    stop_frames: Annotated[Count | None, Field(description="of an emergency stop: Stop frames written")] = None
+    estop: Annotated[Count | None, Field(description="of an emergency stop: its number")] = None
+    latency_us: Annotated[
+        float | None, Field(ge=0, description="of an emergency stop: request received to last Stop frame written")
+    ] = None
     confirmed: Annotated[
-        bool | None, Field(description="whether the power board has confirmed the supply off; null: there is no board")
+        bool | None, Field(description="of a Stop, with a power board: whether the board has confirmed the supply off")
     ] = None
-    confirmed_ms: Annotated[float | None, Field(ge=0, description="how long after the command that was")] = None
+    confirmed_ms: Annotated[float | None, Field(ge=0, description="from the command to that confirmation")] = None
 
     def __bool__(self) -> bool:
         """Whether the command was accepted."""
@@ -229,25 +257,25 @@ class LegReport(Report):
 class CommandCounts(Report):
     """Commands since the start; a coalesced one was accepted, then replaced by a newer one before it was written."""
 
-    accepted: Count
-    rejected: Count
-    coalesced: Count
+    accepted: Annotated[Count, Field(description="since the start")]
+    rejected: Annotated[Count, Field(description="since the start")]
+    coalesced: Annotated[Count, Field(description="accepted, then replaced before the frame was written")]
     overflows: Annotated[Count, Field(description="times that messages of one key were lost before they were read")] = 0
-    lost: Annotated[Count, Field(description="messages that were lost in these, at least")] = 0
+    lost: Annotated[Count, Field(description="messages lost in these, at least")] = 0
 
 
 class SpiConfig(Report):
     """The SPI device."""
 
-    device: str
-    framing: str
+    device: Annotated[str, Field(description="the setting")]
+    framing: Annotated[str, Field(description="the setting")]
 
 
 class SpiCounts(Report):
     """Frames and faults since the start."""
 
-    frames: Count
-    errors: Count
+    frames: Annotated[Count, Field(description="frames written")]
+    errors: Annotated[Count, Field(description="transfers and openings that failed")]
 
 
 class SpiReport(SpiCounts, SpiConfig):
@@ -257,30 +285,30 @@ class SpiReport(SpiCounts, SpiConfig):
 class StopLatency(Report):
     """Microseconds from a watchdog's deadline to its Stop written; null before the first."""
 
-    p50: float | None
-    p99: float | None
-    max: float | None
+    p50: Annotated[float | None, Field(description="deadline to Stop written, of the last thousand")]
+    p99: Annotated[float | None, Field(description="deadline to Stop written, of the last thousand")]
+    max: Annotated[float | None, Field(description="since the start")]
 
 
 class LoopLag(Report):
     """Lateness of the gateway's timers in microseconds, since the start; percentiles are upper ends of buckets."""
 
-    p50: float | None = None
-    p99: float | None = None
-    max: float | None = None
+    p50: Annotated[float | None, Field(description="lateness of timers since the start, rounded up")] = None
+    p99: Annotated[float | None, Field(description="lateness of timers since the start, rounded up")] = None
+    max: Annotated[float | None, Field(description="exact")] = None
 
 
 class WatchdogConfig(Report):
     """The watchdog's settings."""
 
-    timeout_ms: float
-    landing_ms: float = 0.0
+    timeout_ms: Annotated[float, Field(description="the setting")]
+    landing_ms: Annotated[float, Field(description="the setting")] = 0.0
 
 
 class WatchdogCounts(Report):
     """The watchdog's counters."""
 
-    expirations: Count
+    expirations: Annotated[Count, Field(description="legs stopped for silence")]
     stop_latency_us: StopLatency
 
 
@@ -296,24 +324,24 @@ class WatchdogReport(WatchdogCounts, WatchdogConfig):
 class LeaseReport(Report):
     """The lease. While it is handed over, `holder` is who may acquire it, and `held_s` is null."""
 
-    holder: str | None = None
-    verified: bool = False
-    held_s: float | None = None
-    expires_in_ms: float | None = None
-    asked_by: str | None = None
+    holder: Annotated[str | None, Field(description="who drives; while the lease is handed over, to whom")] = None
+    verified: Annotated[bool, Field(description="whether a certificate proved that name")] = False
+    held_s: Annotated[float | None, Field(description="since acquired; null: free, or handed over")] = None
+    expires_in_ms: Annotated[float | None, Field(description="until it is free, unless renewed")] = None
+    asked_by: Annotated[str | None, Field(description="who asked the holder last")] = None
 
 
 class ButtonsConfig(Report):
     """How many stop buttons must be alive."""
 
-    required: Count = 0
+    required: Annotated[Count, Field(description="the setting")] = 0
 
 
 class ButtonsAlive(Report):
     """The stop buttons that are alive."""
 
-    alive: Annotated[Count, Field(description="certificates; names where nothing is proved")] = 0
-    names: Annotated[tuple[str, ...], Field(description="of all that are alive")] = ()
+    alive: Annotated[Count, Field(description="certificates (or names) with a button that is alive and counts")] = 0
+    names: Annotated[tuple[str, ...], Field(description="buttons that are alive, at most 16")] = ()
 
 
 class ButtonsReport(ButtonsAlive, ButtonsConfig):
@@ -323,182 +351,180 @@ class ButtonsReport(ButtonsAlive, ButtonsConfig):
 class CalibrationReport(Report):
     """The calibration in force, without its numbers; those are on `hexapod/calibration`."""
 
-    revision: Count = 0
+    revision: Annotated[Count, Field(description="of the calibration in force")] = 0
     fault: Annotated[
         str | None, Field(description="why the kept calibration cannot be used; nothing can be started then")
     ] = None
-    kept: Annotated[
-        bool, Field(description="whether it is there after the next boot; false: not, as far as the gateway can tell")
-    ] = False
+    kept: Annotated[bool, Field(description="whether the next boot finds it")] = False
 
 
 class TelemetryReport(Report):
     """What the gateway publishes besides the state."""
 
     frames: Annotated[
-        bool | None, Field(description="whether `hexapod/frame` is published; null: an older gateway does not say")
+        bool | None, Field(description="whether `hexapod/frame` is published; null: an older gateway")
     ] = None
 
 
 class CertificateReport(Report):
     """The first of the gateway's certificates to expire."""
 
-    file: str
-    expires: AwareDatetime
+    file: Annotated[str, Field(description="that expires first")]
+    expires: Annotated[AwareDatetime, Field(description="when")]
 
 
 class RevocationsReport(Report):
     """The list of revoked certificates in force."""
 
-    number: Annotated[int, Field(description="grows with each list that `certs revoke` signs")]
+    number: Annotated[int, Field(description="of the list in force")]
     date: Annotated[AwareDatetime, Field(description="when it was signed")]
 
 
 class ServoLimitsReport(Report):
     """The settings' limits of one servo, in degrees as in commands; a speed of 0 is unlimited."""
 
-    min_deg: float = 0.0
-    max_deg: float = 180.0
-    max_speed_deg_s: float = 0.0
+    min_deg: Annotated[float, Field(description="the setting")] = 0.0
+    max_deg: Annotated[float, Field(description="the setting")] = 180.0
+    max_speed_deg_s: Annotated[float, Field(description="the setting; 0: unlimited")] = 0.0
 
 
 class Battery(Report):
     """The robot's battery; percent as the robot says it."""
 
-    voltage_v: float
-    percent: float
+    voltage_v: Annotated[float, Field(description="as measured")]
+    percent: Annotated[float, Field(description="as the controller sends it")]
 
 
 class Imu(Report):
     """The body's inertial sensor: how it stands, turns and is accelerated, in its own frame."""
 
-    orientation_wxyz: tuple[float, float, float, float]
-    angular_velocity_rad_s: tuple[float, float, float]
-    linear_acceleration_m_s2: tuple[float, float, float]
+    orientation_wxyz: Annotated[
+        tuple[float, float, float, float], Field(description="the body's orientation as sent, not normalised")
+    ]
+    angular_velocity_rad_s: Annotated[tuple[float, float, float], Field(description="x, y, z in the sensor's frame")]
+    linear_acceleration_m_s2: Annotated[tuple[float, float, float], Field(description="x, y, z, with gravity")]
 
 
 class ServoTelemetry(Sparse):
     """What a power board measures of one servo."""
 
-    supplied: bool
-    current_a: float | None = None
+    supplied: Annotated[bool, Field(description="whether the power board feeds it")]
+    current_a: Annotated[float | None, Field(description="what it draws")] = None
 
 
 class Supply(Report):
     """What feeds the servos."""
 
-    voltage_v: float
-    current_a: float
+    voltage_v: Annotated[float, Field(description="of the servos")]
+    current_a: Annotated[float, Field(description="of all servos")]
 
 
 class Telemetry(Sparse):
     """The payload of `hexapod/telemetry`: what the robot measures; what it does not measure is left out."""
 
-    time: AwareDatetime
+    time: Annotated[AwareDatetime, Field(description="when it was published")]
     age_ms: Annotated[float, Field(ge=0, description="of the oldest of these values")]
-    temperature_c: float | None = None
+    temperature_c: Annotated[float | None, Field(description="the controller's")] = None
     battery: Battery | None = None
     imu: Imu | None = None
-    tilt_deg: Annotated[float | None, Field(description="between the body's up and the world's, 0 to 180")] = None
+    tilt_deg: Annotated[
+        float | None,
+        Field(description="of the body, 0 to 180; left out if the orientation is no unit quaternion"),
+    ] = None
     feet: Annotated[
         tuple[float, float, float, float, float, float] | None,
         Field(description="forces of legs 1 to 6, in the robot's own unit"),
     ] = None
-    servos: Annotated[dict[str, ServoTelemetry] | None, Field(description="by servo id")] = None
+    servos: Annotated[dict[str, ServoTelemetry] | None, Field(description="by id, from the power board")] = None
     supply: Supply | None = None
-    converters_v: tuple[float, ...] | None = None
-    board_temperatures_c: tuple[float, ...] | None = None
+    converters_v: Annotated[tuple[float, ...] | None, Field(description="the power board's converters")] = None
+    board_temperatures_c: Annotated[tuple[float, ...] | None, Field(description="the power board's sensors")] = None
 
 
 class WireReport(Report):
     """The wire to the controller, and what depends on it."""
 
-    name: str = ""
+    name: Annotated[str, Field(description="the setting `wire.name`")] = ""
     whole_robot: Annotated[bool, Field(description="only all servos together can be started and stopped")] = False
     measures: Annotated[bool, Field(description="telemetry comes back")] = False
     acknowledges: Annotated[
-        bool, Field(description="a frame counts as written only once the controller has confirmed it")
+        bool, Field(description="a frame counts as written once the controller has confirmed it")
     ] = False
-    supply_starts: Annotated[bool, Field(description="with a power board, supply is what starts a servo")] = False
+    supply_starts: Annotated[bool, Field(description="with a power board, supply starts a servo")] = False
 
 
 class ControllerReport(Report):
     """The controller. One that sends nothing may be dead or alive: null."""
 
-    alive: Annotated[bool | None, Field(description="false: its heartbeats or its answers are missing")] = None
-    age_ms: Annotated[float | None, Field(description="since its last well-formed answer")] = None
+    alive: Annotated[bool | None, Field(description="whether it answers; null: this wire has no answers")] = None
+    age_ms: Annotated[float | None, Field(description="since its last well-formed answer; null: none")] = None
 
 
 class PowerReport(Report):
     """The board that feeds the servos, where the settings name one."""
 
-    interface: str
-    alive: Annotated[bool, Field(description="whether it answers")]
-    supplied: Annotated[tuple[int, ...], Field(description="servos that it fed when it last said so, ascending")] = ()
-    confirmed: Annotated[bool, Field(description="whether it has said that all is off which is to be off")] = False
-    age_ms: Annotated[float | None, Field(description="since it last answered; null: it never has")] = None
+    interface: Annotated[str, Field(description="the setting")]
+    alive: Annotated[bool, Field(description="whether the board answers")]
+    supplied: Annotated[tuple[int, ...], Field(description="servos fed, by its last answer")] = ()
+    confirmed: Annotated[bool, Field(description="whether it confirmed all off that is to be off")] = False
+    age_ms: Annotated[float | None, Field(description="since its last answer; null: none")] = None
 
 
 class LimitsReport(Report):
     """The settings' limits of legs and servos. The calibration's limits are on `hexapod/calibration`."""
 
-    leg_rate_hz: float = 50.0
-    max_age_ms: Annotated[float, Field(description="0: any age; an older gateway does not say")] = 500.0
-    servos: Annotated[dict[str, ServoLimitsReport], Field(description="of all eighteen")] = {}
+    leg_rate_hz: Annotated[float, Field(description="the setting")] = 50.0
+    max_age_ms: Annotated[float, Field(description="the setting; 0: any age")] = 500.0
+    servos: Annotated[dict[str, ServoLimitsReport], Field(description="of all eighteen, by id")] = {}
 
 
 class ConfigReport(Report):
     """The payload of `hexapod/config`: what seldom changes."""
 
-    config: Annotated[str, Field(description="of these values; another state of them has another")] = ""
-    version: str
-    protocol: str
-    simulated: bool
+    config: Annotated[str, Field(description="checksum of these values")] = ""
+    version: Annotated[str, Field(description="the gateway's")]
+    protocol: Annotated[str, Field(description="`1.0.0`")]
+    simulated: Annotated[bool, Field(description="no real device")]
     spi: SpiConfig
     watchdog: WatchdogConfig
     buttons: Annotated[ButtonsConfig, Field(description="an older gateway has none")] = ButtonsConfig()
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
     telemetry: Annotated[TelemetryReport, Field(description="an older gateway does not say")] = TelemetryReport()
-    certificate: Annotated[
-        CertificateReport | None, Field(description="the first to expire; null: none are in use, or an older gateway")
-    ] = None
+    certificate: Annotated[CertificateReport | None, Field(description="null: none in use")] = None
     missing_endpoints: Annotated[
-        tuple[str, ...],
-        Field(description="those that the gateway does not listen on yet, since their address is not there"),
+        tuple[str, ...], Field(description="not listened on yet, since the address is missing")
     ] = ()
-    revocations: Annotated[
-        RevocationsReport | None, Field(description="null: no list is in force, or an older gateway")
-    ] = None
+    revocations: Annotated[RevocationsReport | None, Field(description="null: no list in force")] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
     wire: Annotated[WireReport, Field(description="an older gateway does not say")] = WireReport()
     physics: Annotated[
-        str | None, Field(description="Zenoh id of the process that simulates the robot's body; null: none does")
+        str | None, Field(description="Zenoh id of the process that publishes `hexapod/sim/body`; null: none")
     ] = None
 
 
 class ChangingState(Report):
     """What changes all the time."""
 
-    config: Annotated[str, Field(max_length=8, description="of the ConfigReport that belongs to it")] = ""
-    mode: AnyMode
-    time: AwareDatetime
-    uptime_s: float
+    config: Annotated[str, Field(max_length=8, description="checksum of the ConfigReport that belongs to it")] = ""
+    mode: Annotated[AnyMode, Field(description="what the gateway does")]
+    time: Annotated[AwareDatetime, Field(description="for people; no decision depends on it")]
+    uptime_s: Annotated[float, Field(description="since the start")]
     commands: CommandCounts
     spi: SpiCounts
     watchdog: WatchdogCounts
-    estop: Annotated[Count, Field(description="the number of the latest emergency stop; 0 before the first")] = 0
-    estop_source: Annotated[str | None, Field(description="who requested that, as far as known")] = None
-    estop_since: Annotated[AwareDatetime | None, Field(description="since when it is engaged; null: it is not")] = None
+    estop: Annotated[Count, Field(description="number of the latest emergency stop; 0: none yet")] = 0
+    estop_source: Annotated[str | None, Field(description="who requested it, if known")] = None
+    estop_since: Annotated[AwareDatetime | None, Field(description="null: not engaged")] = None
     estop_fault: Annotated[
-        str | None, Field(description="why it may not outlast a restart, or counts as engaged; null: nothing is wrong")
+        str | None, Field(description="why it may not outlast a restart, or counts as engaged; null: no fault")
     ] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
     buttons: Annotated[ButtonsAlive, Field(description="an older gateway has none")] = ButtonsAlive()
     loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
     incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
     controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
-    battery: Annotated[Battery | None, Field(description="null: the robot does not tell, or an older gateway")] = None
-    power: Annotated[PowerReport | None, Field(description="null: no power board, or an older gateway")] = None
+    battery: Annotated[Battery | None, Field(description="null: not measured")] = None
+    power: Annotated[PowerReport | None, Field(description="null: no power board")] = None
 
 
 class GatewayState(ChangingState, ConfigReport):
@@ -533,33 +559,33 @@ class GatewayState(ChangingState, ConfigReport):
 class Event(Report):
     """The payload of `hexapod/event`."""
 
-    time: AwareDatetime
-    kind: AnyKind
-    source: str | None
-    key: str | None
-    reason: AnyReason | None
-    detail: str
-    left_out: Count = 0
-    legs: Annotated[
-        tuple[int, ...], Field(description="the legs that it is about, ascending; an older gateway does not say")
-    ] = ()
-    incident: Annotated[str | None, Field(description="id of the incident that it belongs to, in the black box")] = None
+    time: Annotated[AwareDatetime, Field(description="when")]
+    kind: Annotated[AnyKind, Field(description="what happened")]
+    source: Annotated[str | None, Field(description="who caused it")]
+    key: Annotated[str | None, Field(description="of the command")]
+    reason: Annotated[AnyReason | None, Field(description="of a rejection or an overflow")]
+    detail: Annotated[str, Field(description="one sentence")]
+    left_out: Annotated[
+        Count, Field(description="events of this kind and source left out before this one (Behaviour *Events*)")
+    ] = 0
+    legs: Annotated[tuple[int, ...], Field(description="concerned, ascending")] = ()
+    incident: Annotated[str | None, Field(description="id of its incident in the black box")] = None
 
 
 class FrameRecord(Report):
     """The payload of `hexapod/frame`: one frame written to SPI, in hex, framing left out."""
 
-    time: AwareDatetime
-    monotonic_ns: int
-    bytes: str
-    cause: AnyCause
+    time: Annotated[AwareDatetime, Field(description="when")]
+    monotonic_ns: Annotated[int, Field(description="when, by the gateway's monotonic clock")]
+    bytes: Annotated[str, Field(description="in hex, without framing")]
+    cause: Annotated[AnyCause, Field(description="why it was written")]
 
 
 class SimulatedServo(Report):
     """Angle of a simulated servo, as in commands, and its torque against the load."""
 
-    angle_deg: float
-    torque_nm: float
+    angle_deg: Annotated[float, Field(description="where it is, as commands count")]
+    torque_nm: Annotated[float, Field(description="against its load; 0: off")]
 
 
 class BodyReport(Report):
@@ -568,12 +594,17 @@ class BodyReport(Report):
     In the ground's frame: x forward and y left at the start, z up. `feet`: which of legs 1 to 6 touch the ground.
     """
 
-    time: AwareDatetime
-    position_m: tuple[float, float, float]
-    orientation_xyzw: tuple[float, float, float, float]
-    velocity_m_s: tuple[float, float, float]
-    upright: bool
-    feet: tuple[bool, bool, bool, bool, bool, bool]
-    servos: dict[str, SimulatedServo]
-    terrain: Annotated[str, Field(description="the ground, as `run --terrain` names it")] = "flat"
-    real_time_factor: Annotated[float, Field(ge=0, description="below 1 the machine is too slow")] = 1.0
+    time: Annotated[AwareDatetime, Field(description="when")]
+    position_m: Annotated[tuple[float, float, float], Field(description="of the body's frame")]
+    orientation_xyzw: Annotated[
+        tuple[float, float, float, float], Field(description="unit quaternion, from the body to the ground")
+    ]
+    velocity_m_s: Annotated[tuple[float, float, float], Field(description="of the body")]
+    upright: Annotated[bool, Field(description="leans by less than 45°")]
+    feet: Annotated[tuple[bool, bool, bool, bool, bool, bool], Field(description="of legs 1 to 6: on the ground")]
+    servos: Annotated[dict[str, SimulatedServo], Field(description="by id")]
+    terrain: Annotated[str, Field(description="as `run --terrain` names it")] = "flat"
+    real_time_factor: Annotated[
+        float,
+        Field(ge=0, description="simulated seconds in a second, of the last two; below 1 the machine is too slow"),
+    ] = 1.0

@@ -1,7 +1,7 @@
 """The table of all settings: section, name, type, limits, default and meaning, each once.
 
 The service and `stop-servos` read files by it (`gateway.host.settings_reader`). The table in docs/interface.md and the
-JSON Schema (docs/settings.schema.json) are made from it (`python -m release.settings`). Imports no pydantic: loading
+JSON Schema (docs/settings.schema.json) are made from it (`python -m release.interface_page`). Imports no pydantic: loading
 that takes longer than all Stops.
 """
 
@@ -109,7 +109,7 @@ class ZenohSettings(Section):
     """The gateway's Zenoh endpoints."""
 
     listen: tuple[str, ...] = _setting(DEFAULT_LISTEN, "endpoints on which clients reach the gateway")
-    config: str = _setting("", "a Zenoh JSON5 file, the base for everything else: TLS, access control, namespace, and what the gateway dials (`connect.endpoints`)")
+    config: str = _setting("", "a Zenoh JSON5 file for TLS, access control, namespace, and what the gateway dials")
     allow_insecure: bool = _setting(False, "listen beyond loopback without certificates or passwords")
 
 
@@ -173,12 +173,12 @@ class SpiSettings(Section):
 
     device: str = _setting("/dev/spidev0.0", fault=_is_device("/dev/spidev0.0"))
     # 0: the protocol's.
-    speed_hz: int = _setting(0, "with `length-prefixed` 5000000 at most: the published firmware loses bytes of a faster clock", (1, 20_000_000))
+    speed_hz: int = _setting(0, "with `length-prefixed` 5000000 at most, else the published firmware loses bytes", (1, 20_000_000))
     # The default is for --sim only: a real device needs it to be set.
-    framing: Framing = _setting(Framing.PLAIN, "which framing the controller needs; must be set for a real device")
+    framing: Framing = _setting(Framing.PLAIN, "what the controller needs; a real device requires it")
     # The published firmware needed 6 (measured), or 20 if its loop takes twice the estimate. At most 1 ms: the gateway
     # waits for the pause, six times for six legs.
-    frame_gap_us: float = _setting(50.0, "least pause behind a transfer; 100 at least behind a preamble's zero. Linux makes it while chip select is asserted, and then releases chip select for 10 µs, whatever is set here. With `length-prefixed` 20 at least: in shorter pauses the published firmware loses frames, Stops too", (0, 1000))
+    frame_gap_us: float = _setting(50.0, "least pause behind a transfer, chip select asserted; then 10 µs released. With `length-prefixed` 20 at least, else the published firmware loses frames, Stops too", (0, 1000))
 
     def of(self, wire: WireSettings) -> "SpiSettings":
         """The same for this wire: with its clock by default, and without a framing where it has none."""
@@ -214,7 +214,7 @@ class ControllerSettings(Section):
 
     uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_is_device("/dev/ttyAMA1"))
     # At least five cycles: one answer may be lost, and one late.
-    silent_ms: float = _setting(300.0, "with `elkapod-2025`: no heartbeat or no well-formed answer within this time is a fault, as a lost bus is (Behaviour *The wire of elkapod-2025*)", (100, 2000))
+    silent_ms: float = _setting(300.0, "with `elkapod-2025`: silence of the controller that is a bus fault (Behaviour *The wire of elkapod-2025*)", (100, 2000))
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class ServoLimits(Section):
     min_deg: float = _setting(0.0, "of servo N, such as `[limits.servos.11]`", (0, 180))
     max_deg: float = _setting(180.0, "", (0, 180))
     # The slowest is 0.01°/s, the resolution of frames.
-    max_speed_deg_s: float = _setting(0.0, "a Set that is farther away is approached at this speed; 0: at once", (0, 1000))
+    max_speed_deg_s: float = _setting(0.0, "highest speed of a Set (Behaviour *Speed*); 0: any", (0, 1000))
 
     def fault(self) -> str:
         if self.min_deg <= self.max_deg:
@@ -237,11 +237,11 @@ class LimitSettings(Section):
     """Limits for commands of a leg. The controller's PWM runs at 50 Hz, so a higher rate changes nothing."""
 
     leg_rate_hz: float = _setting(50.0, "frames a second and leg", (1, 1000))
-    max_age_ms: float = _setting(500.0, "commands that were delayed for longer are rejected (needs `sent_ms`); 0: off", (0, 60_000))
+    max_age_ms: float = _setting(500.0, "commands with `sent_ms` that are older are rejected; 0: off", (0, 60_000))
     # -1: START_STAGGER_MS, but not where the wire starts all legs at once, nor where a board feeds one servo after the other.
-    start_stagger_ms: float = _setting(-1.0, "least pause between energising two legs, which no Stop waits for; below `watchdog.timeout_ms`; 0: off", (0, 2000))
+    start_stagger_ms: float = _setting(-1.0, "least pause between starting two legs; below `watchdog.timeout_ms`; 0: off", (0, 2000))
     # A third of a usual servo's own speed.
-    takeover_deg_s: float = _setting(180.0, "highest speed on the first way under another source, or behind a Stop (Behaviour *Take-over and first frame*); 0: off", (0, 1000))
+    takeover_deg_s: float = _setting(180.0, "highest speed after a change of source or soon after a Stop (Behaviour *Take-over and first frame*); 0: off", (0, 1000))
     servos: Mapping[str, ServoLimits] = _table("")
 
 
@@ -249,19 +249,19 @@ class LimitSettings(Section):
 class WatchdogSettings(Section):
     """Silence stops a leg. It cannot be switched off."""
 
-    timeout_ms: float = _setting(250.0, "cannot be switched off", (20, 10_000))
+    timeout_ms: float = _setting(250.0, "silence that stops a leg; cannot be switched off", (20, 10_000))
     scope: Literal["leg", "robot"] = _setting("leg", "what one silent leg stops")
-    landing_ms: float = _setting(0.0, "how long a silent robot takes to its landing pose before it is stopped; 0: a silent leg is stopped at once", (0, 5000))
-    landing: Mapping[str, float] = _table("the landing pose, as in `[watchdog.landing]` with `11 = 90.0`; a servo that is not named holds its angle", (0, 180))
+    landing_ms: float = _setting(0.0, "time to the landing pose before a silent robot stops; 0: a silent leg stops at once", (0, 5000))
+    landing: Mapping[str, float] = _table("the landing pose, such as `11 = 90.0`; a servo without one holds its angle", (0, 180))
 
 
 @dataclass(frozen=True)
 class LeaseSettings(Section):
     """Whether driving requires the lease, and how long that lasts unrenewed."""
 
-    required: bool = _setting(False, "`true`: starts and sets are rejected while nobody holds the lease")
+    required: bool = _setting(False, "starts and sets are rejected while nobody holds the lease")
     # Clients renew at a third of it; below 200 a hiccup of a wireless network would end it.
-    ttl_ms: float = _setting(1000.0, "how long a lease lasts without renewal or accepted command", (200, 10_000))
+    ttl_ms: float = _setting(1000.0, "silence that ends a lease", (200, 10_000))
 
 
 @dataclass(frozen=True)
@@ -269,17 +269,17 @@ class ButtonSettings(Section):
     """How many stop buttons must be alive for the robot to move, and for how long a check-in counts."""
 
     # More than eight people watch no robot of this size.
-    required: int = _setting(0, "how many buttons must be alive for anything to move; 0: none", (0, 8))
+    required: int = _setting(0, "buttons that must be alive for anything to move", (0, 8))
     # A browser runs a background page once a second, which by this default means a stop (docs/driving.md).
-    timeout_ms: float = _setting(1000.0, "how long a button is alive after a check-in", (200, 10_000))
-    names: tuple[str, ...] = _setting((), 'up to 64 people or roles (`"button"`, `"operator"`) whose buttons count; `[]`: any. Without certificates: names, up to the first `/`', fault=_names)
+    timeout_ms: float = _setting(1000.0, "time after a check-in for which a button is alive", (200, 10_000))
+    names: tuple[str, ...] = _setting((), 'up to 64 people or roles (`"button"`, `"operator"`) whose buttons count (without certificates: names, up to the first `/`); `[]`: any', fault=_names)
 
 
 @dataclass(frozen=True)
 class StateSettings(Section):
     """The folder of what outlasts the gateway; "": systemd's state directory, without which nothing outlasts it."""
 
-    path: str = _setting("", "the folder of what outlasts the gateway: an engaged emergency stop (`estop.json`), the calibration (`calibration.toml`), revocations, the black box. It must exist. `\"\"`: systemd's `STATE_DIRECTORY`; without that nothing outlasts the process, and the black box is off", fault=_absolute)
+    path: str = _setting("", "existing folder for emergency stop, calibration (`calibration.toml`), revocations and black box; `\"\"`: systemd's `STATE_DIRECTORY`, else nothing outlasts the process, and the black box is off", fault=_absolute)
 
 
 @dataclass(frozen=True)
@@ -294,19 +294,19 @@ class TelemetrySettings(Section):
 class SafetySettings(Section):
     """Rules that need what the robot measures; 0: never."""
 
-    min_battery_v: float = _setting(0.0, "starts are rejected below this voltage of the battery (Behaviour *Measurements*); 0: never", (0, 100))
-    max_tilt_deg: float = _setting(0.0, "beyond this tilt (10 at least) for 200 ms all six legs stop, or land; 0: never", (0, 90), _beyond_walking)
+    min_battery_v: float = _setting(0.0, "lowest battery voltage for starts (Behaviour *Measurements*); 0: any", (0, 100))
+    max_tilt_deg: float = _setting(0.0, "tilt (10 at least) that stops or lands the robot; 0: any", (0, 90), _beyond_walking)
 
 
 @dataclass(frozen=True)
 class PowerSettings(Section):
     """The board on CAN that switches each servo's supply; none by default."""
 
-    interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"`, a simulated one, or an interface of python-can, such as `"socketcan"` (also for adapters with the driver gs_usb), `"slcan"`; `""`: none', fault=_interface)
-    channel: str = _setting("can0", 'the interface\'s channel, such as `"can0"`, `"/dev/ttyACM0"`')
-    servos: tuple[int, ...] = _setting((), "the servo on each of the board's outputs 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` shows for the servo that it moves whether that is right", fault=_each_once)
+    interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"`, or an interface of python-can, such as `"socketcan"` (also for gs_usb) or `"slcan"`; `""`: none', fault=_interface)
+    channel: str = _setting("can0", 'its channel, such as `"can0"` or `"/dev/ttyACM0"`')
+    servos: tuple[int, ...] = _setting((), "the servo on each output, 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` tests one", fault=_each_once)
     # It answers within 55 ms; where a mask meets its counter one pass behind an answer, within 394 ms.
-    confirm_ms: float = _setting(450.0, "a confirmation that is not there by then is reported; a healthy board takes up to 394 ms (512 ms at its slowest)", (60, 2000))
+    confirm_ms: float = _setting(450.0, "a later confirmation is reported; a healthy board takes up to 394 ms (512 ms at its slowest)", (60, 2000))
 
     @property
     def outputs(self) -> tuple[int, ...]:

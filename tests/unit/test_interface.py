@@ -1,41 +1,21 @@
 """docs/interface.md is true and complete: each of its tables is compared with the code."""
 
+import json
 import re
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
 
 import pytest
-import typer
-from pydantic import BaseModel
 
 from gateway import errors
-from gateway.cli import app
 from gateway.robot.core import supervisor
-from release import settings_page
+from release import interface_page
+from schemas import __main__ as messages
 from schemas import keys
-from schemas.button import Alive, ButtonAck, Leave, Register
-from schemas.calibration import Calibration, CalibrationCommand
-from schemas.command import LegCommand, LegsCommand, MoveCommand, ResetCommand, StopCommand
-from schemas.lease import Challenge, Claim, LeaseAck, Proof, Release, Renew
-from schemas.revocation import RevocationAck, RevocationRequest
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.state import StateReport
-from schemas.telemetry import (
-    Ack,
-    BodyReport,
-    Cause,
-    ConfigReport,
-    Event,
-    FrameRecord,
-    Kind,
-    Mode,
-    Reason,
-    Telemetry,
-    WatchdogState,
-)
+from tests.unit.test_safety import always_skipped
 
-INTERFACE = (Path(__file__).parents[2] / "docs" / "interface.md").read_text()
+ROOT = Path(__file__).parents[2]
+INTERFACE = (ROOT / "docs" / "interface.md").read_text()
 
 
 def rows(heading: str) -> list[list[str]]:
@@ -53,56 +33,32 @@ def names(heading: str) -> list[str]:
     return [row[0].strip("`") for row in rows(heading)]
 
 
-def parts(annotation: Any) -> list[Any]:
-    """What a type is made of: `float | None` → float, None; `tuple[A, ...]` → A."""
-    if get_origin(annotation) in (Annotated, Union, UnionType, tuple):
-        return [part for argument in get_args(annotation) for part in parts(argument)]
-    return [annotation]
-
-
-def fields(model: type[BaseModel]) -> set[str]:
-    """The fields of a payload, those of the objects inside as `legs[].leg` and `spi.device`."""
-    found: set[str] = set()
-    for name, field in model.model_fields.items():
-        inner = {part for part in parts(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)}
-        joint = "[]." if get_origin(field.annotation) is tuple else "."
-        found |= {f"{name}{joint}{deeper}" for part in inner for deeper in fields(part)} or {name}
-    return found
+def test_tables_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> None:
+    """Fields, words, settings, commands and exit codes; also the JSON Schema of gateway.toml."""
+    assert interface_page.main(["--check"]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    "model",
+    "row",
     [
-        Ack,
-        LeaseAck,
-        RevocationAck,
-        ButtonAck,
-        Calibration,
-        StateReport,
-        ConfigReport,
-        Event,
-        FrameRecord,
-        Telemetry,
-        BodyReport,
+        '| `op` | `"start"` or `"set"` or `"stop"` | energise and set, set, or de-energise |',
+        "| `angle_deg` | number, 0 to 180 | with `start`, `set`: to the nearest hundredth |",
+        "| `servos` | 3 × object | joints 1, 2, 3; as in [ServoCommand](#servocommand) |",
+        "| `to` | 1 to 64 characters? | with `release`: who gets it, of those that asked |",
+        "| `servos.N.trim_deg` | number, -90 to 90? | added to the angle on the wire |",
+        "| `legs.age_ms` | 6 × number? | since an accepted command started or set a servo; null: none yet |",
+        "| `servo_silent` | a running servo draws nothing for 1 s |",
     ],
 )
-def test_what_goes_out_has_these_fields(model: type[BaseModel]) -> None:
-    assert sorted(names(f"### {model.__name__}")) == sorted(fields(model))
+def test_a_row_states_type_limits_and_meaning(row: str) -> None:
+    assert row in INTERFACE.splitlines()
 
 
-def test_what_comes_in_has_these_fields() -> None:
-    assert set(names("### ServoCommand")) == set(MoveCommand.model_fields) | set(StopCommand.model_fields)
-    for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand, RevocationRequest):
-        assert set(names(f"### {model.__name__}")) == set(model.model_fields)
-    pressed = {name for model in (Register, Alive, Leave) for name in model.model_fields}
-    assert set(names("### ButtonRequest")) == pressed - {"proof"} | {f"proof.{name}" for name in Proof.model_fields}
-    asked = {name for model in (Challenge, Claim, Renew, Release) for name in model.model_fields}
-    assert set(names("### LeaseRequest")) == asked - {"proof"} | {f"proof.{name}" for name in Proof.model_fields}
-
-
-@pytest.mark.parametrize("values", [Reason, Mode, Kind, Cause, WatchdogState])
-def test_these_are_all_values(values: Any) -> None:
-    assert sorted(names(f"### {values.__name__}")) == sorted(values)
+def test_a_field_without_a_description_has_no_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    document = {"properties": {"angle_deg": {"type": "number"}}, "additionalProperties": False}
+    monkeypatch.setattr(messages, "documents", lambda: {"Command.json": json.dumps(document)})
+    with pytest.raises(ValueError, match=r"Command\.angle_deg has no description"):
+        interface_page.tables()
 
 
 def test_these_are_all_keys() -> None:
@@ -126,8 +82,7 @@ def test_each_reference_to_a_rule_names_one() -> None:
     behaviour = INTERFACE.partition("\n## Behaviour\n")[2].partition("\n## ")[0]
     rules = {name.rstrip(".") for name in re.findall(r"^(?:- |   )\*\*([^*]+)\*\*", behaviour, re.MULTILINE)}
     assert {"Start", "Legs at rest", "Power"} <= rules
-    root = Path(__file__).parents[2]
-    files = [path for room in ("gateway", "docs", "schemas") for path in (root / room).rglob("*.[mp][dy]")]
+    files = [path for room in ("gateway", "docs", "schemas") for path in (ROOT / room).rglob("*.[mp][dy]")]
     named, numbered = dict[str, Path](), list[Path]()
     for path in files:
         text = re.sub(r"\s+", " ", path.read_text(encoding="utf-8"))
@@ -139,30 +94,18 @@ def test_each_reference_to_a_rule_names_one() -> None:
     assert len(named) > len("Legs at rest")
 
 
-def test_settings_come_from_their_table(capsys: pytest.CaptureFixture[str]) -> None:
-    """Also the JSON Schema of gateway.toml."""
-    assert settings_page.main(["--check"]) == 0, capsys.readouterr().err
+def test_each_rule_names_a_test() -> None:
+    behaviour = INTERFACE.partition("\n## Behaviour\n")[2].partition("\n## ")[0]
+    named = dict(re.findall(r"^- \*([^*]+)\*: `([^`]+)`$", INTERFACE, re.MULTILINE))
+    assert list(named) == [name.rstrip(".") for name in re.findall(r"^- \*\*([^*]+)\*\*", behaviour, re.MULTILINE)]
+    for name, test in named.items():
+        path, _, function = test.partition("::")
+        assert always_skipped((ROOT / "tests" / path).read_text(encoding="utf-8"), function) is False, name
 
 
-def commands() -> list[str]:
-    """Every command's name."""
-    found: list[str] = []
-
-    def walk(command: Any, path: list[str]) -> None:
-        for name, inner in getattr(command, "commands", {}).items():
-            walk(inner, [*path, name])
-        if not hasattr(command, "commands") or path == ["calibrate"]:  # (`incidents` alone is `incidents list`)
-            found.append(" ".join(path))
-
-    walk(typer.main.get_command(app), [])
-    return found
-
-
-def test_these_are_all_commands_and_help_has_each_exit_code() -> None:
-    written = {row[0].strip("`"): row[2] for row in rows("## Commands")}
-    assert sorted(written) == sorted(commands())
-    assert len({name.partition(" ")[0] for name in written}) == 17, "at most so many, a group counted as one"
-    help_ = str(typer.main.get_command(app).epilog).partition("Exit codes:")[2]
+def test_commands_are_few_and_exit_codes_are_those_of_errors() -> None:
+    assert len({name.partition(" ")[0] for name in names("## Commands")}) == 17, (
+        "at most so many, a group counted as one"
+    )
     raised = {str(each.exit_code) for each in vars(errors).values() if hasattr(each, "exit_code")}
-    codes = {code for text in written.values() for code in re.findall(r"\b\d+\b", text)}
-    assert set(re.findall(r"\b\d+\b", help_)) == codes | raised
+    assert raised <= set(names("### Exit codes"))
