@@ -273,7 +273,7 @@ FAULTS = (
 
 
 def table() -> str:
-    """Return the table of docs/robot.md; `python -m tests.box.faults` prints it. †: the remedy is a sentence."""
+    """Return all faults as a table; `python -m tests.box.faults` prints it. †: the remedy is a sentence."""
     rows = [f"{each.what}{'†' if each.by_hand else ''} | {each.says}" for each in EVERY]
     return "\n".join(["planted | `check` prints", "---|---", *rows]) + "\n"
 

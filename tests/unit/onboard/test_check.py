@@ -434,10 +434,9 @@ def test_each_row_of_the_table_is_reached_and_its_commands_are_the_programs(tmp_
         parse_commands(fault.remedy)
 
 
-def test_the_docs_have_each_fault_that_a_box_tries() -> None:
-    """`python -m tests.box.faults` prints the table anew."""
-    assert faults.table() in (GATEWAY.parent / "docs/robot.md").read_text()
-    assert len(faults.EVERY) >= 60
+def test_the_docs_name_the_command_that_prints_each_fault_that_a_box_tries() -> None:
+    assert "`python -m tests.box.faults`" in (GATEWAY.parent / "docs/robot.md").read_text()
+    assert faults.table().count("\n") >= 60
 
 
 def test_each_command_that_a_message_names_is_the_programs() -> None:
