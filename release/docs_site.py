@@ -5,6 +5,7 @@ links to files of the repository. Here they come together in one folder, with ea
 site can be read without the repository.
 """
 
+import json
 import os
 import re
 import shutil
@@ -66,6 +67,16 @@ def main() -> None:
         sys.exit(1)
     if broken := broken_links(SITE):
         sys.exit("These lead nowhere, or load from another host:\n" + "\n".join(broken))
+    index = SITE / "search.json"
+    index.write_text(json.dumps(with_full_names(json.loads(index.read_text(encoding="utf-8")))), encoding="utf-8")
+
+
+def with_full_names(index: dict[str, Any]) -> dict[str, Any]:
+    """Name each attribute of the API by class in the search: who looks for "timeout" finds a page before fields."""
+    for item in index["items"]:
+        if "attribute</code>" in item["title"]:
+            item["title"] = item["location"].partition("#")[2]
+    return index
 
 
 def collect(pages: Path) -> None:

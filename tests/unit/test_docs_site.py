@@ -1,5 +1,6 @@
 """The docs site: no link is broken, and its API pages show what a program uses, and nothing that only we use."""
 
+import json
 import re
 import subprocess
 import sys
@@ -83,6 +84,9 @@ def test_each_page_is_in_the_menu_and_in_the_search() -> None:
     search = (SITE / "search.json").read_text(encoding="utf-8")
     assert set(menu) == pages
     assert {page for page in pages if f'"{page.removesuffix(".md")}.html' not in search} == set()
+    titles = {item["title"] for item in json.loads(search)["items"]}
+    assert "gateway.client.Button.timeout_ms" in titles, "a field is named by its class"
+    assert {"Timeout", "Two robots", "Your own program"} <= titles
 
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
