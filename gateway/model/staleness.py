@@ -167,9 +167,9 @@ class Staleness:
                 del self._sources[oldest]
             source = ([], [instant_ms])
         self._sources[name] = source
-        clocks, heard = source
-        if instant_ms > heard[0]:
-            rise_ms, heard[0] = DRIFT * (instant_ms - heard[0]), instant_ms
+        clocks, newest = source
+        if instant_ms > newest[0]:
+            rise_ms, newest[0] = DRIFT * (instant_ms - newest[0]), instant_ms
             for clock in clocks:
                 clock.baseline_ms += rise_ms
                 clock.newest_before_ms = clock.newest_sent_ms

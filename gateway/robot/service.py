@@ -453,7 +453,7 @@ async def _beat(
         due_s = loop.time() + period_s
         await asyncio.sleep(period_s)
         lag_ns = round((loop.time() - due_s) * 1e9)
-        found = unknown_keys.look()
+        found = unknown_keys.poll()
         with conductor.owner:
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)

@@ -48,7 +48,7 @@ def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visi
     expect(page.page.locator("#picture canvas")).to_have_attribute(
         "aria-label", re.compile("leg 3 stopped by the watch")
     )
-    expect(page["events"].locator("li", has_text="leg 3 was not heard for 2000 ms")).to_have_count(1)
+    expect(page["events"].locator("li", has_text="no command for leg 3 in 2000 ms")).to_have_count(1)
 
 
 def test_stop_all_stops_and_says_what_is_known_and_who_else_stopped(visitor: Visitor, gateway: Gateway) -> None:

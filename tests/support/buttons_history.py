@@ -30,7 +30,7 @@ class ButtonHistory:
     silent: bool = False
     least_ns: int | None = None
     floor_ns: int = 0
-    heard_ns: int = 0
+    newest_ns: int = 0
     """When a message last showed one; since then their clocks may have drifted apart by `DRIFT`."""
 
 
@@ -134,11 +134,11 @@ class ButtonsHistory:
         came_ns = request.received_ns
         if request.sent_ms is not None:
             away_ns = came_ns - round(request.sent_ms * NS_PER_MS)
-            drift_ns = (came_ns - button.heard_ns) // DRIFT
+            drift_ns = (came_ns - button.newest_ns) // DRIFT
             floor_ns = away_ns if button.least_ns is None else min(away_ns, button.floor_ns)
             most_ns = floor_ns + self.rules.buttons_timeout_ns // 4
             least_ns = away_ns if button.least_ns is None else min(away_ns, button.least_ns + drift_ns, most_ns)
-            button = replace(button, least_ns=least_ns, floor_ns=floor_ns, heard_ns=request.received_ns)
+            button = replace(button, least_ns=least_ns, floor_ns=floor_ns, newest_ns=request.received_ns)
             came_ns -= away_ns - least_ns
         until_ns = came_ns + self.rules.buttons_timeout_ns
         if until_ns <= now_ns:
@@ -159,7 +159,7 @@ class ButtonsHistory:
             if not older:
                 return Reason.BUTTON_DENIED, None
         least_ns = None if request.sent_ms is None else request.received_ns - round(request.sent_ms * NS_PER_MS)
-        fresh = ButtonHistory(name, request.holder, request.counts, until_ns=until_ns, heard_ns=request.received_ns)
+        fresh = ButtonHistory(name, request.holder, request.counts, until_ns=until_ns, newest_ns=request.received_ns)
         for token, _ in older:
             self.old_token = token
             del self.known[token]

@@ -180,7 +180,7 @@ class ServoHistory:
 class LegHistory:
     """One leg: when an accepted command last started or set a servo, when a frame moved it, what its bucket held."""
 
-    heard_ns: int | None = None
+    commanded_ns: int | None = None
     moved_ns: int | None = None
     bucket_ns: int = 0
     """After the frame; a rate slot is a period."""
@@ -193,12 +193,14 @@ class LegHistory:
 
     def clone(self) -> Self:
         """A copy."""
-        return type(self)(self.heard_ns, self.moved_ns, self.bucket_ns, self.source, self.unfed_ns, self.held_until_ns)
+        return type(self)(
+            self.commanded_ns, self.moved_ns, self.bucket_ns, self.source, self.unfed_ns, self.held_until_ns
+        )
 
     def key(self, now_ns: int, rules: Rules, *, armed: bool) -> tuple[object, ...]:
         """What of it still matters; see `Oracle.key`."""
         return (
-            min(now_ns - self.heard_ns, rules.timeout_ns) if self.heard_ns is not None and armed else None,
+            min(now_ns - self.commanded_ns, rules.timeout_ns) if self.commanded_ns is not None and armed else None,
             self.held_ns(now_ns, rules.period_ns),
             max(0, self.slot_ns(rules.period_ns) - now_ns),
             None if self.unfed_ns is None else min(now_ns - self.unfed_ns, rules.feed_ns),

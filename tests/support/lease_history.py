@@ -59,7 +59,7 @@ class LeaseHistory:
             return Reason.NO_LEASE if self.rules.lease_required and not reset else None
         return None if token == self.token else Reason.NOT_HOLDER
 
-    def heard(self, token: str | None, now_ns: int) -> None:
+    def record_use(self, token: str | None, now_ns: int) -> None:
         """A command with this token was accepted."""
         if token is not None and token == self.token:
             self.due_ns = now_ns + self.rules.lease_ttl_ns

@@ -1,4 +1,4 @@
-"""An exhaustive check of the supervisor: every state that small robots can reach, each step judged by the oracle.
+"""An exhaustive check of the supervisor: every state that small robots can limits, each step judged by the oracle.
 
 Breadth first from a supervisor that has just been made: in every state, every event that `TRANSITIONS` allows there is
 tried at every distance in time that the configuration has: at once (the same instant), a tick later, in the same
@@ -76,7 +76,7 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power backlog calibrating _reach _opened _fault latch _ended outside watchdog",
+        "_rules legs lease buttons body power backlog calibrating _limits _opened _fault latch _ended outside watchdog",
     ),
     (_ROBOT, "_interlocks _timed _with_deadlines _own mode due_ns"),
     (_ROBOT.outside, "_rules"),
@@ -87,16 +87,16 @@ _KNOWN: Final = (
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
     (_ROBOT.power, "_rules alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
-    (Registration, "name holder counts count until_ns silent offset_ns heard_ns least_ns"),
-    (_ROBOT._reach, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
-    (_ROBOT.calibrating, "_rules _reach fault _on_its_way"),
+    (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
+    (_ROBOT._limits, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
+    (_ROBOT.calibrating, "_rules _limits fault _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
-    (_ROBOT.legs, "_rules _reach by_number _all servos _queue instant_ns landing land_ns"),
+    (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "_moved given _silent _first_stops _fed"),  # these count within a step
-    (Leg, "number servos slots heard_ns expired source landed_ns unfed_ns eases"),
+    (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
     (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),
     (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
@@ -214,7 +214,9 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         tuple((rank[number], each.left, each.coalesced) for number, each in pending(supervisor).items()),
         tuple(
             (
-                min(now_ns - leg.heard_ns, legs._rules.timeout_ns) if leg.heard_ns is not None and leg.armed else None,
+                min(now_ns - leg.commanded_ns, legs._rules.timeout_ns)
+                if leg.commanded_ns is not None and leg.armed
+                else None,
                 leg.expired,
                 leg.unfed_ns is not None and now_ns - leg.unfed_ns,
                 legs.landing and leg.landed_ns,
@@ -390,7 +392,7 @@ def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, inst
     oracle.judge(event, now_ns, effects, supervisor, instant_ns)
     if isinstance(event, Command):  # after all others, every leg is looked at
         kept = _what_follows(supervisor.legs)
-        supervisor.legs.look(now_ns)
+        supervisor.legs.plan(now_ns)
         demand(kept == _what_follows(supervisor.legs), f"the legs that were not looked at have not changed: {kept}")
     if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")

@@ -152,7 +152,7 @@ def takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
     stood = None
     if servo.stopped is not None and not servo.running:
         angle_cdeg, stopped_ns, calibration = servo.stopped
-        if calibration is legs._reach.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
+        if calibration is legs._limits.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
             stood = angle_cdeg, now_ns - stopped_ns
     return servo.source, servo.eases, stood
 
@@ -162,8 +162,8 @@ def takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
 
 def share_limits(supervisor: Supervisor, other: Supervisor) -> None:
     """Give `other` angle limits of its own, those of `supervisor`; to be called once it has its own interlocks."""
-    other._reach = other.legs._reach = other.calibrating._reach = cloned(supervisor._reach)
-    other.legs._speeds = cloned(supervisor.legs._speeds, _reach=other._reach)
+    other._limits = other.legs._limits = other.calibrating._limits = cloned(supervisor._limits)
+    other.legs._speeds = cloned(supervisor.legs._speeds, _limits=other._limits)
 
 
 def _key(calibration: RobotCalibration) -> tuple[object, ...]:
@@ -173,12 +173,12 @@ def _key(calibration: RobotCalibration) -> tuple[object, ...]:
 
 def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
     """What of it can still matter."""
-    calibrating, reach = supervisor.calibrating, supervisor._reach
+    calibrating, limits = supervisor.calibrating, supervisor._limits
     way = calibrating._on_its_way
     return (
-        _key(reach.calibration),
-        reach.wire is not None,
-        reach.limited,
+        _key(limits.calibration),
+        limits.wire is not None,
+        limits.limited,
         calibrating.fault,
         calibrating.closed,
         way and (_key(way.calibration), way.servos, way.event.accept_default),

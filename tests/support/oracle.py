@@ -223,14 +223,14 @@ class Oracle(RobotHistory):
             for number, leg in self.legs.items()
             if self.armed(number)
             and (leg.unfed_ns is None or any(servo.on for servo in self.servos_of(number)))
-            and (leg.heard_ns is None or now_ns - leg.heard_ns >= self.rules.timeout_ns)
+            and (leg.commanded_ns is None or now_ns - leg.commanded_ns >= self.rules.timeout_ns)
         ]
         stopped = list(self.legs) if silent and (self.rules.whole_robot or self.rules.starts_whole) else silent
         if self.landing is not None:
             stopped = list(self.legs) if now_ns >= self.landing.ends_ns else []
             self.landing = None if stopped else self.landing
         elif silent and self._lands(
-            min(self.legs[number].heard_ns or 0 for number in silent) + self.rules.timeout_ns, now_ns
+            min(self.legs[number].commanded_ns or 0 for number in silent) + self.rules.timeout_ns, now_ns
         ):
             return []
         self._stopped_unasked(stopped, now_ns)
@@ -262,7 +262,7 @@ class Oracle(RobotHistory):
         self._stopped_unasked(stopped, now_ns)
         for number in waited:
             if not self.held(number) and not any(servo.on for servo in self.servos_of(number)):
-                self.legs[number].heard_ns = now_ns  # its start leaves with the rate slot, and is watched from now on
+                self.legs[number].commanded_ns = now_ns  # its start leaves with the rate slot, watched from now on
         return stopped
 
     def _down(self, since_ns: int, now_ns: int) -> list[int]:
@@ -334,7 +334,7 @@ class Oracle(RobotHistory):
             if not targets:
                 return frozenset()
         else:
-            self.lease.heard(command.lease, now_ns)
+            self.lease.record_use(command.lease, now_ns)
             self.hold_starts(command, now_ns)
         if self.rules.starts_whole and named:
             targets = tuple((servo_id, STOP) for servo_id in self.servos)
@@ -347,7 +347,7 @@ class Oracle(RobotHistory):
         for servo_id, op in targets:
             servo = self.servos[servo_id]
             if op.op is not Op.STOP:
-                self.legs[leg_of(servo_id)].heard_ns = now_ns
+                self.legs[leg_of(servo_id)].commanded_ns = now_ns
             if servo.want is not None:
                 self.pending[servo.want.number] = True
             if op.op is Op.STOP:
@@ -377,7 +377,7 @@ class Oracle(RobotHistory):
         self._must_be_rejected(event, effects, reason)
         if reason is None:
             del self.pending[event.number]
-            self.lease.heard(event.lease, now_ns)
+            self.lease.record_use(event.lease, now_ns)
 
     def _reset(self, reset: Reset, effects: Sequence[Effect], now_ns: int) -> None:
         reason = CLOSED.get(self.mode)
@@ -389,7 +389,7 @@ class Oracle(RobotHistory):
         self._must_be_rejected(reset, effects, reason)
         if reason is None:
             self.latched_ns = None
-            self.lease.heard(reset.lease, now_ns)
+            self.lease.record_use(reset.lease, now_ns)
 
     # ---- frames
 
@@ -476,8 +476,8 @@ class Oracle(RobotHistory):
                 demand(now_ns < leg.unfed_ns + self.rules.feed_ns, "a start that nobody feeds ends")
                 latest.append(leg.unfed_ns + self.rules.feed_ns)
             if self.landing is None and self.armed(number) and not self.waits_for_supply(number):
-                deadline_ns = (leg.heard_ns or 0) + self.rules.timeout_ns
-                demand(now_ns < deadline_ns, "a leg that was not heard for the timeout is off")
+                deadline_ns = (leg.commanded_ns or 0) + self.rules.timeout_ns
+                demand(now_ns < deadline_ns, "a no command for leg that in the timeout is off")
                 latest.append(deadline_ns)
             waits = [servo for each, servo in self.servos.items() if leg_of(each) == number and each not in held]
             under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in waits)

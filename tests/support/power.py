@@ -96,13 +96,13 @@ class VirtualLine:
 
     def _hear(self, frames: list[CanFrame]) -> None:
         for frame in frames if self.hears and not self.unplugged else ():
-            self.board.heard(frame, self.now_ns())
+            self.board.receive(frame, self.now_ns())
 
     def _pump(self) -> None:
         self._hear(self.simulated.advance(self.now_ns()))
         self._hear([] if self.second is None else self.second.advance(self.now_ns()))
         self._send()
-        self.board.look(self.now_ns())
+        self.board.poll(self.now_ns())
         before, self._status = self._status, self.board.status
         self._news += self.board.news()
         if self._news or before[:7] != self._status[:7]:

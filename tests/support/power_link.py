@@ -109,7 +109,7 @@ class Link:
         """Another node on the bus sends a mask: board and we receive it."""
         frame = CanFrame(0x6A, mask.to_bytes(3, "big"))
         self._answered(self.board.take(frame, self.now_ns))
-        self.ours.heard(frame, self.now_ns)
+        self.ours.receive(frame, self.now_ns)
 
     def pause(self) -> None:
         self.held = []
@@ -117,7 +117,7 @@ class Link:
     def resume(self) -> None:
         held, self.held = self.held or [], None
         for frame in held:
-            self.ours.heard(frame, self.now_ns)
+            self.ours.receive(frame, self.now_ns)
 
     def _next_ns(self) -> int:
         due_ns = [self.board.due_ns, self._look_ns]
@@ -144,11 +144,11 @@ class Link:
             elif self.held is not None:
                 self.held.append(frame)
             else:
-                self.ours.heard(frame, self.now_ns)
+                self.ours.receive(frame, self.now_ns)
         self._answered(self.board.advance(self.now_ns))
         if self.now_ns >= self._look_ns:
             self._look_ns = self.now_ns + LOOK_NS
-            self.ours.look(self.now_ns)
+            self.ours.poll(self.now_ns)
         if not self.hangs and self.now_ns >= self.ours.due_ns:
             for frame in self.ours.next_frames(self.now_ns):
                 self.sent.append((self.now_ns, frame))

@@ -226,7 +226,7 @@ def test_the_same_with_nothing_but_zenoh(gateway: Gateway) -> None:
 
 def test_the_session(gateway: Gateway) -> None:
     said = run("session.py", gateway)
-    assert "event: watchdog_expired leg 1 was not heard for 250 ms" in said
+    assert "event: watchdog_expired no command for leg 1 in 250 ms" in said
     assert "does not run; start it before you set it" in said
     assert "6 Stop frames within" in said
     assert "; the emergency stop was engaged by session, " in said

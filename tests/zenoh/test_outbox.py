@@ -36,7 +36,7 @@ def test_it_knows_whether_anyone_listens() -> None:
                 subscriber.undeclare()
                 assert not changes.get(timeout=10).matching
                 assert comes_to_say(outbox, listened_to=False)
-        assert unknown_keys.look() is None
+        assert unknown_keys.poll() is None
         listener.undeclare()
         outbox.close()
 

@@ -77,7 +77,7 @@ class IncidentCopies:
         """An incident begins, or goes on: what preceded this is to be copied, not now but behind its Stops."""
         self._due |= self._ran
 
-    def look(self, now_ns: int, newest: int) -> None:
+    def copy_due(self, now_ns: int, newest: int) -> None:
         """Have the newest records copied, up to this sequence number, if that is due. Returns at once."""
         if self._ring is not None and self._due and now_ns - self._copied_ns >= FOLLOW_NS:
             self._due, self._ran, self._copied_ns = False, self._running, now_ns
@@ -86,7 +86,7 @@ class IncidentCopies:
     def close(self, newest: int) -> None:
         """Make a copy that is due, and wait for it, CLOSE_S at most."""
         if self._ring is not None:
-            self.look(self._copied_ns + FOLLOW_NS, newest)
+            self.copy_due(self._copied_ns + FOLLOW_NS, newest)
             self._worker.close(CLOSE_S)
 
 
@@ -365,7 +365,7 @@ class Recorder:
             return
         now_ns = self._clock()
         if self._ring is not None:
-            self._copies.look(now_ns, self._ring.sequence - 1)
+            self._copies.copy_due(now_ns, self._ring.sequence - 1)
         self._record_mode(now_ns)
         if lag_ns > LAG_NS:
             self._append(form.LAG, now_ns, form.number(lag_ns))

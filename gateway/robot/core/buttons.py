@@ -60,8 +60,8 @@ class Registration:
     """Of its latest check-in."""
     silent: bool = False
     offset_ns: int | None = None
-    """The gateway's clock less the button's, plus the time that its fastest message took, as of `heard_ns`."""
-    heard_ns: int = 0
+    """The gateway's clock less the button's, plus the time that its fastest message took, as of `newest_ns`."""
+    newest_ns: int = 0
     least_ns: int = 0
     """The smallest `offset_ns` of this registration."""
 
@@ -76,10 +76,10 @@ class Registration:
         if self.offset_ns is None:
             self.offset_ns = self.least_ns = offset_ns
         else:
-            drift_ns = max(0, received_ns - self.heard_ns) * DRIFT_PPM // 1_000_000
+            drift_ns = max(0, received_ns - self.newest_ns) * DRIFT_PPM // 1_000_000
             self.offset_ns = min(offset_ns, self.offset_ns + drift_ns, self.least_ns + rise_ns)
             self.least_ns = min(self.least_ns, self.offset_ns)
-        self.heard_ns = received_ns
+        self.newest_ns = received_ns
         return received_ns - (offset_ns - self.offset_ns)
 
 
@@ -132,7 +132,7 @@ class Buttons(Interlock[ButtonRequest]):
         effects: list[Effect] = []
         for at_ns, button in sorted(late, key=itemgetter(0)):
             button.until_ns, button.silent = None, True
-            what = f"the button {button.name} was not heard for {self._timeout_ns / NS_PER_MS:g} ms"
+            what = f"no check-in of the button {button.name} in {self._timeout_ns / NS_PER_MS:g} ms"
             effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, legs, key=None)
         return effects
 
@@ -186,7 +186,7 @@ class Buttons(Interlock[ButtonRequest]):
         silent, button.silent = button.silent, False
         button.until_ns = until_ns if button.until_ns is None else max(until_ns, button.until_ns)
         if not silent:
-            self._look(now_ns)
+            self._count_alive(now_ns)
             return [answer]
         what = f"the button {button.name} is back"
         return [*self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns, legs), answer]
@@ -204,11 +204,11 @@ class Buttons(Interlock[ButtonRequest]):
         self, kind: Kind, what: str, name: str, at_ns: int, legs: Legs, key: str | None = keys.BUTTON
     ) -> list[Effect]:
         """Something has happened to one of them; the event names the legs that stop for it."""
-        then = how_it_comes_down(legs, self._rules) if self._look(at_ns) else ""
+        then = how_it_comes_down(legs, self._rules) if self._count_alive(at_ns) else ""
         detail = f"{what}; {self._count()}{f'; {then}' if then else ''}"
         return [Announce(kind, detail, name, key, _ALL if then else ())]
 
-    def _look(self, at_ns: int) -> bool:
+    def _count_alive(self, at_ns: int) -> bool:
         """Count those that are alive. Whether they have become too few by this."""
         alive = [button for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min((button.until_ns for button in alive if button.until_ns is not None), default=None)

@@ -48,9 +48,9 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     takes = (Calibrate, CalibrationSaved)
 
-    def __init__(self, rules: Rules, reach: AngleLimits) -> None:
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         super().__init__(rules)
-        self._reach = reach
+        self._limits = limits
         self.fault: str | None = None
         """Why the calibration cannot be trusted; None: it can."""
         self._on_its_way: _OnItsWay | None = None
@@ -64,11 +64,11 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
     @property
     def in_force(self) -> RobotCalibration:
         """By which frames are written now."""
-        return self._reach.calibration
+        return self._limits.calibration
 
     def load(self, calibration: RobotCalibration, fault: str | None = None) -> None:
         """What was kept, and why it cannot be trusted, if so. To be called once, before the bus is opened."""
-        self._reach.use(calibration)
+        self._limits.use(calibration)
         self.fault = fault
         self.closed = fault is not None
 
@@ -105,7 +105,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         except CalibrationError as error:
             return [Rejected(event, Reason.INVALID, str(error))]
         for servo_id, angle_cdeg in calibration.landing_cdeg.items():
-            why_not = self._reach.why_avoided(calibration, servo_id, angle_cdeg)
+            why_not = self._limits.why_avoided(calibration, servo_id, angle_cdeg)
             if why_not is not None:
                 return [Rejected(event, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
         changed = changed_servos(self.in_force, calibration)
@@ -143,7 +143,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self._on_its_way, self._delay = None, ""
         landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
         if event.fault is None:
-            self._reach.use(calibration)
+            self._limits.use(calibration)
             self.fault = None
         self.closed = self.fault is not None
         if event.fault is not None:

@@ -10,7 +10,7 @@ from pydantic_core import from_json
 
 from gateway.robot.core.events import Command, Reset
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.targets import TARGETS, Row, may_contain_stop, stops_of
+from gateway.robot.core.targets import TARGETS, TargetRules, may_contain_stop, stops_of
 from gateway.robot.core.value import value
 from gateway.text import BOM, decimal_comma
 from schemas import keys
@@ -81,7 +81,7 @@ def is_json(encoding: str) -> bool:
     return encoding in ENCODINGS or _JSON.fullmatch(encoding) is not None
 
 
-def _decoded(row: Row, number: int, received: Received) -> Command | Reset | Rejection:
+def _decoded(row: TargetRules, number: int, received: Received) -> Command | Reset | Rejection:
     """What the payload asks for."""
     if row.read is None:
         return Command()
@@ -130,7 +130,7 @@ def too_many_fields(payload: bytes) -> Rejection:
     return Rejection(Reason.INVALID, "the payload has more fields than any command of its key has")
 
 
-def _fields(row: Row, command: Command | Reset) -> int:
+def _fields(row: TargetRules, command: Command | Reset) -> int:
     """How many fields a payload with this content has at least."""
     fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
     once, each_leg = row.fields_around

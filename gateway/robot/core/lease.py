@@ -86,7 +86,7 @@ class RobotLease(Interlock[LeaseRequest]):
             return Reason.NO_LEASE, "nobody holds the lease, and lease.required is set; acquire it first"
         return None
 
-    def heard(self, token: str, now_ns: int) -> None:
+    def record_use(self, token: str, now_ns: int) -> None:
         """An accepted command carried this token; the holder's own renews the lease."""
         if self.holds(token):
             self.due_ns = now_ns + self._rules.lease_ttl_ns

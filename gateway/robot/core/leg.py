@@ -153,7 +153,7 @@ class Leg:
     number: int
     servos: tuple[Servo, Servo, Servo]
     slots: RateSlots
-    heard_ns: int | None = None
+    commanded_ns: int | None = None
     expired: bool = False
     source: str | None = None
     """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
@@ -162,9 +162,9 @@ class Leg:
     landed_ns: int = 0
     """Which part of the way down its frames have said."""
     unfed_ns: int | None = None
-    """Since when a start of it waits for supply, as of the last `Legs.look`; None: none does."""
+    """Since when a start of it waits for supply, as of the last `Legs.plan`; None: none does."""
     due_ns: int = NEVER
-    """When its deadline, its rate slot or a repeated Stop comes; like the next three as of the last `Legs.look`."""
+    """When its deadline, its rate slot or a repeated Stop comes; like the next three as of the last `Legs.plan`."""
     repeat_ns: int = NEVER
     """When its next repeated Stop comes."""
     runs: bool = False
@@ -192,7 +192,7 @@ class Leg:
     def deadline_ns(self, timeout_ns: int) -> int | None:
         """When the watchdog stops this leg; None while there is nothing to stop, or it waits for its supply alone."""
         waits = self.unfed_ns is not None and not self.runs
-        return self.heard_ns + timeout_ns if self.heard_ns is not None and self.armed and not waits else None
+        return self.commanded_ns + timeout_ns if self.commanded_ns is not None and self.armed and not waits else None
 
     @property
     def watchdog(self) -> WatchdogState:

@@ -16,7 +16,7 @@ from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
 from gateway.robot.core.leg_effects import as_it_is, stops, taken_over, withdrawn
 from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
-from gateway.robot.core.power import held_starts, look_at_supply
+from gateway.robot.core.power import held_starts, note_supply
 from gateway.robot.core.rest import RestStops, rest_stops
 from gateway.robot.core.speed import LimitedSpeeds
 from schemas.keys import LEGS_COMMAND
@@ -34,10 +34,10 @@ _MIXED: Final = "this robot only stops as a whole: a Stop in this command stoppe
 class Legs:
     """The six legs, and the commands under way on them."""
 
-    def __init__(self, rules: Rules, reach: AngleLimits) -> None:
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         self._rules = rules
-        self._reach = reach
-        self._speeds = LimitedSpeeds(rules, reach)
+        self._limits = limits
+        self._speeds = LimitedSpeeds(rules, limits)
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self._all = tuple(self.by_number.values())
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
@@ -46,7 +46,7 @@ class Legs:
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
         self.due_ns: int | None = None
-        """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `look`."""
+        """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `plan`."""
         self.repeat_ns: int | None = None
         """When the next repeated Stop comes, or one for legs at rest."""
         self.at_rest = True
@@ -54,9 +54,9 @@ class Legs:
         self.rest = RestStops(rules)
         self._first_stops: set[int] = set()
         """The servos that get a first Stop in this step."""
-        self._moved: list[Leg] | None = None
+        self._changed: list[Leg] | None = None
         """The only legs that this step has changed; None: any may have changed."""
-        self.given: set[int] = set()
+        self.stopping: set[int] = set()
         """The servos that get a Stop in this step."""
         self._silent = False
         """Whether the watchdog stops a leg in this step."""
@@ -83,11 +83,11 @@ class Legs:
         self.instant_ns = instant_ns
         if self._fed:  # the supply of what was stopped went with it
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
-        self.given, self._first_stops, self._silent = set(), set(), False
+        self.stopping, self._first_stops, self._silent = set(), set(), False
 
-    def look(self, now_ns: int) -> None:
+    def plan(self, now_ns: int) -> None:
         """A step ends: see what is due next, and whether anything runs. Legs that did not change are left out."""
-        for leg in self._all if self._moved is None else self._moved:
+        for leg in self._all if self._changed is None else self._changed:
             repeat_ns = NEVER
             runs = waits = armed = False
             for servo in leg.servos:
@@ -98,9 +98,9 @@ class Legs:
                     armed = armed or servo.will_run
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
-            due_ns = NEVER if leg.heard_ns is None or not armed else leg.heard_ns + self._rules.timeout_ns
+            due_ns = NEVER if leg.commanded_ns is None or not armed else leg.commanded_ns + self._rules.timeout_ns
             if self._fed is not None:
-                due_ns, waits = look_at_supply(leg, self._held(leg), now_ns, due_ns if runs else NEVER, self._rules)
+                due_ns, waits = note_supply(leg, self._held(leg), now_ns, due_ns if runs else NEVER, self._rules)
             if self.landing is not None and runs:
                 due_ns = self._land_due_ns(self.landing, leg)
             if waits:
@@ -110,7 +110,7 @@ class Legs:
                     due_ns = slot_ns
             leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
             leg.runs, leg.rests = runs, not armed
-        self._moved = None
+        self._changed = None
         due_ns = repeat_ns = NEVER
         at_rest, rests = True, False
         for leg in self._all:
@@ -145,7 +145,7 @@ class Legs:
         """Send the starts that waited for supply, with their legs' rate slots, and watch these legs from now on."""
         for leg in self:
             if leg.unfed_ns is not None and not leg.runs and not self._held(leg):
-                leg.heard_ns = now_ns
+                leg.commanded_ns = now_ns
         return self.take_slots(now_ns)
 
     def _held(self, leg: Leg) -> list[Servo]:
@@ -166,7 +166,7 @@ class Legs:
 
     def take_slots(self, now_ns: int) -> list[Effect]:
         """The frames of the legs whose rate slot has come."""
-        self._moved = None
+        self._changed = None
         return [effect for leg in self for effect in self._send(leg, now_ns)]
 
     def stop_at_rest(self, now_ns: int) -> list[Effect]:
@@ -175,7 +175,7 @@ class Legs:
         A controller that lost bytes may take a frame, also a Stop, for a start. A leg for which a Stop leaves in this
         step anyway, or is still to be repeated, gets no other.
         """
-        ran = not self.at_rest and bool(self.given)
+        ran = not self.at_rest and bool(self.stopping)
         come_to_rest = ran and not self.running
         if come_to_rest and len(self._first_stops) == len(self.servos):
             self.rest.due_ns = None  # all six legs were stopped by this step: none is owed another Stop
@@ -188,12 +188,12 @@ class Legs:
         if not resting:
             return []
         singly = (due or not self.at_rest) and self.rest.take(now_ns, is_run=due and self.at_rest)
-        self._moved, effects = None, list[Effect]()
+        self._changed, effects = None, list[Effect]()
         for leg in resting:
-            stops = any(not servo.repeats_left and servo.servo_id not in self.given for servo in leg.servos)
+            stops = any(not servo.repeats_left and servo.servo_id not in self.stopping for servo in leg.servos)
             if stops:
                 effects += rest_stops(leg, joins=at_once, singly=singly)
-                self.given.update(servo.servo_id for servo in leg.servos)
+                self.stopping.update(servo.servo_id for servo in leg.servos)
             if come_to_rest or (stops and at_once):
                 for servo in leg.servos:
                     self._stopped(servo, now_ns)
@@ -210,7 +210,7 @@ class Legs:
 
     def apply(self, command: Command, now_ns: int) -> list[Effect]:
         """Carry out an accepted command."""
-        moved: list[Leg] = []
+        changed: list[Leg] = []
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
@@ -227,9 +227,9 @@ class Legs:
                 taken += taken_over(leg, command.source, moves)
             if moves:
                 # A Stop does not count: it does not say that the leg's other servos shall go on running.
-                leg.heard_ns = now_ns
+                leg.commanded_ns = now_ns
                 effects += self._move(leg, targets, command, now_ns)
-                moved += [leg]
+                changed += [leg]
             else:
                 stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
         for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
@@ -238,7 +238,7 @@ class Legs:
         if stops or fed:  # Stops may have ended what its own starts queued behind
             effects += self.take_slots(now_ns)
         elif not self._queue.legs and self._fed is None:  # else a leg that starts delays others
-            self._moved = moved
+            self._changed = changed
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
@@ -345,7 +345,7 @@ class Legs:
         else:
             only, op = waiting[0]
             frame = OneServo(only.servo_id, op)
-        wire = self._reach.wire  # the one place where users' angles become the servos' own; a Stop has none
+        wire = self._limits.wire  # the one place where users' angles become the servos' own; a Stop has none
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
         for servo, target in waiting:
@@ -377,7 +377,7 @@ class Legs:
 
     def begin_landing(self, now_ns: int, ends_ns: int) -> list[Effect]:
         """From now on each running servo goes to its angle of the pose; all that waits is rejected, starts too."""
-        pose_cdeg = self._reach.landing_cdeg()
+        pose_cdeg = self._limits.landing_cdeg()
         ways = {
             servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
             for servo in self.servos.values()
@@ -406,7 +406,7 @@ class Legs:
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
                     angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
-                    angle_cdeg = self._reach.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
+                    angle_cdeg = self._limits.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
                     if angle_cdeg != servo.angle_cdeg:
                         servo.waiting, servo.waiting_for = SETS[angle_cdeg], NO_COMMAND
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
@@ -436,9 +436,9 @@ class Legs:
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
         self._first_stops.add(servo.servo_id)
-        self.given.add(servo.servo_id)
+        self.stopping.add(servo.servo_id)
         if servo.angle_cdeg is not None:
-            servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self._reach.calibration), False
+            servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self._limits.calibration), False
         servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = servo.passing_cdeg = None
         if not servo.repeats_left:  # else the next one stays where it is
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
@@ -494,7 +494,7 @@ class Legs:
             and (now_ns >= servo.repeat_ns or (together and servo.servo_id not in self._first_stops))
         ]
         for servo in due:
-            servo.repeats_left -= servo.servo_id not in self.given  # a first Stop of this step owes all of its repeats
-            self.given.add(servo.servo_id)
+            servo.repeats_left -= servo.servo_id not in self.stopping  # a first Stop of this step owes all repeats
+            self.stopping.add(servo.servo_id)
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         return stops(leg, due, Cause.REPEAT)

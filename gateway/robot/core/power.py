@@ -26,7 +26,7 @@ def held_starts(leg: Leg, servos: Iterable[Servo], fed: Collection[int] | None) 
     return [each for each in leg.servos if starts(each) and each.waiting_for in unfed] if unfed else []
 
 
-def look_at_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules: Rules) -> tuple[int, bool]:
+def note_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules: Rules) -> tuple[int, bool]:
     """Note since when a leg waits for supply. Return when it is to be stopped at the latest, and whether something of
     it waits for its rate slot alone.
 
@@ -35,8 +35,8 @@ def look_at_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, ru
     under_way = sum(each.waiting is not None or each.target_cdeg is not None for each in leg.servos)
     if not held:
         leg.unfed_ns = None
-        heard = leg.armed and leg.heard_ns is not None
-        return (leg.heard_ns or 0) + rules.timeout_ns if heard else watched_ns, under_way > 0
+        due = leg.armed and leg.commanded_ns is not None
+        return (leg.commanded_ns or 0) + rules.timeout_ns if due else watched_ns, under_way > 0
     leg.unfed_ns = now_ns if leg.unfed_ns is None else leg.unfed_ns
     return min(watched_ns, leg.unfed_ns + rules.feed_ns), under_way > len(held)
 

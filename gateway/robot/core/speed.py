@@ -43,9 +43,9 @@ def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns:
 class LimitedSpeeds:
     """Steps of servos whose speed is limited."""
 
-    def __init__(self, rules: Rules, reach: AngleLimits) -> None:
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         self._rules = rules
-        self._reach = reach
+        self._limits = limits
 
     def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
         """A command of `source` starts or sets servos that do not run, or that another source commanded."""
@@ -66,7 +66,7 @@ class LimitedSpeeds:
         if servo.stopped is None or not self._rules.takeover_cdeg_s:
             return None
         angle_cdeg, stopped_ns, calibration = servo.stopped
-        known = calibration is self._reach.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns
+        known = calibration is self._limits.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns
         return angle_cdeg if known else None
 
     def _speed_cdeg_s(self, servo: Servo) -> int | None:
@@ -111,11 +111,11 @@ class LimitedSpeeds:
 
     def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
         """Where the next frame takes a servo whose speed is limited."""
-        crosses = self._reach.crosses(servo.servo_id, stands_cdeg, target_cdeg)
+        crosses = self._limits.crosses(servo.servo_id, stands_cdeg, target_cdeg)
         from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
         at_cdeg, servo.since_ns = step(
             from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
         )
-        sent_cdeg = self._reach.near_side(servo.servo_id, stands_cdeg, at_cdeg)
+        sent_cdeg = self._limits.near_side(servo.servo_id, stands_cdeg, at_cdeg)
         servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
         return sent_cdeg

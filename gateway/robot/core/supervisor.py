@@ -107,10 +107,10 @@ class Supervisor:
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self._reach = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
-        self.legs = Legs(rules, self._reach)
+        self._limits = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
+        self.legs = Legs(rules, self._limits)
         self.backlog = Backlog(rules, self.legs)
-        self.connect(each.of(rules, self._reach) for each in ORDER)
+        self.connect(each.of(rules, self._limits) for each in ORDER)
         self._opened = False  # ever
         self._fault = Kind.BUS_FAULT  # the one that was announced, while there is one
         self._ended = False
@@ -174,7 +174,7 @@ class Supervisor:
             effects += legs.land(now_ns)
         if legs.sends:
             effects += legs.stop_at_rest(now_ns)
-        legs.look(now_ns)
+        legs.plan(now_ns)
         if legs.landing is not None and legs.at_rest:
             legs.landing = None  # people have stopped all that was on its way down
         self.mode = self._mode_now()
@@ -182,7 +182,7 @@ class Supervisor:
         for each in self._timed:
             if each.due_ns is not None:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
-        return sorted(effects, key=_after_stops) if legs.given else effects
+        return sorted(effects, key=_after_stops) if legs.stopping else effects
 
     def _check_legal(self, event: Event, kind: type[Event]) -> None:
         if kind not in LEGAL[self.mode] and (kind in ALL_EVENTS or kind not in self._own):
@@ -204,7 +204,7 @@ class Supervisor:
 
     def to_feed(self) -> dict[int, int | None]:
         """See `servos_to_feed`; nothing is fed while the bus is at fault."""
-        return servos_to_feed(self.legs.servos.values(), self._reach.wire) if self.legs.sends else {}
+        return servos_to_feed(self.legs.servos.values(), self._limits.wire) if self.legs.sends else {}
 
     @property
     def stopped_outside(self) -> bool:
@@ -242,7 +242,7 @@ class Supervisor:
             return [Rejected(event, *why)]
         effects = own.take(event, now_ns, self.legs)
         if event.lease is not None and not isinstance(effects[0], Rejected):
-            self.lease.heard(event.lease, now_ns)
+            self.lease.record_use(event.lease, now_ns)
         return effects
 
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
@@ -253,7 +253,7 @@ class Supervisor:
             rejection = rejection or self.backlog.rejection(command, now_ns)
             if rejection is None:
                 if command.lease is not None:
-                    self.lease.heard(command.lease, now_ns)
+                    self.lease.record_use(command.lease, now_ns)
                 self.backlog.hold(command, now_ns)
                 effects = self.legs.apply(command, now_ns)
                 return [*dropped, *effects, *self.legs.take_slots(now_ns)] if dropped else effects
@@ -278,8 +278,8 @@ class Supervisor:
 
     def _why_not_moved(self, command: Command) -> Why | None:
         moves = command.moves
-        for servo_id, op in moves if self._reach.limited else ():
-            why_not = self._reach.why_not(servo_id, op.angle_cdeg)
+        for servo_id, op in moves if self._limits.limited else ():
+            why_not = self._limits.why_not(servo_id, op.angle_cdeg)
             if why_not is not None:
                 return Reason.JOINT_LIMIT, why_not
         for servo_id, op in moves:

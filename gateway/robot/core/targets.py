@@ -89,7 +89,7 @@ def may_contain_stop(payload: bytes) -> bool:
     return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
 
 
-class Row(NamedTuple):
+class TargetRules(NamedTuple):
     """One target. A key's `number` is the leg, the servo, or 0."""
 
     servos: Callable[[int], tuple[int, ...]]
@@ -119,13 +119,13 @@ class Row(NamedTuple):
 _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
 """Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
 
-TARGETS: Final[dict[Target, Row]] = {
-    Target.LEGS: Row(_all, _all, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
-    Target.LEG: Row(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
-    Target.SERVO: Row(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
-    Target.ESTOP: Row(_all, _all, None, True, 0),
+TARGETS: Final[dict[Target, TargetRules]] = {
+    Target.LEGS: TargetRules(_all, _all, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: TargetRules(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: TargetRules(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
+    Target.ESTOP: TargetRules(_all, _all, None, True, 0),
     # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
-    Target.RESET: Row(
+    Target.RESET: TargetRules(
         _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }

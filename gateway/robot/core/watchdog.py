@@ -50,7 +50,7 @@ class Watchdog(Interlock[Never]):
         first = min(silent.values())
         ends_ns = first + rules.landing_ns
         if now_ns < ends_ns and legs.running:
-            why = f"leg {min(silent)} was not heard for {timeout_ms:g} ms"
+            why = f"no command for leg {min(silent)} in {timeout_ms:g} ms"
             return _begin_landing(why, ends_ns, now_ns, legs, rules)
         due = {leg.number: silent.get(leg.number, first) for leg in legs} if rules.stops_whole else silent
         expired = [leg for leg in legs if leg.number in due and leg.armed]
@@ -61,7 +61,7 @@ class Watchdog(Interlock[Never]):
         whole = "; all six legs are stopped" if rules.stops_whole else "; it is stopped"
         whole += ", since this robot can only be stopped as a whole" if rules.starts_whole else ""
         for number in silent:
-            detail = f"leg {number} was not heard for {timeout_ms:g} ms{whole}"
+            detail = f"no command for leg {number} in {timeout_ms:g} ms{whole}"
             stopped = _ALL if rules.stops_whole else (number,)
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
         return effects
@@ -69,10 +69,10 @@ class Watchdog(Interlock[Never]):
     def _touch_down(self, ends_ns: int, now_ns: int, legs: Legs) -> list[Effect]:
         if now_ns < ends_ns:
             return []
-        moved = [leg for leg in legs if leg.armed]
+        armed = [leg for leg in legs if leg.armed]
         legs.landing = None
         effects = legs.stop(dict.fromkeys(legs.by_number, ends_ns), Cause.WATCHDOG, now_ns, Reason.LANDING, _LANDING)
-        for leg in moved:
+        for leg in armed:
             leg.expired = True
         detail = "the robot has landed; all six legs are stopped"
         return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]

@@ -234,7 +234,7 @@ class PowerBoard:
 
     # ---- what the link says
 
-    def heard(self, frame: CanFrame, now_ns: int) -> None:
+    def receive(self, frame: CanFrame, now_ns: int) -> None:
         """A frame was on the bus; those that are not the board's, or are malformed, change nothing."""
         foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
         if foreign is not None:
@@ -268,9 +268,9 @@ class PowerBoard:
                 why = _OFF_PRESSED if isinstance(answer, OffPressed) else _GOING_OFF
                 if self._begins(why, now_ns):
                     self._news.append(News(Kind.OFF_BUTTON, why))
-        self.look(now_ns)
+        self.poll(now_ns)
 
-    def look(self, now_ns: int) -> None:
+    def poll(self, now_ns: int) -> None:
         """What time alone says: the board is silent, an off is unconfirmed, a wait ends. Every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
@@ -293,13 +293,13 @@ class PowerBoard:
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
         """What leaves now, in this order: masks first. They count as sent."""
-        self.look(now_ns)
+        self.poll(now_ns)
         frames: list[CanFrame] = []
         mask_ns = self._mask_due_ns()
         if mask_ns is not None and now_ns >= mask_ns:
             frames.append(self._send(now_ns))
             if not self.confirmed or self._on_number == self._number:
-                frames += self._questions.behind(self._number, now_ns)
+                frames += self._questions.due_after(self._number, now_ns)
         # What is deleted before the board has the mask without it comes on again.
         without = self._off.have_reached(self._errors.mask, self._questions.reached)
         error_frame = self._errors.next_frame(now_ns, without=without)

@@ -55,12 +55,12 @@ class LastCut:
             return frames
         if now_ns >= self._due_ns:
             self._due_ns = now_ns + REPEAT_NS
-            frames = [set_supply(0), *self._questions.behind(1, now_ns)]
+            frames = [set_supply(0), *self._questions.due_after(1, now_ns)]
         if now_ns >= self._questions.due_ns:
             frames += self._questions.next(1, now_ns)
         return frames
 
-    def heard(self, frame: CanFrame, now_ns: int) -> None:
+    def receive(self, frame: CanFrame, now_ns: int) -> None:
         """A frame was on the bus."""
         self._questions.asked_by_another(frame, now_ns)
         answer = read(frame)
@@ -150,5 +150,5 @@ def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:
         message = bus.recv(_LOOK_S)
         answer = None if message is None else received(message, settings)
         if answer is not None:
-            cut.heard(answer, time.monotonic_ns())
+            cut.receive(answer, time.monotonic_ns())
     return cut.confirmed

@@ -242,7 +242,7 @@ class PowerLine:
                     frames = self._frames(bus)
             finally:
                 self._received_from = None
-            self._heard(frames)
+            self._take(frames)
             if len(frames) >= AT_ONCE:
                 time.sleep(PAUSE_S)
 
@@ -263,14 +263,14 @@ class PowerLine:
             self._lose(bus, error)
         return frames
 
-    def _heard(self, frames: list[CanFrame]) -> None:
+    def _take(self, frames: list[CanFrame]) -> None:
         before = self.status
         with self._lock:
             self._take_requests()
             now_ns = self.looked_ns = self._clock()
             for frame in frames:
-                self._board.heard(frame, now_ns)
-            self._board.look(now_ns)
+                self._board.receive(frame, now_ns)
+            self._board.poll(now_ns)
             self.status = self._board.status
             news = self._board.news()
             due = self._board.due_ns <= now_ns

@@ -69,11 +69,11 @@ class BoardQuestions:
         self._turn = (self._turn + 1) % (2 * len(ASK_CURRENTS) + 2)
         if self._turn == 0:
             return [ASK_ERROR]
-        if self._turn == len(ASK_CURRENTS) + 1 and (rail := self.behind(newest, now_ns)):
+        if self._turn == len(ASK_CURRENTS) + 1 and (rail := self.due_after(newest, now_ns)):
             return rail
         return [ASK_CURRENTS[self._turn % len(ASK_CURRENTS)]]
 
-    def behind(self, newest: int, now_ns: int) -> list[CanFrame]:
+    def due_after(self, newest: int, now_ns: int) -> list[CanFrame]:
         """A question whose answer proves that the mask with this number has reached the board, if there is one."""
         if self._unanswered > LIKELY_SILENT:
             return []

@@ -273,7 +273,7 @@ class Conductor:
         """Take what the power board has said."""
         if self._closed or self.supply is None:
             return
-        event, announcements = self.supply.look()
+        event, announcements = self.supply.take_news()
         self._step(event)
         for each in announcements:
             self.events.announce(each)
@@ -326,7 +326,7 @@ class Conductor:
         command.source, command.rejected = received.source, Rejected(unread, why.reason, why.detail)
         command.number = unread.number = self.answers.next_number()
         unread.received_ns = received.received_ns
-        self._step(command, instant_ns, heard=command)
+        self._step(command, instant_ns, command=command)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
         key, targets = self._losses.take()
@@ -344,24 +344,24 @@ class Conductor:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
         latency_ns = max(0, self._clock() - received.received_ns)
-        heard = Request(
+        request = Request(
             key=received.key, source=self.events.estop_source, verb=received.verb, received_ns=received.received_ns
         )
-        self.recorder.step(heard, (), ())
+        self.recorder.step(request, (), ())
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
         if received.reply is not None:
             number = self.supervisor.latch.number
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
-            heard.reply = received.reply
-            self.answers.stopped(SERVO_IDS, heard, ack)
+            request.reply = received.reply
+            self.answers.stopped(SERVO_IDS, request, ack)
 
     def _step(
-        self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, heard: Request | None = None
+        self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, command: Request | None = None
     ) -> Outcome:
-        """Let the supervisor take an event, and carry out what it wants. `heard`: the command that the event is."""
+        """Let the supervisor take an event, and carry out what it wants. `command`: the one that the event is."""
         now_ns = self._clock() if now_ns is None else now_ns
-        outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), heard)
+        outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:

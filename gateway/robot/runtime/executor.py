@@ -92,17 +92,17 @@ class Executor:
         self._supervisor = supervisor
         self._supply = supply
 
-    def carry_out(self, effects: Sequence[Effect], heard: Request | None = None) -> Outcome:
-        """The frames first, as batches; then the record of it, answers and events. `heard`: the command of this step.
+    def carry_out(self, effects: Sequence[Effect], command: Request | None = None) -> Outcome:
+        """The frames first, as batches; then the record, answers and events. `command`: the one that this step takes.
 
         No answer, no record and no event stands before a frame of the same step. The power board is asked for what is
         to be off before the frames, and for what is to be on behind them.
         """
         supply = self._supply
         if supply is None:
-            return self._carry_out(effects, heard)
+            return self._carry_out(effects, command)
         cuts = supply.before_step(self._supervisor)
-        outcome = self._carry_out(effects, heard)
+        outcome = self._carry_out(effects, command)
         if outcome.resets:
             supply.reset()
         if outcome.fault is None:  # else it follows, and feeds nothing
@@ -111,14 +111,14 @@ class Executor:
             self._events.announce(each)
         return outcome
 
-    def _carry_out(self, effects: Sequence[Effect], heard: Request | None) -> Outcome:
+    def _carry_out(self, effects: Sequence[Effect], command: Request | None) -> Outcome:
         outcome = Outcome()
         self._write(effects, outcome)
         failed = () if outcome.fault is None else outcome.failed(effects)
         outcome.results = results(effects, failed, f"the frame could not be written: {outcome.fault}" if failed else "")
         for request, _, _ in outcome.results if failed else ():
             request.stopped = ()
-        self._recorder.step(heard, outcome.written, outcome.results)
+        self._recorder.step(command, outcome.written, outcome.results)
         if outcome.results:
             self._answers.take(outcome.results)
         if outcome.meddled is not None:

@@ -216,7 +216,7 @@ def _leg(leg: Leg, now_ns: int) -> LegReport:
     return LegReport(
         leg=leg.number,
         watchdog=leg.watchdog,
-        age_ms=None if leg.heard_ns is None else (now_ns - leg.heard_ns) / 1e6,
+        age_ms=None if leg.commanded_ns is None else (now_ns - leg.commanded_ns) / 1e6,
         servos=(first, second, third),
         source=leg.source,
     )

@@ -83,10 +83,10 @@ class RequestAnswers(ABC):
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
         payload = payload_of(query, self.most_bytes)
         if isinstance(payload, Rejection):
-            deal: OwnersTask = partial(self.reject, source, payload.reason, payload.detail, reply)
+            task: OwnersTask = partial(self.reject, source, payload.reason, payload.detail, reply)
         else:
-            deal = self.read(payload, now_ns, reply, source)
-        return deal if self.pause_s is None else partial(_with_pause, deal, self.pause_s)
+            task = self.read(payload, now_ns, reply, source)
+        return task if self.pause_s is None else partial(_with_pause, task, self.pause_s)
 
     @abstractmethod
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
@@ -102,8 +102,8 @@ class RequestAnswers(ABC):
         reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
 
 
-def _with_pause(deal: OwnersTask, pause_s: float) -> float:
-    deal()
+def _with_pause(task: OwnersTask, pause_s: float) -> float:
+    task()
     return pause_s
 
 

@@ -165,7 +165,7 @@ class RobotSupply:
                 self._trusted = self._changed = True
         return self._changed or bool(self._found)
 
-    def look(self) -> tuple[PowerSeen, list[Announce]]:
+    def take_news(self) -> tuple[PowerSeen, list[Announce]]:
         """Take the news: what they mean to the supervisor, and what is to be published."""
         announcements, doubt = list[Announce](), ""
         found, self._found, self._changed = self._found, [], False

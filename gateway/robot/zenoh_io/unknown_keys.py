@@ -42,7 +42,7 @@ class UnknownKeys:
             for key, depth in ((f"{ROOT}/**", UNKNOWN_KEYS_DEPTH), *((key, 1) for key in MISSPELT))
         ]
 
-    def look(self) -> UnknownKey | None:
+    def poll(self) -> UnknownKey | None:
         """The newest unknown key since the last look; at ten looks a second, at most ten events a second."""
         found = None
         for subscriber in self._subscribers:

@@ -86,7 +86,7 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     assert lines[1] == "Before it, anna sent 2 commands for leg 3."
     assert [line.strip() for line in lines[-8:]] == [
         "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
-        "0.000 s  watchdog: leg 3 was not heard for 250 ms; it is stopped",
+        "0.000 s  watchdog: no command for leg 3 in 250 ms; it is stopped",
         "0.000 s  Stop written to leg 3 (watchdog)",
         "0.000 s  Stop repeated for legs 1, 2, 4, 5, 6, the last at 0.000 s",
         "0.000 s  mode idle",

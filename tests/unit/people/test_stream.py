@@ -488,7 +488,7 @@ def test_the_watchdogs_events_of_all_legs_are_one_sentence(robot: Any) -> None:
     with Stream(robot, HZ) as stream:
         stream.set([POSE] * 6)
         for leg in range(1, 7):
-            robot.publish_event(newer(Kind.WATCHDOG_EXPIRED, f"leg {leg} was not heard for 250 ms", None, leg))
+            robot.publish_event(newer(Kind.WATCHDOG_EXPIRED, f"no command for leg {leg} in 250 ms", None, leg))
         robot.now_s += 0.1 - PERIOD_S
         with pytest.raises(StoppedError) as error:
             stream.set([POSE] * 6)

@@ -93,7 +93,7 @@ def test_all_six_legs_stop_when_the_last_one_that_counts_falls_silent() -> None:
     told = robot.announced[0]
     assert (told.source, told.key, told.legs) == ("kitchen", None, (1, 2, 3, 4, 5, 6)), "nobody asked for it"
     assert told.detail == (
-        "the button kitchen was not heard for 1000 ms; 0 of the 1 buttons that are required are alive; "
+        "no check-in of the button kitchen in 1000 ms; 0 of the 1 buttons that are required are alive; "
         "all six legs are stopped"
     )
     assert robot.running == []

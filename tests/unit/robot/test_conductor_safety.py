@@ -34,7 +34,7 @@ async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it()
     assert repeats == ALL_STOPS * 3
     assert [at_ms - last_ms for at_ms, _ in stops[::6]] == pytest.approx([250, 270, 290, 310], abs=0.01)
     (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
-    assert event.detail == "leg 3 was not heard for 250 ms; it is stopped"
+    assert event.detail == "no command for leg 3 in 250 ms; it is stopped"
     state = robot.conductor.reports.state()
     assert state.legs[2].watchdog == "expired"
     assert state.watchdog.expirations == 1

@@ -40,15 +40,15 @@ def test_it_is_confirmed_by_an_answer_behind_that_to_a_question_asked_after_the_
     """A 6B that was on its way may be the answer to another mask of nothing, before somebody fed a servo again."""
     cut = LastCut()
     assert cut.next_frames(0)[:2] == [set_supply(0), ASK_RAILS[0]]
-    cut.heard(OFF, 1)
+    cut.receive(OFF, 1)
     assert not cut.confirmed
-    cut.heard(REACHED, 2)
+    cut.receive(REACHED, 2)
     assert not cut.confirmed
-    cut.heard(CanFrame(SUPPLIED, b"\0\0\1"), 3)
+    cut.receive(CanFrame(SUPPLIED, b"\0\0\1"), 3)
     assert not cut.confirmed
-    cut.heard(CanFrame(SUPPLIED, b"\0\0"), 4)
+    cut.receive(CanFrame(SUPPLIED, b"\0\0"), 4)
     assert not cut.confirmed
-    cut.heard(OFF, 5)
+    cut.receive(OFF, 5)
     assert cut.confirmed
     assert cut.next_frames(1_000 * NS_PER_MS) == []
 
@@ -56,12 +56,12 @@ def test_it_is_confirmed_by_an_answer_behind_that_to_a_question_asked_after_the_
 def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
     cut = LastCut()
     cut.next_frames(0)
-    cut.heard(ASK_RAILS[0], 1)
-    cut.heard(REACHED, 2)
-    cut.heard(OFF, 3)
+    cut.receive(ASK_RAILS[0], 1)
+    cut.receive(REACHED, 2)
+    cut.receive(OFF, 3)
     assert not cut.confirmed, "the first answer counts as the other node's"
-    cut.heard(REACHED, 4)
-    cut.heard(OFF, 5)
+    cut.receive(REACHED, 4)
+    cut.receive(OFF, 5)
     assert cut.confirmed
 
 
@@ -77,12 +77,12 @@ def test_beside_a_node_that_asks_and_switches_nothing_is_confirmed_before_a_mask
         theirs = [chance.choice(ASK_RAILS)] if chance.random() < 0.2 else []
         theirs += [set_supply(chance.choice([0, ALL]))] if chance.random() < 0.02 and ms < 1500 else []
         for frame in theirs:
-            cut.heard(frame, now_ns)
+            cut.receive(frame, now_ns)
         for frame in (*ours, *theirs):
             for answer in board.take(frame, now_ns):
-                cut.heard(answer, now_ns)
+                cut.receive(answer, now_ns)
         for answer in board.advance(now_ns):
-            cut.heard(answer, now_ns)
+            cut.receive(answer, now_ns)
         assert reached or not cut.confirmed
     assert cut.confirmed
 
@@ -93,7 +93,7 @@ def test_what_two_boards_answer_confirms_nothing() -> None:
     for now_ns in range(0, 2_000 * NS_PER_MS, STEP_NS):
         for frame in cut.next_frames(now_ns):
             for answer in [answer for board in boards for answer in board.take(frame, now_ns)]:
-                cut.heard(answer, now_ns)
+                cut.receive(answer, now_ns)
     assert not cut.confirmed
 
 
@@ -101,7 +101,7 @@ def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
     """In whose pass the board would take it 230 passes late."""
     cut = LastCut()
     cut.next_frames(0)
-    cut.heard(OFF, 19 * NS_PER_MS)
+    cut.receive(OFF, 19 * NS_PER_MS)
     assert set_supply(0) not in cut.next_frames(24 * NS_PER_MS - 1)
     assert set_supply(0) in cut.next_frames(24 * NS_PER_MS)
 
@@ -115,9 +115,9 @@ def test_masks_are_repeated_every_20_ms_until_the_board_has_one(lost: int) -> No
             masks += [now_ns] if frame.id == SET_SUPPLY else []
             if len(masks) > lost:
                 for answer in board.take(frame, now_ns):
-                    cut.heard(answer, now_ns)
+                    cut.receive(answer, now_ns)
         for answer in board.advance(now_ns):
-            cut.heard(answer, now_ns)
+            cut.receive(answer, now_ns)
     assert cut.confirmed
     assert board.fed == 0
     assert all(b - a >= 20 * NS_PER_MS for a, b in pairwise(masks))

@@ -41,7 +41,7 @@ def test_where_we_are_not_heard_the_answers_to_another_nodes_questions_confirm_n
         link.run(10)
         for question in (ASK_RAILS[number % len(ASK_RAILS)], CanFrame(0x70)):
             for answer in link.board.take(question, link.now_ns):
-                link.ours.heard(answer, link.now_ns)
+                link.ours.receive(answer, link.now_ns)
     assert link.ours.alive
     assert not link.ours.confirmed
     assert list(link.confirmations()) == [Confirmed(1, False, None)]
@@ -89,24 +89,24 @@ def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float)
 def test_no_error_is_deleted_while_masks_may_not_arrive() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
     board.want(frozenset({11, 12, 13}), 0, 0)
-    board.heard(CanFrame(0x97), 0)
+    board.receive(CanFrame(0x97), 0)
     (rail,) = [frame for frame in board.next_frames(0) if frame in ASK_RAILS]
-    board.heard(CanFrame(rail.id + 1, bytes(6)), 40 * NS_PER_MS)
-    board.heard(CanFrame(SUPPLIED, bytes(3)), 40 * NS_PER_MS)
+    board.receive(CanFrame(rail.id + 1, bytes(6)), 40 * NS_PER_MS)
+    board.receive(CanFrame(SUPPLIED, bytes(3)), 40 * NS_PER_MS)
     begun_ns = 50 * NS_PER_MS
     assert set_supply(0b111) in board.next_frames(begun_ns)
-    board.heard(CanFrame(0x65, b"\2\0\0\1"), begun_ns)
+    board.receive(CanFrame(0x65, b"\2\0\0\1"), begun_ns)
     board.clear_errors(begun_ns)
     asked: list[CanFrame] = []
     for ms in range(51, 120, 10):
         asked += board.next_frames(ms * NS_PER_MS)
-    board.heard(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
+    board.receive(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
     asked += board.next_frames(120 * NS_PER_MS)
     assert set_supply(0b110) in asked
     assert CLEAR_ERROR not in asked
     rail = next(frame for frame in asked if frame in ASK_RAILS)
-    board.heard(CanFrame(rail.id + 1, bytes(6 if rail.id in (0x7C, 0x80, 0x86) else 4)), 120 * NS_PER_MS)
-    board.heard(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
+    board.receive(CanFrame(rail.id + 1, bytes(6 if rail.id in (0x7C, 0x80, 0x86) else 4)), 120 * NS_PER_MS)
+    board.receive(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
     assert CLEAR_ERROR in board.next_frames(120 * NS_PER_MS)
 
 
@@ -129,17 +129,17 @@ def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos
 def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
     """That question was asked before our mask, which has not reached the board."""
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-    board.heard(CanFrame(0x97), 0)
+    board.receive(CanFrame(0x97), 0)
     board.cut(0)
     asked = [frame for frame in board.next_frames(0) if frame in ASK_RAILS]
     assert len(asked) == 1
     answer = CanFrame(asked[0].id + 1, bytes(6 if asked[0].id in (0x7C, 0x80, 0x86) else 4))
-    board.heard(asked[0], 1)
-    board.heard(answer, 2)
-    board.heard(CanFrame(0x6B, bytes(3)), 3)
+    board.receive(asked[0], 1)
+    board.receive(answer, 2)
+    board.receive(CanFrame(0x6B, bytes(3)), 3)
     assert not board.confirmed
-    board.heard(answer, 4)
-    board.heard(CanFrame(0x6B, bytes(3)), 5)
+    board.receive(answer, 4)
+    board.receive(CanFrame(0x6B, bytes(3)), 5)
     assert board.confirmed, "the second answer is ours"
 
 
@@ -149,7 +149,7 @@ def test_beside_a_node_that_asks_all_the_time_stops_are_confirmed_and_it_is_no_s
     for number in range(hz):
         link.run(1000 / hz)
         question = ASK_RAILS[number % len(ASK_RAILS)]
-        link.ours.heard(question, link.now_ns)
+        link.ours.receive(question, link.now_ns)
         link._answered(link.board.take(question, link.now_ns))
     assert link.events(Kind.POWER_FAULT) == []
     link.cut()
@@ -186,19 +186,19 @@ def test_a_frame_that_is_repeated_4000_times_a_second_is_one_announcement(frame:
     link = fed()
     data = bytes.fromhex(frame)
     for _ in range(4000):
-        link.ours.heard(CanFrame(data[0], data[1:]), link.now_ns)
+        link.ours.receive(CanFrame(data[0], data[1:]), link.now_ns)
         link.run(0.25)
     kinds = [item.kind for _, item in link.news if isinstance(item, News)]
     assert len(kinds) == 1
     link.run(1000)
-    link.ours.heard(CanFrame(data[0], data[1:]), link.now_ns)
+    link.ours.receive(CanFrame(data[0], data[1:]), link.now_ns)
     link.run(100)
     assert len([item for _, item in link.news if isinstance(item, News)]) == 2, "it had ended"
 
 
 def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-    board.heard(CanFrame(0x97), 0)
+    board.receive(CanFrame(0x97), 0)
     board.cut(0)
     refused = board.next_frames(0)
     assert refused[0] == set_supply(0)
@@ -206,6 +206,6 @@ def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_
     again = board.next_frames(2)
     assert again[0] == set_supply(0), "it is not waited for the next repeat"
     (asked,) = (frame for frame in again if frame in ASK_RAILS)
-    board.heard(CanFrame(asked.id + 1, bytes(6 if asked.id in (0x7C, 0x80, 0x86) else 4)), 3)
-    board.heard(CanFrame(0x6B, bytes(3)), 4)
+    board.receive(CanFrame(asked.id + 1, bytes(6 if asked.id in (0x7C, 0x80, 0x86) else 4)), 3)
+    board.receive(CanFrame(0x6B, bytes(3)), 4)
     assert board.confirmed

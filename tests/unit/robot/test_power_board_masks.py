@@ -81,7 +81,7 @@ def test_what_was_given_up_is_sent_again_for_three_seconds_where_another_node_sw
 def test_a_frame_that_is_not_the_boards_is_no_sign_of_it() -> None:
     link = Link()
     for frame in (CanFrame(0x100), CanFrame(SUPPLIED, b"\0"), CanFrame(SET_SUPPLY, bytes(3))):
-        link.ours.heard(frame, 1)
+        link.ours.receive(frame, 1)
     assert not link.ours.alive
     assert link.ours.status.answered_ns is None
 
@@ -89,7 +89,7 @@ def test_a_frame_that_is_not_the_boards_is_no_sign_of_it() -> None:
 def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None:
     link = fed()
     for _ in ASK_RAILS:
-        link.ours._questions.behind(0, link.now_ns)
+        link.ours._questions.due_after(0, link.now_ns)
     link.ours.opened(link.now_ns)
     link.cut()
     assert link.run_until(lambda: link.ours.confirmed) < 100
@@ -97,10 +97,10 @@ def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None
 
 def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() -> None:
     ours = Link().ours
-    ours.heard(CanFrame(ASK_CURRENTS[0].id + 1, bytes(6)), 0)
+    ours.receive(CanFrame(ASK_CURRENTS[0].id + 1, bytes(6)), 0)
     ours.want(NONE, 0, 0)
     assert ours.next_frames(0)[0] == set_supply(0)
-    ours.heard(CanFrame(SUPPLIED, bytes(3)), 1)
+    ours.receive(CanFrame(SUPPLIED, bytes(3)), 1)
     assert not ours.confirmed
 
 
@@ -128,7 +128,7 @@ def test_an_old_answer_that_shows_it_on_does_not_count_as_fed() -> None:
     link.want(ALL_SERVOS - {11})
     link.run(1)
     link.want(ALL_SERVOS)
-    link.ours.heard(CanFrame(0x6B, bytes.fromhex("03ffff")), link.now_ns)
+    link.ours.receive(CanFrame(0x6B, bytes.fromhex("03ffff")), link.now_ns)
     assert 11 not in link.ours.status.fed
 
 

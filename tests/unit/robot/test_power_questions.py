@@ -25,11 +25,11 @@ def test_all_is_asked_in_turn_while_the_board_answers() -> None:
 
 def test_a_question_with_an_unanswered_ask_proves_nothing_so_it_is_not_asked() -> None:
     questions = BoardQuestions()
-    asked = [question for number in range(10) for question in questions.behind(number, number)]
+    asked = [question for number in range(10) for question in questions.due_after(number, number)]
     assert sorted(asked) == sorted(ASK_RAILS)
     questions.answered_about_rails(asked[2], 0)
     assert (questions.reached, questions.reached_ns) == (2, 2)
-    assert questions.behind(10, 10) == [asked[2]]
+    assert questions.due_after(10, 10) == [asked[2]]
     # An answer that nobody asked for, or a second one, proves nothing.
     questions.answered_about_rails(asked[3], 0)
     questions.answered_about_rails(asked[3], 0)
@@ -38,27 +38,27 @@ def test_a_question_with_an_unanswered_ask_proves_nothing_so_it_is_not_asked() -
 
 def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
     questions = BoardQuestions()
-    [first] = questions.behind(1, 0)
+    [first] = questions.due_after(1, 0)
     for _ in range(5):
-        [last] = questions.behind(1, NS_PER_MS)
-    assert questions.behind(2, 1999 * NS_PER_MS) == []
-    assert questions.behind(2, 2000 * NS_PER_MS) == [first]
+        [last] = questions.due_after(1, NS_PER_MS)
+    assert questions.due_after(2, 1999 * NS_PER_MS) == []
+    assert questions.due_after(2, 2000 * NS_PER_MS) == [first]
     questions = BoardQuestions()
-    [first] = questions.behind(1, 0)
+    [first] = questions.due_after(1, 0)
     for number in range(5):
-        [last] = questions.behind(1, number + 1)
+        [last] = questions.due_after(1, number + 1)
     questions.answered_about_rails(last, 0)
-    assert questions.behind(2, 299 * NS_PER_MS) == [last]
-    assert questions.behind(2, 300 * NS_PER_MS) == [first]
+    assert questions.due_after(2, 299 * NS_PER_MS) == [last]
+    assert questions.due_after(2, 300 * NS_PER_MS) == [first]
 
 
 def test_a_new_interface_answers_no_older_question() -> None:
     questions = BoardQuestions()
     for _ in range(6):
-        questions.behind(1, 0)
+        questions.due_after(1, 0)
     questions.opened(5)
     assert questions.due_ns == 5
-    assert questions.behind(2, 5) != []
+    assert questions.due_after(2, 5) != []
 
 
 def asked_every_10_ms(count: int) -> BoardQuestions:
@@ -99,11 +99,11 @@ def test_a_question_that_nobody_fetched_for_20_ms_counts_as_unanswered() -> None
 
 def test_while_the_board_is_likely_silent_rails_are_kept_for_when_it_answers() -> None:
     questions = asked_every_10_ms(5)
-    assert questions.behind(1, 0) != []
+    assert questions.due_after(1, 0) != []
     questions = asked_every_10_ms(6)
-    assert questions.behind(1, 0) == []
+    assert questions.due_after(1, 0) == []
     questions.answered(0)
-    assert questions.behind(1, 0) != []
+    assert questions.due_after(1, 0) != []
 
 
 def test_an_answer_to_what_was_never_asked_proves_nothing() -> None:

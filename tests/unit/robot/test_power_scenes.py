@@ -59,7 +59,7 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     # the link
     "cable": lambda link, state: setattr(link, "cable", state == "on"),
     "deaf": lambda link, state: setattr(link, "deaf", state == "on"),
-    "hears": lambda link, frame: link.ours.heard(CanFrame(int(frame[:2], 16), bytes.fromhex(frame[2:])), link.now_ns),
+    "hears": lambda link, frame: link.ours.receive(CanFrame(int(frame[:2], 16), bytes.fromhex(frame[2:])), link.now_ns),
     "shows": lambda link, who: _alter(link, None if who == "nothing" else mask(who)),
     # another node; the board may receive it, and we do not
     "other": lambda link, who: link.other_node(mask(who)),

@@ -176,7 +176,7 @@ def test_the_announcement_says_why_and_how_long() -> None:
     assert steps.effects == [
         Announce(
             Kind.LANDING,
-            "leg 3 was not heard for 250 ms; the robot lands, and is stopped 1000 ms later",
+            "no command for leg 3 in 250 ms; the robot lands, and is stopped 1000 ms later",
             legs=(1, 2, 3, 4, 5, 6),
         )
     ]

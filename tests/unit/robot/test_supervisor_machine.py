@@ -356,7 +356,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         """A step looks only at the legs that it has changed; to look at all of them must come to the same."""
         legs = self.supervisor.legs
         kept = legs.due_ns, legs.repeat_ns, legs.at_rest
-        legs.look(self.now_ns)
+        legs.plan(self.now_ns)
         assert kept == (legs.due_ns, legs.repeat_ns, legs.at_rest)
 
     @invariant()

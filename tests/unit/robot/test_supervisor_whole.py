@@ -86,7 +86,7 @@ def test_one_silent_leg_stops_the_robot_whatever_the_scope_and_the_event_says_wh
     assert steps.time(260) == [*all_stopped("watchdog"), "announce watchdog_expired"]
     assert steps.only(Announce).legs == (1, 2, 3, 4, 5, 6)
     assert steps.only(Announce).detail == (
-        "leg 6 was not heard for 250 ms; all six legs are stopped, since this robot can only be stopped as a whole"
+        "no command for leg 6 in 250 ms; all six legs are stopped, since this robot can only be stopped as a whole"
     )
     assert {leg.watchdog for leg in steps.supervisor.legs} == {WatchdogState.EXPIRED}
 

@@ -29,7 +29,7 @@ async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_th
 
     def news() -> None:
         assert owner._state.locked()
-        supply.look()
+        supply.take_news()
         if supply.report(0).confirmed:
             heard.set()
 

@@ -24,7 +24,7 @@ from tests.support.reading import Intent, decode, meant
 BODY = "hexapod/body/cmd"
 BODY_KEY = CommandKey(cast("Target", "body"))
 """A key that somebody adds: it moves all servos."""
-BODY_ROW = targets.Row(lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Command(), True, 9)
+BODY_ROW = targets.TargetRules(lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Command(), True, 9)
 
 
 def may_stop(key: str, payload: bytes, size: int | None = None) -> bool:
