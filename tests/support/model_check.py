@@ -95,7 +95,7 @@ _KNOWN: Final = (
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_moved given _silent _first_stops _fed"),  # these count within a step
+    (_ROBOT.legs, "_changed stopping _silent _first_stops _fed"),  # these count within a step
     (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
     (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
     (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from gateway.robot.core.events import Effect, Transmit
-from gateway.robot.core.outcome import results
+from gateway.robot.core.events import Effect, Transmit, results
 from schemas.telemetry import Reason
 from tests.support.history import demand
 

@@ -38,8 +38,7 @@ from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
-from gateway.robot.core.events import Announce, Request, Transmit
-from gateway.robot.core.outcome import Result
+from gateway.robot.core.events import Announce, Request, Result, Transmit
 from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
 from schemas.telemetry import Cause, Kind, Mode

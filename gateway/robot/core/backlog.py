@@ -40,8 +40,8 @@ class Backlog:
         """The legs that wait to be started without a time: the key of that start."""
 
     def note(self, command: Command, now_ns: int) -> list[Effect]:
-        """A command came, whatever becomes of it. Drop the starts that wait, if it is of a burst without a time."""
-        if command.sent_ms is not None or not self._rules.start_wait_ns or not command.moves:
+        """Take a command without a time, whatever becomes of it. Drop the starts that wait, if it is of a burst."""
+        if not self._rules.start_wait_ns or not command.moves:
             return []
         key = command.key
         came_ns = self._came_ns.get(key, ())
@@ -54,14 +54,17 @@ class Backlog:
         return self._legs.drop(waiting, Reason.STALE, _why(key))
 
     def rejection(self, command: Command, now_ns: int) -> tuple[Reason, str] | None:
-        """Return why a command is rejected: it has no time, is of a burst, and starts a leg that does not run."""
-        if command.sent_ms is not None or now_ns >= self._until_ns.get(command.key, now_ns):
+        """Return why a command without a time is rejected: it is of a burst, and starts a leg that does not run."""
+        if now_ns >= self._until_ns.get(command.key, now_ns):
             return None
         return (Reason.STALE, _why(command.key)) if self._starting(command) else None
 
     def hold(self, command: Command, now_ns: int) -> None:
-        """Take an accepted command. Legs that it starts without a time wait for what may come behind it."""
-        if not self._rules.start_wait_ns or (command.sent_ms is not None and not self.held):
+        """Take an accepted command: one without a time, or any while legs wait.
+
+        Legs that it starts without a time wait for what may come behind it.
+        """
+        if not self._rules.start_wait_ns:
             return
         self.held = {number: key for number, key in self.held.items() if not _runs(self._legs.by_number[number])}
         for leg in self._starting(command):

@@ -1,10 +1,11 @@
 """The supervisor's vocabulary: what happens to it (events), and what it wants done (effects)."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
-from typing import Final, final
+from typing import Final, Literal, final
 
+from gateway.model.black_box.format import ACCEPTED, COALESCED
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb
@@ -357,3 +358,34 @@ class SaveCalibration:
 Effect = Transmit | Completed | Rejected | Announce | RequestAnswer | SaveCalibration
 Decision = tuple[list[Effect], RequestAnswer]
 """A request's events, and its answer."""
+
+
+# ---- what became of the requests of a step
+
+Verdict = Reason | Literal["accepted", "coalesced"]
+Result = tuple[Request, Verdict, str]
+"""A request, its verdict, and why it was rejected (one sentence)."""
+
+
+def results(effects: Sequence[Effect], failed: Sequence[Transmit] = (), why: str = "") -> list[Result]:
+    """Return the requests that these effects end, in their order, each with its verdict.
+
+    `failed` are the frames that were not written, and `why` is the fault. It rejects the commands that these frames
+    carry out, and no others: a request without a frame, such as a reset, has taken effect.
+    """
+    lost: list[Command] = []
+    for transmit in failed:
+        lost += transmit.commands
+    found: list[Result] = []
+    for effect in effects:
+        match effect:
+            case Transmit() | Completed():
+                for request in effect.done:
+                    if lost and request in lost:
+                        found += [(request, Reason.BUS_FAULT, why)]
+                    else:
+                        coalesced = type(request) is Command and request.coalesced
+                        found += [(request, COALESCED if coalesced else ACCEPTED, "")]
+            case Rejected():
+                found += [(effect.request, effect.reason, effect.detail)]
+    return found

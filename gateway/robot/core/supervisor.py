@@ -248,13 +248,15 @@ class Supervisor:
     def _command(self, command: Command, now_ns: int) -> list[Effect]:
         rejected, dropped = command.rejected, list[Effect]()
         if rejected is None:
-            dropped = self.backlog.note(command, now_ns)
+            timed = command.sent_ms is not None
+            dropped = dropped if timed else self.backlog.note(command, now_ns)
             rejection = self._why_not(command) or self._why_not_moved(command)
-            rejection = rejection or self.backlog.rejection(command, now_ns)
+            rejection = rejection or (None if timed else self.backlog.rejection(command, now_ns))
             if rejection is None:
                 if command.lease is not None:
                     self.lease.record_use(command.lease, now_ns)
-                self.backlog.hold(command, now_ns)
+                if not timed or self.backlog.held:
+                    self.backlog.hold(command, now_ns)
                 effects = self.legs.apply(command, now_ns)
                 return [*dropped, *effects, *self.legs.take_slots(now_ns)] if dropped else effects
             rejected = Rejected(command, *rejection)

@@ -5,9 +5,8 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from gateway.model.black_box.format import COALESCED
 from gateway.model.frames import leg_of
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.events import Announce, Command, Request
+from gateway.robot.core.events import Announce, Command, Request, Result
 from gateway.robot.core.intake import echo_of
-from gateway.robot.core.outcome import Result
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason

@@ -369,7 +369,8 @@ class Conductor:
         latch = self.supervisor.latch
         if self._engaged != (0 if latch.since_ns is None else latch.number):
             self._latch_changed(0 if latch.since_ns is None else latch.number)
-        self.reports.publish_mode()
+        if self.supervisor.mode is not self.reports.published_mode:
+            self.reports.publish_mode()
         return outcome
 
     def _latch_changed(self, number: int) -> None:

@@ -16,10 +16,11 @@ from gateway.robot.core.events import (
     Request,
     RequestAnswer,
     Reset,
+    Result,
     SaveCalibration,
     Transmit,
+    results,
 )
-from gateway.robot.core.outcome import Result, results
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands

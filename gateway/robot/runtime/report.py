@@ -89,7 +89,7 @@ class StateReports:
         """The list in force; None: there is none."""
         self.payloads = Payloads()
         self._published: ConfigReport | None = None
-        self._published_mode: Mode | None = None
+        self.published_mode: Mode | None = None
         """None until the start is announced: until then the mode is not published."""
 
     def has_missing(self, endpoints: tuple[str, ...]) -> None:
@@ -99,14 +99,14 @@ class StateReports:
     def announce_start(self) -> None:
         """Publish that commands are taken from now on."""
         self._events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
-        self._published_mode = Mode.STARTING
+        self.published_mode = Mode.STARTING
         self.publish_mode()
 
     def publish_mode(self) -> None:
         """Publish the state if its mode has changed."""
         mode = self._supervisor.mode
-        if mode is not self._published_mode is not None:
-            self._published_mode = mode
+        if mode is not self.published_mode is not None:
+            self.published_mode = mode
             self._events.recorder.mode(mode)
             logger.info("mode %s", mode, extra={"mode": mode})
             self.publish()

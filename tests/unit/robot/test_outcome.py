@@ -5,8 +5,7 @@ import asyncio
 import pytest
 
 from gateway.model.frames import stop_leg
-from gateway.robot.core.events import Command, Completed, Effect, Rejected, Reset, Transmit
-from gateway.robot.core.outcome import Verdict, results
+from gateway.robot.core.events import Command, Completed, Effect, Rejected, Reset, Transmit, Verdict, results
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
