@@ -199,7 +199,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "a burst rejects no further start",
-            "if command.sent_ms is not None or now_ns >= self._until_ns.get(command.key, now_ns):",
+            "if now_ns >= self._until_ns.get(command.key, now_ns):",
             "if True:",
         ),
         ByHand(

@@ -46,24 +46,24 @@ class LimitedSpeeds:
     def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         self._rules = rules
         self._limits = limits
+        self._eases = rules.takeover_cdeg_s > 0
 
     def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
         """A command of `source` starts or sets servos that do not run, or that another source commanded."""
-        takeover, supply_starts = self._rules.takeover_cdeg_s > 0, self._rules.angles_first
         for servo in servos:
             servo.source = source
-            if servo.angle_cdeg is not None:
-                if takeover and not servo.eases:
-                    leg.eases = servo.eases = True
-                    servo.since_ns = leg.slots.taken_ns
-            elif takeover and (supply_starts or servo.stopped is not None):
-                leg.eases = True  # its start's frame decides; but where supply starts it, that comes before
-                if supply_starts and servo.announced_cdeg is None:
+            if not self._eases:
+                continue
+            leg.eases = True  # a servo that does not run eases by its start's frame
+            if servo.angle_cdeg is None:
+                if self._rules.angles_first and servo.announced_cdeg is None:  # supply starts it before any frame
                     servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
+            elif not servo.eases:
+                servo.eases, servo.since_ns = True, leg.slots.taken_ns
 
     def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
         """Where a servo that does not run stands, if its Stop was not long ago and the calibration is the same."""
-        if servo.stopped is None or not self._rules.takeover_cdeg_s:
+        if servo.stopped is None or not self._eases:
             return None
         angle_cdeg, stopped_ns, calibration = servo.stopped
         known = calibration is self._limits.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns
@@ -90,11 +90,9 @@ class LimitedSpeeds:
                 if stands_cdeg is None:
                     first = self._rules.angles_first
                     stands_cdeg = servo.announced_cdeg if first else self._stood_cdeg(servo, now_ns)
-                    servo.eases, servo.since_ns = self._rules.takeover_cdeg_s > 0, now_ns
+                    servo.eases, servo.since_ns = self._eases, now_ns
                 speed_cdeg_s = self._speed_cdeg_s(servo)
-                if speed_cdeg_s is None or stands_cdeg is None:
-                    servo.since_ns = now_ns  # a servo that does not run may be anywhere, so its start is no step
-                else:
+                if speed_cdeg_s is not None and stands_cdeg is not None:  # else it may be anywhere: no step
                     angle_cdeg = self._step(servo, stands_cdeg, target_cdeg, speed_cdeg_s, now_ns)
                     servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
                     servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg

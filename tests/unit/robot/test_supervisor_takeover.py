@@ -43,6 +43,12 @@ def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
     assert 140 / 180 * 1000 - 40 < 20 * said.index(160) < 140 / 180 * 1000 + 60
 
 
+@pytest.mark.parametrize(("takeover_cdeg_s", "first"), [(180_00, 20.9), (1, 20)])
+def test_its_first_step_counts_from_the_frame_before(takeover_cdeg_s: int, first: float) -> None:
+    steps = annas(Rules(repeats=0, rest_runs=0, takeover_cdeg_s=takeover_cdeg_s))
+    assert streamed(steps, "set 160", "bert", range(205, 206)) == [pytest.approx(first)]
+
+
 def test_once_it_has_arrived_it_is_as_quick_as_ever() -> None:
     steps = annas()
     streamed(steps, "set 30", "bert", range(220, 400, 20))
@@ -178,3 +184,15 @@ def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stan
     steps.command(160, servo_to(31, "set 170"), source="anna")
     assert steps.board(200)[0] == "command 31 start 20"
     assert told(steps.time(220)) == [pytest.approx(20 + SLOT_DEG)]
+
+
+def test_the_angle_at_which_supply_starts_a_servo_stays_while_it_waits_however_long_ago_its_stop_was() -> None:
+    steps = Steps(Rules(repeats=0, rest_runs=0, power=True, angles_first=True, takeover_cdeg_s=180_00))
+    steps.board(1, fed=())
+    steps.command(10, servo_to(31, "start 20"), source="anna")
+    steps.board(20)
+    steps.command(100, servo_to(31, "stop"), source="anna")
+    steps.board(110, fed=())
+    steps.command(1500, servo_to(31, "start 160"), source="anna")
+    steps.command(2150, servo_to(31, "set 170"), source="bert")
+    assert steps.supervisor.to_feed() == {31: 20_00}

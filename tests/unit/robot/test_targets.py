@@ -54,6 +54,7 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
     assert follows(target) == set(followed), "an older Start on another key must not come after a Stop on this one"
     assert may_stop(key, b'{"op": "stop"}') is (key != keys.RESET), "else it would lose its place before an older start"
     assert may_stop(key, b'{"op": "\\u0073top"}') is (key != keys.RESET)
+    assert may_stop(key, b'\xef\xbb\xbf{"op": "set"}') is (key != keys.RESET), "it cannot be searched for a word"
     assert may_stop(key, b"", size=4097) is (key != keys.RESET), "what it says is not known"
     assert may_stop(key, b'{"op": "set", "angle_deg": 9}') is (key == keys.ESTOP), "else a stream would be taken whole"
     stops = tuple((servo_id, STOP) for servo_id in servos)
