@@ -14,7 +14,6 @@ import zenoh
 
 from gateway import certs
 from gateway.allowance import Allowance
-from gateway.robot.zenoh_io.nonces import Nonces
 from gateway.zenoh_config import get
 from schemas.lease import Proof
 
@@ -26,10 +25,34 @@ if TYPE_CHECKING:
 CHECKS_PER_S: Final = 20
 """6 ms a second of the interpreter's lock. A person or program needs one check for each lease."""
 
+NONCE_NS: Final = 5_000_000_000
+"""docs/interface.md, Behaviour *Lease*: a laptop signs within milliseconds, and a slow network adds a second."""
+MOST_NONCES: Final = 256
+"""At a time. For one more the oldest is forgotten: a flood of challenges hurts those who are slow to use theirs."""
+
 
 def fresh_token() -> str:
     """128 random bits as hex."""
     return secrets.token_hex(16)
+
+
+class Nonces:
+    """Nonces that were given out and not used: each serves once, for a short time. Pure."""
+
+    def __init__(self) -> None:
+        self._until_ns: dict[str, int] = {}
+
+    def issue(self, nonce: str, now_ns: int) -> str:
+        """Give out this nonce, 128 random bits."""
+        if len(self._until_ns) >= MOST_NONCES:
+            del self._until_ns[next(iter(self._until_ns))]
+        self._until_ns[nonce] = now_ns + NONCE_NS
+        return nonce
+
+    def spend(self, nonce: str, now_ns: int) -> bool:
+        """Whether this nonce serves; from now on it does not."""
+        until_ns = self._until_ns.pop(nonce, None)
+        return until_ns is not None and now_ns < until_ns
 
 
 class Proofs:
