@@ -205,7 +205,7 @@ def _plain(limit: float) -> str:
 
 
 def _converted(kind: Any, value: Any) -> Any:
-    """The value as its setting has it; None: the text says no such value."""
+    """The value as its setting has it; None: the text is no such value."""
     if isinstance(kind, enum.EnumMeta):
         return kind(str(value))
     if not isinstance(value, Text):

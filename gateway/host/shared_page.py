@@ -37,7 +37,7 @@ class SharedPage:
 class ServoPage(SharedPage):
     """For each of the 18 servos the angle on the wire (degrees) that it is sent to, or None while it is off.
 
-    The simulated controller writes the angles. A simulated power board, where there is one, says which have supply.
+    The simulated controller writes the angles. A simulated power board, where there is one, writes which have supply.
     """
 
     def __init__(self, fd: int | None = None) -> None:
@@ -58,7 +58,7 @@ class ServoPage(SharedPage):
 
     @property
     def fed(self) -> frozenset[int]:
-        """The servos that have supply; all, until somebody says otherwise."""
+        """The servos that have supply; all, until a board writes otherwise."""
         (unfed,) = _UNFED.unpack_from(self._memory, _UNFED_AT)
         return frozenset(servo_id for place, servo_id in enumerate(SERVO_IDS) if not unfed >> place & 1)
 

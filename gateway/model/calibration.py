@@ -140,7 +140,7 @@ def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
 
 
 class MappingChange(NamedTuple):
-    """What changes of one servo; None: it stays as it is."""
+    """What changes of one servo; None: the value stays."""
 
     trim_cdeg: int | None = None
     inverted: bool | None = None

@@ -24,7 +24,7 @@ FRAME_BYTES: Final = 80
 BEGIN: Final = 0x7E
 END: Final = 0x0F
 MIDDLE_CDEG: Final = 90_00
-"""Where a servo that nobody has commanded yet is said to go while all are shut down."""
+"""The angle in a frame for a servo that was never commanded, while all are shut down."""
 _FRAME: Final = struct.Struct("<B18f6xB")
 _ANSWER: Final = struct.Struct("<B19f2xB")
 
@@ -51,7 +51,7 @@ VALUE_NAMES: Final = (
 
 
 class AnswerError(ValueError):
-    """The bytes are no answer; the message says why."""
+    """The bytes are no answer, for the reason in the text."""
 
 
 class Measured(NamedTuple):
@@ -71,7 +71,7 @@ class Measured(NamedTuple):
         """The angle between the body's up and the world's, 0 to 180; None where the orientation is none."""
         w, x, y, z = self.orientation_wxyz
         norm = w * w + x * x + y * y + z * z
-        # A quaternion that is far from its length of 1 says no orientation: all zeros before the sensor is ready.
+        # A quaternion that is far from its length of 1 is no orientation: all zeros before the sensor is ready.
         if not 0.81 <= norm <= 1.21:
             return None
         # Rounding is monotonic, so x² + y² is never more than the norm, and this never beyond -1 or 1.
@@ -94,7 +94,7 @@ def frame(angles_cdeg: Sequence[int]) -> bytes:
 
 
 def angles_of(data: bytes) -> dict[int, float]:
-    """The angles of a frame by servo id, in degrees. Raises ValueError, which says what is wrong with the frame."""
+    """The angles of a frame by servo id, in degrees. Raises ValueError with what is wrong with the frame."""
     if len(data) != FRAME_BYTES or data[0] != BEGIN or data[-1] != END:
         raise ValueError(f"a frame has {FRAME_BYTES} bytes from 7e to 0f; these are {len(data)}")
     _, *angles_deg, _ = _FRAME.unpack(data)

@@ -2,7 +2,7 @@
 
 | request                | answer | data of the answer, big endian                                            |
 |------------------------|--------|---------------------------------------------------------------------------|
-| 6A mask                | 6B     | the mask of 18 bits as it is; bit n - 1 feeds the servo on output n       |
+| 6A mask                | 6B     | the mask of 18 bits; bit n - 1 feeds the servo on output n                |
 | 64                     | 65     | the newest error, the next one at the next 64; none: no bytes (see below) |
 | 96                     | 97     | none; the error shown last is deleted                                     |
 | 70, 72, 74, 76, 78, 7A | + 1    | currents of outputs 1-3, 4-6, … 16-18: three uint16, mA                   |
@@ -145,7 +145,7 @@ def mask_of(frame: CanFrame) -> int | None:
 
 
 def read(frame: CanFrame) -> Answer | None:
-    """What the board answers or says; None: no frame of its own, or not as the table has it."""
+    """Return what the board's frame means; None: it is not the board's, or not as the table has it."""
     identifier, data = frame
     match identifier:
         case 0x6B:

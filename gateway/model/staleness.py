@@ -19,7 +19,7 @@ the baseline.
   neither keeps out another's commands nor lets old ones in.
 - An out-of-order command that is within `HORIZON_MS` of a clock may be an old one of that clock (two programs on one
   machine, one of which lost its link). It is judged as that.
-- Steady delay: a clock may fall behind (the laptop slept, or restarted), or transit may become slower for good. Then
+- Steady delay: a clock may fall behind (the laptop slept, or restarted), or transit may stay slower. Then
   all commands have the same delay, which a queue that empties never shows. After five seconds that delay becomes the
   baseline.
 - Pauses of the gateway itself (a debugger, a frozen virtual machine): what waited in its rings and sockets looks as if

@@ -10,7 +10,7 @@ from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
 
 
 def battery_of(values: Measured) -> Battery:
-    """The battery, in volts and in percent as the robot says it."""
+    """The battery, in volts and in percent as the robot reports it."""
     return Battery(voltage_v=values.voltage_v, percent=values.percent)
 
 

@@ -323,7 +323,7 @@ def _wire(settings: Settings, *, simulated: bool, physics: Physics | None, board
 
 
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
-    """What a wire says of its own accord from now on."""
+    """Start what runs beside the commands: the cycle of a wire that has one."""
     if isinstance(bus, CyclicBus):
         Cycle(bus, conductor, end.mistake).start()
     wires.warn_of_driver(settings.wire, settings.spi, simulated=simulated)

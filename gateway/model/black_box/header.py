@@ -84,6 +84,6 @@ def copy_path(ring: Path, newest: int) -> Path:
 
 
 def copies_of(ring: Path) -> list[Path]:
-    """The copies beside a ring, oldest first. Raises OSError."""
+    """Return the copies in a ring's folder, oldest first. Raises OSError."""
     name = re.compile(rf"{re.escape(ring.name)}\.\d{{19}}", re.ASCII)
     return sorted(path for path in ring.parent.iterdir() if name.fullmatch(path.name))

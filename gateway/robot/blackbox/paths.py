@@ -19,7 +19,7 @@ OTHER_RECORDS_PER_S: Final = 100
 RING_S: Final = 60.0
 """The 10 s before an incident must still be there when it is copied; for more than a minute there are recordings."""
 REACH_S: Final = 50.0
-"""The ring keeps what messages have made of it for this time, beside any flood: an incident reaches 10 s back and lasts
+"""The ring keeps what messages have made of it for this time, also in a flood: an incident reaches 10 s back and lasts
 30 s at most. What the gateway records by itself is bounded by its own rates."""
 
 

@@ -3,7 +3,7 @@
 - The battery is low from the first measurement below `min_battery_mv` on, until one is `RECOVERS` above it: then
   nothing that stands still is started. What runs goes on, since a Stop would let the robot fall.
 - The body has fallen once it has been tilted beyond `max_tilt_cdeg` for `tilt_ns`: it fell, or was lifted. Nothing
-  starts or moves until a measurement says that it is within the limit. A tilt that is unknown neither begins nor ends
+  starts or moves until a measurement is within the limit. A tilt that is unknown neither begins nor ends
   that time, and is no sign that the body stands.
 
 Only measurements bring time here. That they stop coming is a fault of the link, which the bus reports (`BusFailed`).

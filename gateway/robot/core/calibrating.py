@@ -4,11 +4,11 @@ A change takes two steps, since no Stop may wait for a disk. `Calibrate` is chec
 disk (`SaveCalibration`) while the old one stays in force; `CalibrationSaved` then puts it in force, or leaves the old
 one where the disk failed.
 
-What a frame says of a servo must never change while the servo runs: it would jump at the next frame, and nobody asked
-for that. So no servo that is changed may run or wait to be started when the change comes, and until it is in force none
+The calibration of a servo must never change while the servo runs: the servo would jump at the next frame, unasked.
+ So no servo that is changed may run or wait to be started when the change comes, and until it is in force none
 of them can be started.
 
-Where the file that kept the calibration cannot be read (`fault`), nothing moves at all until a person takes the default
+Where the file that kept the calibration cannot be read (`fault`), nothing moves until a person takes the default
 calibration as this robot's: with a wrong trim or direction, a leg goes where nobody sent it.
 """
 
@@ -55,7 +55,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         """Why the calibration cannot be trusted; None: it can."""
         self._on_its_way: _OnItsWay | None = None
         self._delay = ""
-        """Why the change that is on its way takes so long; "": it does not."""
+        """Why the pending change is late; "": it is not late."""
 
     @classmethod
     def of(cls, rules: Rules, limits: AngleLimits) -> Self:

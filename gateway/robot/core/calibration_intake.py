@@ -1,4 +1,4 @@
-"""Reads the bytes of a CalibrationCommand, or returns a Rejection with its reason; says what it changes. Pure."""
+"""Reads the bytes of a CalibrationCommand, or returns a Rejection with its reason; lists what it changes. Pure."""
 
 from typing import Final
 

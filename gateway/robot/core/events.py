@@ -100,7 +100,7 @@ class Command(Request):
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class Reset(Request):
-    """Leaves the emergency stop with number `estop`; None: the sender did not say which one."""
+    """Leaves the emergency stop with number `estop`; None: the sender named none."""
 
     estop: int | None = None
 
@@ -152,7 +152,7 @@ class BodyMeasured:
 
 @value
 class PowerSeen:
-    """What the power board says of the servos' supply."""
+    """What the power board reports of the servos' supply."""
 
     alive: bool
     """Whether it answers."""

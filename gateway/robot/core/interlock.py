@@ -1,6 +1,6 @@
 """The contract of one rule that may keep the robot from moving, or bring it down. Pure.
 
-A rule is a file with one such class, and a line in the supervisor's `ORDER`. The first that objects says why.
+A rule is a file with one such class, and a line in the supervisor's `ORDER`. The first that objects gives the reason.
 """
 
 from typing import Any, Generic, NamedTuple, Self, TypeVar
@@ -84,7 +84,7 @@ def nothing_to_stop(legs: Legs) -> bool:
 
 
 def how_it_comes_down(legs: Legs, rules: Rules) -> str:
-    """What an event says if the robot is brought down in this step; "": nothing is to be stopped."""
+    """Return how an event words that the robot is brought down in this step; "": nothing is to be stopped."""
     if nothing_to_stop(legs):
         return ""
     return "the robot lands" if rules.landing_ns and legs.running else "all six legs are stopped"

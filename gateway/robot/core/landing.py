@@ -17,7 +17,7 @@ class Landing(NamedTuple):
     began_ns: int
     length_ns: int
     """How long the way takes. A landing that began in time arrives two rate slots before its end, so that a frame can
-    say it."""
+    state it."""
     period_ns: int
     """A rate slot: by more than this, no frame goes on."""
     ends_ns: int
@@ -25,7 +25,7 @@ class Landing(NamedTuple):
     ways_cdeg: Mapping[int, tuple[int, int]]
 
     def next_part_ns(self, part_ns: int, now_ns: int) -> int:
-        """Which part of the way a leg's next frame says, if its last one said `part_ns`: in the time that it takes.
+        """Return the part of the way (ns) for a leg's next frame, if its last frame was at `part_ns`.
 
         What a stall cost is not made up for: the servos would leap, and nobody has asked for any of this.
         """
@@ -46,7 +46,7 @@ class Landing(NamedTuple):
 def landing(
     now_ns: int, ends_ns: int, landing_ns: int, period_ns: int, ways_cdeg: Mapping[int, tuple[int, int]]
 ) -> Landing:
-    """A landing that begins now. `period_ns` is a leg's rate slot; where there is time for few, one frame says all.
+    """A landing that begins now. `period_ns` is a leg's rate slot; in a short one, one frame goes all the way.
 
     One that begins late, since the machine stalled, is no faster than one of `landing_ns`: it is stopped on its way.
     """

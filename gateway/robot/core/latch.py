@@ -70,7 +70,7 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
         """Return why a reset does not leave it; None: it does, or none is engaged.
 
         A reset may have been sent before the latest emergency stop. `names` is the number of the emergency stop that it
-        leaves; None: it does not say.
+        leaves; None: the reset has no number.
         """
         if self.unknown or self.since_ns is None:
             return _UNKNOWN if self.unknown else None

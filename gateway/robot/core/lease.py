@@ -47,7 +47,7 @@ class RobotLease(Interlock[LeaseRequest]):
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.holder: str | None = None
-        """Who holds it, or to whom it is handed over."""
+        """The holder, or the nominee of a handover."""
         self.verified = False
         self.since_ns: int | None = None
         """When its holder acquired it; None while it is handed over."""

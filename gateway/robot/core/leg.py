@@ -76,7 +76,7 @@ class Rules:
     """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
 
     estop_kept: bool = False
-    """Whether an earlier run may have left it engaged; `EstopKept` then says so (Behaviour *Emergency stop*)."""
+    """Whether an earlier run may have left an emergency stop engaged; `EstopKept` follows (*Emergency stop*)."""
     power: bool = False
     """Whether a power board feeds the servos (Behaviour *Power*): a start then waits until its servo is fed."""
     angles_first: bool = False
@@ -160,7 +160,7 @@ class Leg:
     eases: bool = False
     """Whether a servo of it may ease (`Servo.eases`), or is to be started."""
     landed_ns: int = 0
-    """Which part of the way down its frames have said."""
+    """How far along the landing its frames are, in ns of the landing's time."""
     unfed_ns: int | None = None
     """Since when a start of it waits for supply, as of the last `Legs.plan`; None: none does."""
     due_ns: int = NEVER

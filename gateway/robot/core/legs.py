@@ -1,7 +1,7 @@
 """How the legs' commands become frames: pure, time as an argument.
 
 The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
-for their leg's rate slot, what one frame says for three servos, which Stops are still to be repeated, and which
+for their leg's rate slot, what one frame states for three servos, which Stops are still to be repeated, and which
 commands are thereby done.
 """
 
@@ -226,7 +226,7 @@ class Legs:
             elif leg.source != command.source:
                 taken += taken_over(leg, command.source, moves)
             if moves:
-                # A Stop does not count: it does not say that the leg's other servos shall go on running.
+                # A Stop does not count: it does not keep the leg's other servos running.
                 leg.commanded_ns = now_ns
                 effects += self._move(leg, targets, command, now_ns)
                 changed += [leg]
@@ -258,7 +258,7 @@ class Legs:
     def why_not_whole(self, command: Command) -> tuple[Reason, str] | None:
         """Why a robot that can only be started as a whole does not take these starts; None: it does, or it runs.
 
-        All servos are in one state, so one of them says whether the robot runs. With a Stop, the whole command is one.
+        All servos are in one state, so one of them shows whether the robot runs. With a Stop, the whole command is one.
         """
         moves = command.moves
         if not moves or len(moves) < len(command.targets) or len(moves) == len(self.servos):

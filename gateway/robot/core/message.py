@@ -53,7 +53,7 @@ class Messages(Protocol):
     """Whether what is taken next is of the same instant as what was taken last."""
 
     estops: deque[Received]
-    """Emergency stops that are not carried out yet. Whoever owns the state empties it before each message."""
+    """Emergency stops that are not carried out yet. The state's owner empties it before each message."""
 
     def take(self) -> Iterable[Received]:
         """What else has come, in the order in which it applies."""

@@ -3,7 +3,7 @@
 A leg gets one rate slot per period. A command that finds a slot goes out at once and uses it up; one that comes sooner
 is pending until there is a slot, and only the newest target of each servo is kept. A slot that nobody used is kept for
 later, but never more than `BUCKET` of them (a token bucket): a stream at just the limit's rate comes now early, now
-late, and with spare slots it passes as it is. Older slots are skipped.
+late, and with spare slots it passes unchanged. Older slots are skipped.
 
 Kept slots are no burst: two frames of a leg are never less than a quarter of its period apart. So at most rate + 3
 frames go out in any second, and exactly the rate in the long run.

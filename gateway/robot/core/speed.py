@@ -2,7 +2,7 @@
 
 Two limits: a servo's own (`Rules.max_speed_cdeg_s`), and one for servos that *ease* (`Rules.takeover_cdeg_s`). A servo
 eases from a command of another source on, or from a start within `Rules.takeover_known_ns` of its Stop, until it has
-arrived. Where it stands is known then, and the first target of whoever comes may be far away.
+arrived. Where it stands is known then, and the first target of a new source may be far away.
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo
 
 
 class Step(NamedTuple):
-    """What a frame may say, and from when on the next one counts."""
+    """An angle for the next frame, and from when on the step after it counts."""
 
     angle_cdeg: int
     since_ns: int
@@ -77,7 +77,7 @@ class LimitedSpeeds:
         return takeover if own is None else min(own, takeover)
 
     def in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
-        """What the frame that goes out now says, where speeds are limited: for each servo a step towards its target."""
+        """Return each servo's operation in the frame that leaves now: a step towards its target, where limited."""
         said: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is None and servo.target_cdeg is not None:

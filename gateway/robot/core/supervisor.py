@@ -1,7 +1,7 @@
 """The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and say.
 
 No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
-are carried out by the service in their order. If writing a frame fails, the service says so with `BusFailed`.
+are carried out by the service in their order. If writing a frame fails, `BusFailed` follows.
 
 Each rule that may keep the robot from moving, or bring it down, is an `Interlock` (lease, buttons, body, power,
 calibration, landing, `stop-servos`, emergency stop). They stand in `ORDER`, and are carried out here. A request is

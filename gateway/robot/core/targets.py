@@ -51,7 +51,7 @@ def _read_reset(_: int, payload: bytes) -> Reset:
 
 
 def _targets(servo_ids: tuple[int, ...], setpoints: tuple[dict[str, Any], ...]) -> Targets:
-    """Each servo's operation; angles to the nearest hundredth, as `centidegrees` says."""
+    """Each servo's operation; angles to the nearest hundredth, as in `centidegrees`."""
     targets: Targets = ()
     for place, servo_id in enumerate(servo_ids):
         setpoint = setpoints[place]

@@ -60,7 +60,7 @@ def read(folder: Path) -> KeptEstop:
     """
     last = 0
     try:
-        os.listdir(folder)  # a missing file in a folder that is not there says nothing
+        os.listdir(folder)  # a missing file in a missing folder is no information
         last = _number(folder)
         engaged = _content(folder / ESTOP_FILE, _Engaged)
         if engaged is not None:
@@ -75,7 +75,7 @@ def read(folder: Path) -> KeptEstop:
 
 
 def unknown(fault: str, last: int = 0) -> KeptEstop:
-    """Return an emergency stop that counts as engaged, with a number that nobody has heard of."""
+    """Return an emergency stop that counts as engaged, with a number that no reset can name yet."""
     number = last + _UNHEARD_OF + secrets.randbelow(_UNHEARD_OF)
     return KeptEstop(number, True, time=datetime.now(UTC), fault=fault)
 
@@ -116,7 +116,7 @@ def _number(folder: Path) -> int:
     """The number of the latest emergency stop that was left. Raises OSError."""
     try:
         found = _content(folder / LAST_FILE, _Last)
-    except ConfigError:  # nobody has said that one is engaged
+    except ConfigError:  # no file states that one is engaged
         return unknown("").number
     return 0 if found is None else found.number
 

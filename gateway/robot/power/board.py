@@ -76,7 +76,7 @@ class Status(NamedTuple):
     alive: bool = False
     """Whether it answers."""
     supplied: frozenset[int] = frozenset()
-    """Fed, when it last said so."""
+    """Fed, by its last answer."""
     confirmed: bool = False
     """It has confirmed that all is off which is to be off."""
     lost: frozenset[int] = frozenset()
@@ -109,7 +109,7 @@ class PowerBoard:
         self._wanted = 0
         self._lost = 0
         self._unknown = 0
-        """Lost to a silence: perhaps still fed, so taken by no mask of our own accord. A leg may be landing on them."""
+        """Lost to a silence: perhaps still fed, and a leg may land on them. Only the owner has a mask take them."""
         # What was sent: 0 is also what a board feeds that has started anew.
         self._sent = 0
         self._number = self._on_number = 0
@@ -139,7 +139,7 @@ class PowerBoard:
         self._seen_ns: dict[str, int] = {}
         """When each state that is reported once was last seen."""
 
-    # ---- what the owner says
+    # ---- requests of the owner
 
     def want(self, servos: frozenset[int], number: int, now_ns: int) -> None:
         """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos.
@@ -185,7 +185,7 @@ class PowerBoard:
         self._seen_ns.clear()
 
     def not_sent(self, frames: Iterable[CanFrame], now_ns: int) -> None:
-        """The interface has no room for these yet. The mask leaves first once there is, as it is to be by then."""
+        """The interface has no room for these yet. Once there is room, the mask of that time leaves first."""
         for frame in frames:
             self._questions.not_sent(frame)
             if frame.id == SET_SUPPLY:
@@ -232,7 +232,7 @@ class PowerBoard:
         self._news.clear()
         return news
 
-    # ---- what the link says
+    # ---- received frames
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """A frame was on the bus; those that are not the board's, or are malformed, change nothing."""
@@ -271,7 +271,7 @@ class PowerBoard:
         self.poll(now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """What time alone says: the board is silent, an off is unconfirmed, a wait ends. Every 10 ms at least."""
+        """Find what time brings: a silent board, an unconfirmed off, the end of a wait. Every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
         late, ended = self._off.late(now_ns)

@@ -1,4 +1,4 @@
-"""What the servos' currents say about their Stops. Pure: time is an argument.
+"""What the servos' currents show of their Stops. Pure: time is an argument.
 
 A stopped servo that draws was not stopped on its wire; a running one that draws nothing is unplugged, or broken.
 """

@@ -48,7 +48,7 @@ class BoardErrors:
 
     @property
     def two_boards(self) -> bool:
-        """Whether two boards answer, so that nothing which they say counts."""
+        """Whether two boards answer, so that no answer counts."""
         return TWO_BOARDS in self._errors
 
     @property

@@ -21,7 +21,7 @@ BITRATE: Final = 1_000_000
 
 
 class LineError(GatewayError):
-    """The interface cannot be opened; the sentence says why."""
+    """The interface cannot be opened, for the reason in the text."""
 
 
 class BusyError(GatewayError):

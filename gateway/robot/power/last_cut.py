@@ -76,7 +76,7 @@ class LastCut:
 
 
 class SupplyCut:
-    """Takes the supply on a thread of its own, which begins behind the first Stops, and says how it ended."""
+    """Takes the supply on a thread of its own, which begins behind the first Stops, and reports how it ended."""
 
     def __init__(
         self,

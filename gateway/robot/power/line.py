@@ -43,7 +43,7 @@ others off the processor."""
 PAUSE_S: Final = 0.001
 
 STOPS_S: Final = 0.001
-"""Behind the mask of a cut, the Stops on SPI have the interpreter to themselves for so long."""
+"""For this long after the mask of a cut, the Stops on SPI have the interpreter to themselves."""
 _NOTHING: Final = set_supply(0)
 
 

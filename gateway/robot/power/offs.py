@@ -84,7 +84,7 @@ class OutputsOff:
     def answered(self, shown: int, reached: int, now_ns: int) -> tuple[int, list[Confirmed]]:
         """A 6B shows these as fed, and the masks up to `reached` have reached the board.
 
-        Returns those that were confirmed off and are on again, and what who waits is to hear.
+        Return the outputs that were confirmed off and are on again, and the answers to those who wait.
         """
         on_again = shown & self.mask & ~self.unconfirmed
         for place in _places(self.mask & ~shown):
@@ -96,7 +96,7 @@ class OutputsOff:
         ]
 
     def late(self, now_ns: int) -> tuple[int, list[Confirmed]]:
-        """Those that are not confirmed in time, and what who waited for too long is to hear."""
+        """Return the outputs that are not confirmed in time, and the answers to those who waited too long."""
         late = [place for place in _places(self.unconfirmed) if now_ns - self._offs[place].since_ns >= self._confirm_ns]
         ended = [wait for wait in self._waits if now_ns - wait.asked_ns >= self._confirm_ns]
         return sum(1 << place for place in late), [Confirmed(wait.token, False, None) for wait in self._end(ended)]

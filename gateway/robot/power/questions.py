@@ -39,7 +39,7 @@ class BoardQuestions:
         self.reached = 0
         """The newest mask that has reached the board for certain, by its number."""
         self.reached_ns = 0
-        """When the question was asked whose answer says so."""
+        """When the question was asked whose answer proves it."""
         self._answered_ns = 0
         self._unanswered = 0
         self._turn = 0
@@ -89,7 +89,7 @@ class BoardQuestions:
         return now_ns - asked_ns >= (LOST_NS if self.reached_ns > asked_ns else FORGOTTEN_NS)
 
     def answered(self, now_ns: int) -> None:
-        """The board has said something."""
+        """The board has answered."""
         self._answered_ns = now_ns
         self._unanswered = 0
 

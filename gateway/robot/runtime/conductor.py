@@ -246,11 +246,11 @@ class Conductor:
             self._meddled(meddled)
             self.reports.publish_mode()
             self._arm()
-            return  # whether `stop-servos` is at work, the device says when it is open again
+            return  # whether `stop-servos` is at work is asked once the device is open again
         self._look_for_stop_servos()
 
     def _look_for_stop_servos(self) -> None:
-        """Believe what the device says of it. Not known (the device is closed, say) ends no belief."""
+        """Take over what the device knows of `stop-servos`; if it knows nothing (closed, say), nothing changes."""
         at_work = self.bus.stop_servos_at_work()
         if at_work is not None and at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
@@ -263,14 +263,14 @@ class Conductor:
         self.telemetry.note(values, now_ns)
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
-            self.supply.after_step(self.supervisor)  # the frame may have said the angle of a servo that is to be fed
+            self.supply.after_step(self.supervisor)  # the frame may have had the angle of a servo that is to be fed
         if self.supervisor.body.watches:
             tilt_cdeg = None if values.tilt_deg is None else round(values.tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
             self._arm()
 
     def power_changed(self) -> None:
-        """Take what the power board has said."""
+        """Take the news of the power board."""
         if self._closed or self.supply is None:
             return
         event, announcements = self.supply.take_news()
@@ -403,7 +403,7 @@ class Conductor:
             self._bus_failed(SpiError(found))
 
     def bus_failed(self, fault: SpiError) -> None:
-        """The bus has failed in what it says of its own accord."""
+        """Handle a bus fault that was found outside a step."""
         if self._closed:
             return
         self._bus_failed(fault)

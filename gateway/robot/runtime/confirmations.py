@@ -1,7 +1,7 @@
 """Who waits for the power board to confirm that servos are off. Called by the owner of the state.
 
 While a question is open, it serves all who ask for the same servos. Each waiting answer keeps a query of Zenoh's, and
-with it up to 64 KiB in which the query was received. So a flood of acknowledged emergency stops beside a silent board
+with it up to 64 KiB in which the query was received. So a flood of acknowledged emergency stops with a silent board
 would take all memory: only MOST_ASKERS wait for a question, and further ones learn at once that nothing is confirmed.
 """
 
@@ -23,7 +23,7 @@ Then = Callable[[bool, float | None], None]
 
 @dataclass(slots=True)
 class _Question:
-    """Whether these servos are off, and who asks: since when (ns), and whom to call."""
+    """Whether these servos are off, and who asks: since when (ns), and the callback."""
 
     servos: frozenset[int]
     asked_ns: int

@@ -132,7 +132,7 @@ async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
 
 
 async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> str:
-    """What the power board says of the end, as a sentence; waits for it no longer than for the Stops' repeats."""
+    """Return the power board's confirmation as a sentence, or that none came within REPEATS_S."""
     answered: asyncio.Future[float | None] = asyncio.get_running_loop().create_future()
 
     def then(_confirmed: bool, ms: float | None) -> None:

@@ -7,7 +7,7 @@ Called by the owner of the state, and waits for nothing: the board's frames leav
 step takes off is asked for before the step's frames, and what it feeds behind them. So no cut waits for a transfer on
 SPI, and no servo is fed before its Stop, or its angle, was written.
 
-A controller that hears nothing may still drive servos. So the first servo that is fed behind a fault is fed alone, and
+A deaf controller may still drive servos. So the first servo that is fed behind a fault is fed alone, and
 the others follow once its current shows that it rests.
 """
 
@@ -78,7 +78,7 @@ class RobotSupply:
         self.end = line.close
         """Close the line; not for the owner, as it waits."""
         self.on_news: Callable[[], None] = lambda: None
-        """Whom the owner of the state calls for the board's news."""
+        """Called, with the state owned, when the board reports something."""
         self._interface = interface
         self._ready = ready
         self._asked = self._runs = _NONE
@@ -94,9 +94,9 @@ class RobotSupply:
         self._alive = False
         self._currents = CurrentRules()
         self._found: list[News] = []
-        """What the currents say."""
+        """What the currents show."""
         self._changed = False
-        """By a reset or a servo's current, of which the board says nothing."""
+        """By a reset or a servo's current; the board reports neither as news."""
         self._looked_ns = self._looks = 0
         self.confirmations = Confirmations(line.when_off)
 
@@ -139,7 +139,7 @@ class RobotSupply:
         self._changed = True
         self._line.clear_errors()
 
-    # ---- what the board says
+    # ---- news of the board
 
     def makes_progress(self) -> bool:
         """Whether the line still listens, and has not stood still for MOST_LOOKS beats of the loop, one of them now."""
@@ -185,7 +185,7 @@ class RobotSupply:
         # Of a silent board nobody knows: what lands keeps its supply, if it has any.
         lost = status.lost if status.alive else _NONE
         self._trusted = self._trusted and (status.alive or self._ready is not None)
-        if self._alive and status.alive:  # `stop-servos`, say: whoever took it knows why
+        if self._alive and status.alive:  # another program took it, `stop-servos` say
             self._withheld |= dict.fromkeys(lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()
         # One that the board, or a person at it, has unblocked is not fed before a reset.
@@ -230,7 +230,7 @@ class RobotSupply:
 
 
 def off_button(now_ns: int) -> Received:
-    """What the board's off button says: an emergency stop like any other."""
+    """Return the message of the board's off button: an emergency stop like any other."""
     payload = json.dumps({"source": "the power board's off button"}).encode()
     return Received(
         key=ESTOP, expression=ESTOP, target=None, verb=Verb.PUT, payload=payload, size=len(payload),
