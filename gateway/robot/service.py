@@ -382,7 +382,7 @@ def _inbox(
         },
         tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
         depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
-        on_estop_heard=None if conductor.supply is None else conductor.supply.cut_early,
+        on_estop_received=None if conductor.supply is None else conductor.supply.cut_early,
     )
     conductor.connect(inbox)
     return inbox
@@ -437,7 +437,7 @@ async def _beat(
     """
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
-    while inbox.hears:
+    while inbox.receives:
         with conductor.owner:
             now_ns = conductor.record_alive()
             conductor.look_outside()

@@ -48,7 +48,7 @@ class Held:
             on_state_query=lambda reply: reply(b"{}"),
             readers=readers or {LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
             tokens=tokens or {},
-            on_estop_heard=lambda: self.estop_received_by.put(threading.current_thread().name),
+            on_estop_received=lambda: self.estop_received_by.put(threading.current_thread().name),
         )
 
     def wake(self) -> None:
@@ -199,11 +199,11 @@ async def test_each_of_its_threads_that_ends_is_noticed(session: zenoh.Session) 
     ended = 0
     for end in ways:
         held = Held(session)
-        assert held.inbox.hears
+        assert held.inbox.receives
         alive = [thread for thread in held.inbox._threads if thread.is_alive()]
         end(held.inbox)
         await held.until(partial(any_ended, alive))
-        assert not held.inbox.hears
+        assert not held.inbox.receives
         ended += 1
         await held.close()
         assert not any(thread.is_alive() for thread in held.inbox._threads)

@@ -249,11 +249,11 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     assert not counted.inbox._read_all, "at the next tick those that were heard of are read"
     if all_rings:
         counted.step("M", FURTHER)
-        counted.inbox._looked()
+        counted.inbox._look_now()
         assert counted.taker.taken == [OTHER, FURTHER]
         for _ in range(LOOK_AFTER_FLOOD + 1, len(LOOK_AGAIN_S)):
             assert counted.inbox._lost_some
-            counted.inbox._looked()
+            counted.inbox._look_now()
         assert not counted.inbox._lost_some
 
 

@@ -98,11 +98,11 @@ class Inbox:
         readers: Mapping[str, Reader] = MappingProxyType({}),
         tokens: Mapping[str, TokenCheck] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
-        on_estop_heard: Callable[[], None] | None = None,
+        on_estop_received: Callable[[], None] | None = None,
     ) -> None:
         """`on_wakeup`: there is something to `take`. `on_estop`: there is an emergency stop in `estops`.
 
-        `on_estop_heard` is called on the thread that has received one, which does not own the state: a transfer that
+        `on_estop_received` is called on the thread that has received one, which does not own the state: a transfer that
         hangs may hold that, and the second way to stop must not wait for it.
 
         `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet; on those in
@@ -112,10 +112,10 @@ class Inbox:
         self._passed_over = depth - RING_DEPTH  # of a full ring
         self._wake = on_wakeup
         self._serve_estops = on_estop
-        self._estop_heard = on_estop_heard
+        self._on_estop_received = on_estop_received
         self.estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
-        self._heard: dict[str, int] = {}
+        self._woken: dict[str, int] = {}
         """How many messages of each key there are, by the wakeups since the last tick."""
         self._missed: dict[str, int] = {}
         """How many of them woke the inbox before that, and have not been taken yet."""
@@ -125,7 +125,7 @@ class Inbox:
         self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
         self._look_at: Collection[str] = ()
         self._read_all = False
-        self._look_again = OwnersTimer(loop, owner, self._looked)
+        self._look_again = OwnersTimer(loop, owner, self._look_now)
         self._attempt = 0
         self.instant_open = False
         """Whether what is taken next is of the same instant as what was taken last."""
@@ -180,7 +180,7 @@ class Inbox:
         """
         # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
         # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
-        keys = () if self._read_all else {*self._heard, *self._look_at}
+        keys = () if self._read_all else {*self._woken, *self._look_at}
         try:
             found = self._rings.read(keys)
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
@@ -201,7 +201,7 @@ class Inbox:
             self._closing.set_in(FLOOD_PAUSE_S)  # to close it, if nothing else comes
 
     @property
-    def hears(self) -> bool:
+    def receives(self) -> bool:
         """Whether all receiver threads live; without them no command, and no emergency stop, would be noticed."""
         return all(thread.is_alive() for thread in self._threads)
 
@@ -247,8 +247,8 @@ class Inbox:
             # Who lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
         self.estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
-        if self._estop_heard is not None:
-            self._estop_heard()
+        if self._on_estop_received is not None:
+            self._on_estop_received()
         return self._serve_estops
 
     # ---- as owner of the state
@@ -277,12 +277,12 @@ class Inbox:
         """A key of ours is read from its own ring; what names none of ours is rejected from here."""
         key = str(item.key_expr)
         if key in _RING_KEYS:
-            self._heard[key] = self._heard[key] + 1 if key in self._heard else 1
+            self._woken[key] = self._woken[key] + 1 if key in self._woken else 1
         elif key != ESTOP and not (key in self._read_elsewhere and isinstance(item, zenoh.Query)):
             wild = "*" in key
             named = _named(item, COMMAND_KEYS) if wild else set[str]()
             for each in named & _RING_KEYS:
-                self._heard[each] = self._heard.get(each, 0) + 1
+                self._woken[each] = self._woken.get(each, 0) + 1
             if not named and not (wild and isinstance(item, zenoh.Query) and _named(item, self._read_elsewhere)):
                 self._others.append(_received(self._replies, key, item, received_ns))
                 return
@@ -295,14 +295,14 @@ class Inbox:
 
         They are counted, since another message of the same key may have been taken in its place.
         """
-        heard, self._heard = self._heard, {}
+        woken, self._woken = self._woken, {}
         if self._read_all:
             self._missed, self._early, self._lost_some = {}, {}, True
-            self._look(LOOK_AFTER_FLOOD)
-        elif taken != heard or self._early:
-            counts = (self._missed, heard, self._early, taken)
+            self._look_later(LOOK_AFTER_FLOOD)
+        elif taken != woken or self._early:
+            counts = (self._missed, woken, self._early, taken)
             left = {
-                key: self._missed.get(key, 0) + heard.get(key, 0) - self._early.get(key, 0) - taken.get(key, 0)
+                key: self._missed.get(key, 0) + woken.get(key, 0) - self._early.get(key, 0) - taken.get(key, 0)
                 for count in counts
                 for key in count
             }
@@ -314,21 +314,21 @@ class Inbox:
             late = self._loop.time() > self._early_until_s
             self._early = {} if late else {key: -count for key, count in left.items() if count < 0}
             if missed_more:
-                self._look(0)
+                self._look_later(0)
 
-    def _look(self, attempt: int) -> None:
+    def _look_later(self, attempt: int) -> None:
         self._look_again.cancel()
         if self._missed or self._lost_some:
             self._attempt = attempt
             self._look_again.set_in(LOOK_AGAIN_S[attempt])
 
-    def _looked(self) -> None:
+    def _look_now(self) -> None:
         attempt = self._attempt
         self._look_at = () if self._lost_some else tuple(self._missed)
         self._wake()
         self._look_at = ()
         if attempt + 1 < len(LOOK_AGAIN_S):
-            self._look(attempt + 1)
+            self._look_later(attempt + 1)
         else:
             self._missed, self._lost_some = {}, False  # pushed out of its ring, or taken before its wakeup arrived
 
