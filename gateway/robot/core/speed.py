@@ -50,16 +50,19 @@ class LimitedSpeeds:
 
     def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
         """A command of `source` starts or sets servos that do not run, or that another source commanded."""
+        supply_starts = self._rules.angles_first
         for servo in servos:
             servo.source = source
             if not self._eases:
                 continue
-            leg.eases = True  # a servo that does not run eases by its start's frame
             if servo.angle_cdeg is None:
-                if self._rules.angles_first and servo.announced_cdeg is None:  # supply starts it before any frame
+                if not (supply_starts or servo.stopped):
+                    continue
+                if supply_starts and servo.announced_cdeg is None:  # supply starts it before any frame
                     servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
             elif not servo.eases:
                 servo.eases, servo.since_ns = True, leg.slots.taken_ns
+            leg.eases = True  # a servo that does not run eases by its start's frame
 
     def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
         """Where a servo that does not run stands, if its Stop was not long ago and the calibration is the same."""

@@ -186,8 +186,11 @@ def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stan
     assert told(steps.time(220)) == [pytest.approx(20 + SLOT_DEG)]
 
 
-def test_the_angle_at_which_supply_starts_a_servo_stays_while_it_waits_however_long_ago_its_stop_was() -> None:
-    steps = Steps(Rules(repeats=0, rest_runs=0, power=True, angles_first=True, takeover_cdeg_s=180_00))
+@pytest.mark.parametrize(("supply_starts", "at_cdeg"), [(True, 20_00), (False, 170_00)])
+def test_the_angle_at_which_supply_starts_a_servo_stays_however_long_it_waits(
+    supply_starts: bool, at_cdeg: int
+) -> None:
+    steps = Steps(Rules(repeats=0, rest_runs=0, power=True, angles_first=supply_starts, takeover_cdeg_s=180_00))
     steps.board(1, fed=())
     steps.command(10, servo_to(31, "start 20"), source="anna")
     steps.board(20)
@@ -195,4 +198,4 @@ def test_the_angle_at_which_supply_starts_a_servo_stays_while_it_waits_however_l
     steps.board(110, fed=())
     steps.command(1500, servo_to(31, "start 160"), source="anna")
     steps.command(2150, servo_to(31, "set 170"), source="bert")
-    assert steps.supervisor.to_feed() == {31: 20_00}
+    assert steps.supervisor.to_feed() == {31: at_cdeg}
