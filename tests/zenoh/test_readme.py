@@ -21,7 +21,7 @@ pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-ROBOT, QUICKSTART = ((ROOT / "docs" / page).read_text() for page in ("robot.md", "quickstart.md"))
+ROBOT = (ROOT / "docs" / "robot.md").read_text()
 
 
 def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
@@ -110,9 +110,16 @@ def test_the_keys_are_the_keys() -> None:
     assert table == commands | reports | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
 
 
-@pytest.mark.parametrize("page", [README, ROBOT, QUICKSTART], ids=["README", "robot", "quickstart"])
-def test_each_command_to_copy_is_the_programs(page: str) -> None:
+@pytest.mark.parametrize(
+    "path",
+    [
+        "README.md",
+        *(f"docs/{page}.md" for page in ["quickstart", "driving", "recordings", "robot", "certificates", "stops"]),
+    ],
+)
+def test_each_command_to_copy_is_the_programs(path: str) -> None:
     """Each with its options and values: a console's line without its remark, and a command alone in `backticks`."""
+    page = (ROOT / path).read_text()
     lines = [line.partition(" #")[0] for block in blocks(page, "console") for line in block.splitlines()]
     texts = [line.partition("$ ")[2] for line in lines if line.startswith("$ ")]
     texts += re.findall(r"`((?:sudo )?hexapod-gateway [^`…]+)`", page)
