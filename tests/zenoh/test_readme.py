@@ -110,13 +110,10 @@ def test_the_keys_are_the_keys() -> None:
     assert table == commands | reports | {"hexapod/leg/{1..6}/cmd", "hexapod/servo/{11..63}/cmd"}
 
 
-@pytest.mark.parametrize(
-    "path",
-    [
-        "README.md",
-        *(f"docs/{page}.md" for page in ["quickstart", "driving", "recordings", "robot", "certificates", "stops"]),
-    ],
-)
+PAGES = ["README.md", *(f"docs/{page}.md" for page in ("quickstart", "driving", "recordings", "robot", "certificates"))]
+
+
+@pytest.mark.parametrize("path", [*PAGES, "docs/stops.md"])
 def test_each_command_to_copy_is_the_programs(path: str) -> None:
     """Each with its options and values: a console's line without its remark, and a command alone in `backticks`."""
     page = (ROOT / path).read_text()
