@@ -27,6 +27,12 @@ def check(
         bool,
         typer.Option("--stops", help="Through the gateway that runs: prove step by step that it stops; with consent."),
     ] = False,
+    wire: Annotated[
+        bool,
+        typer.Option(
+            "--wire", help="Without a gateway: try a plug-in of [wire] as the gateway calls it; with consent."
+        ),
+    ] = False,
     leg: Annotated[int, typer.Option("--leg", metavar="N", min=1, max=6, help="With --stops: the leg that moves.")] = 1,
     only: Annotated[
         list[str] | None, typer.Option("--only", metavar="STEP", help="With --stops: only this step; repeat it.")
@@ -38,10 +44,13 @@ def check(
         bool, typer.Option("--restart", help="With --stops: also kill the service; as root, on the robot.")
     ] = False,
     unplug: Annotated[
-        bool, typer.Option("--unplug", help="With --stops: also ask for SPI and the power board's CAN to be unplugged.")
+        bool,
+        typer.Option(
+            "--unplug", help="With --stops and --wire: also ask for it to be unplugged: SPI and CAN, or the board."
+        ),
     ] = False,
     yes: Annotated[
-        bool, typer.Option("--yes", help="With --move (servo 61, 90°) and --stops: without asking.")
+        bool, typer.Option("--yes", help="With --move (servo 61, 90°), --stops and --wire: without asking.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs; not with --move.")] = False,
 ) -> None:
@@ -50,14 +59,20 @@ def check(
     With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Where a
     simulated gateway runs (`make run`) it looks at that, unless --config names a file.
 
-    Without --move and --stops it changes nothing: no byte reaches the servos, and a running gateway is not disturbed.
-    As root it looks with the rights of the service's user.
+    Without --move, --stops and --wire it changes nothing: no byte reaches the servos, and a running gateway is not
+    disturbed. As root it looks with the rights of the service's user.
 
     --stops moves one servo by 5°, after a change and before people come near, and ends with everything stopped, also on
     Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
     """
-    if not stops and (only or restart or unplug):
+    if move + stops + wire > 1:
+        raise ConfigError("one of --move, --stops and --wire at a time")
+    if not stops and (only or restart or (unplug and not wire)):
         raise ConfigError("--only, --restart and --unplug go with --stops")
+    if wire:
+        from gateway.onboard.check.conformance import conformance
+
+        sys.exit(conformance(config, agreed=yes, unplug=unplug))
     if move and as_json:
         raise ConfigError("--move asks a person, so it has no --json")
     if move or stops:
