@@ -1,11 +1,13 @@
 """A plug-in (`gateway.wire`) as a device behind the bus: frames in, changes of servos out.
 
 So what holds for a frame on SPI holds for a plug-in: the guard reads each frame before (`spi.guard`), Stops leave in a
-call of their own, and each that failed is tried alone (`spi.bus`).
+call of their own, and each that failed is tried alone (`spi.bus`): first a leg, then a servo.
 """
 
 import fcntl
 import os
+import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -23,6 +25,8 @@ from schemas.robot import SERVO_IDS
 
 _FRAMES: Final = SpiSettings(speed_hz=20_000_000, framing=Framing.PLAIN, frame_gap_us=0)
 """Six legs are one call."""
+SINGLY_NS: Final = 50_000_000
+"""For so long at most: six legs are tried, and with a call that takes a second systemd ends the gateway."""
 _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)
 
 
@@ -67,7 +71,17 @@ class PluginDevice(SpiDevice):
         try:
             self._wire.apply(changes)
         except OSError as error:
+            if stops and len(changes) < len(SERVO_IDS):
+                self._stop_singly(changes)
             raise SpiError(f"{self._name}: {_words(error)}") from error
+
+    def _stop_singly(self, changes: Sequence[tuple[int, float | None]]) -> None:
+        """One servo's electronics may be gone, and those behind it in the same call still run."""
+        until_ns = time.monotonic_ns() + SINGLY_NS
+        for change in changes:
+            with suppress(OSError):
+                if time.monotonic_ns() < until_ns:
+                    self._wire.apply((change,))
 
     def stop_servos_at_work(self) -> bool | None:
         return None if self._listener is None else self._listener.look()

@@ -1,0 +1,176 @@
+"""The plug-in for PCA9685 boards on an emulated bus, and the robot of Freenove's kit behind it."""
+
+import importlib
+import math
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gateway.errors import SpiError
+from gateway.geometry import load
+from gateway.host import wire_plugins
+from gateway.host.settings_table import WireSettings
+from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
+from gateway.onboard.check import conformance
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import Posture, Velocity
+from gateway.people.walking.robot import Robot, ranges
+from gateway.robot.spi.plugin import PluginBus
+from gateway.wire import ServoWire
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.telemetry import LimitsReport
+from tests.support.pca9685 import I2cBus, in_place_of_smbus2
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+KIT = EXAMPLES / "freenove"
+OPTIONS: dict[str, Any] = tomllib.loads((KIT / "gateway.toml").read_text())["wire"]
+LEFT, RIGHT = 0x40, 0x41
+
+
+@pytest.fixture
+def bus() -> I2cBus:
+    return I2cBus(LEFT, RIGHT)
+
+
+@pytest.fixture
+def kind(bus: I2cBus, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[ServoWire]]:
+    monkeypatch.syspath_prepend(str(EXAMPLES / "wire_pca9685"))
+    with in_place_of_smbus2(bus):
+        sys.modules.pop("wire_pca9685", None)
+        yield importlib.import_module("wire_pca9685").Pca9685
+    sys.modules.pop("wire_pca9685", None)
+
+
+@pytest.fixture
+def wire(kind: type[ServoWire], monkeypatch: pytest.MonkeyPatch) -> WireSettings:
+    monkeypatch.setattr(wire_plugins, "load", lambda _name, options, _known: kind(options))
+    options = {name: value for name, value in OPTIONS.items() if name != "name"}
+    return WireSettings(OPTIONS["name"], options)
+
+
+def pulses(bus: I2cBus) -> dict[int, float | None]:
+    """What each servo gets, in µs."""
+    places = {int(servo): place for servo, place in OPTIONS["servos"].items()}
+    return {servo: bus.boards[board].pulse_us(channel) for servo, (board, channel) in places.items()}
+
+
+def leg(number: int, op: Op, *angles_deg: float) -> OneLeg:
+    first, second, third = (ServoOp(op, round(100 * angle_deg)) for angle_deg in angles_deg)
+    return OneLeg(number, (first, second, third))
+
+
+def test_angles_are_pulses_and_stops_are_full_off(bus: I2cBus, wire: WireSettings) -> None:
+    plugin = PluginBus(wire)
+    plugin.open()
+    assert set(pulses(bus).values()) == {None}
+    plugin.write([leg(number, Op.START, 0, 90, 180) for number in LEGS])
+    for servo, pulse_us in pulses(bus).items():
+        assert pulse_us == pytest.approx({1: 500, 2: 1500, 3: 2500}[servo % 10], abs=3)
+    plugin.write([stop_leg(3)])
+    assert {servo for servo, pulse_us in pulses(bus).items() if pulse_us is None} == {31, 32, 33}
+    plugin.write([stop_leg(number) for number in LEGS])
+    assert set(pulses(bus).values()) == {None}
+    plugin.close()
+    assert bus.is_open == 0
+
+
+@pytest.mark.parametrize("absent", [LEFT, RIGHT])
+def test_an_absent_board_is_a_fault_and_the_other_ones_servos_are_stopped(
+    bus: I2cBus, wire: WireSettings, absent: int
+) -> None:
+    plugin = PluginBus(wire)
+    plugin.open()
+    plugin.write([leg(number, Op.START, 90, 90, 90) for number in LEGS])
+    bus.boards[absent].plugged = False
+    report = plugin.write([stop_leg(number) for number in LEGS])
+    assert "Remote I/O error" in str(report.fault)
+    stopped = {servo for servo, pulse_us in pulses(bus).items() if pulse_us is None}
+    assert stopped == {int(servo) for servo, (board, _) in OPTIONS["servos"].items() if board != absent}
+    plugin.release()
+    with pytest.raises(SpiError, match="Remote I/O error"):
+        plugin.open()
+
+
+def test_a_board_that_lost_its_supply_is_a_fault(bus: I2cBus, wire: WireSettings) -> None:
+    plugin = PluginBus(wire)
+    plugin.open()
+    bus.boards[RIGHT].reset()
+    report = plugin.write([leg(2, Op.START, 90, 90, 90)])
+    assert "board 0x41 was reset" in str(report.fault)
+
+
+def test_it_keeps_what_a_wire_has_to_keep(
+    wire: WireSettings, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conformance, "_HOLD_S", 0)
+    assert wire.plugin
+    assert conformance.conformance(KIT / "gateway.toml", agreed=True, unplug=False) == 0, capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"speed": 1}, "speed is no option of pca9685"),
+        ({"servos": {}}, "servos names all 18"),
+        ({"pulse_us": [500, 3000]}, "pulses are 300 to 2700"),
+        ({"servos": {**OPTIONS["servos"], "11": [0x20, 0]}}, r"servos\.11: a board is 0x40"),
+        ({"servos": {**OPTIONS["servos"], "11": OPTIONS["servos"]["12"]}}, "two servos are on one channel"),
+        ({"servos": {**OPTIONS["servos"], "11": 5}}, r"servos\.11: write 2 or 4 numbers"),
+        ({"bus": "one"}, "bus: write a whole number"),
+    ],
+)
+def test_wrong_options_are_a_sentence(kind: type[ServoWire], change: dict[str, object], sentence: str) -> None:
+    options = {name: value for name, value in OPTIONS.items() if name != "name"} | change
+    with pytest.raises(ValueError, match=sentence):
+        kind(options)
+
+
+# ---- the kit
+
+
+def kits_own_deg(leg: int, outward_mm: float, tangential_mm: float, up_mm: float) -> tuple[float, float, float]:
+    """The servos' angles by the formulas of the kit's own software, which rounds them to whole degrees."""
+    coxa_mm, femur_mm, tibia_mm = 33, 90, 110
+    hip = math.pi / 2 - math.atan2(tangential_mm, outward_mm)
+    out_mm = outward_mm - coxa_mm * math.sin(hip)
+    aside_mm = tangential_mm - coxa_mm * math.cos(hip)
+    reach_mm = math.hypot(up_mm, out_mm, aside_mm)
+    lift = math.acos((femur_mm**2 + reach_mm**2 - tibia_mm**2) / (2 * femur_mm * reach_mm))
+    knee = math.pi - math.acos((femur_mm**2 + tibia_mm**2 - reach_mm**2) / (2 * femur_mm * tibia_mm))
+    a, b, c = math.degrees(hip), math.degrees(math.asin(-up_mm / reach_mm) - lift), math.degrees(knee)
+    return (a, 90 + b, 180 - c) if leg % 2 else (a, 90 - b, c)
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize("foot_mm", [(140, 0, -39), (120, 30, -60), (150, -25, -20)])
+def test_the_geometry_sends_what_the_kits_own_software_would(leg: int, foot_mm: tuple[float, float, float]) -> None:
+    geometry = load(KIT / "geometry.json")
+    mount, (outward_m, tangential_m, up_m) = geometry.leg_mounts[leg], (each / 1000 for each in foot_mm)
+    cos, sin = math.cos(mount.yaw_rad), math.sin(mount.yaw_rad)
+    x_m, y_m, z_m = mount.xyz_m
+    foot_m = x_m + cos * outward_m - sin * tangential_m, y_m + sin * outward_m + cos * tangential_m, z_m + up_m
+    found = Robot(geometry, ranges(LimitsReport(), None)).angles_deg(leg, foot_m)
+    assert found == pytest.approx(kits_own_deg(leg, *foot_mm), abs=0.1)
+
+
+def test_it_stands_up_walks_and_sits_down_within_its_servos_ranges() -> None:
+    engine = Engine(Robot(load(KIT / "geometry.json"), ranges(LimitsReport(), None)))
+    engine.stand()
+    for _ in range(1000):
+        engine.step(Velocity(0.0), 0.02)
+        if engine.posture is Posture.STANDING:
+            break
+    assert (engine.posture, engine.limit) == (Posture.STANDING, "")
+    for _ in range(250):
+        engine.step(Velocity(0.04), 0.02)
+        assert engine.limit == ""
+    assert engine.odometry.x_m > 0.1
+    engine.sit()
+    for _ in range(1000):
+        engine.step(Velocity(0.0), 0.02)
+    assert engine.posture is Posture.SITTING
+    assert {10 * leg + joint for leg in LEGS for joint in JOINTS} == {*SERVO_IDS}
