@@ -12,7 +12,7 @@ Registers and their meaning: NXP, PCA9685, product data sheet, Rev. 4, chapter 7
 
 import errno
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -25,6 +25,8 @@ SLEEP, AUTO_INCREMENT, TOTEM_POLE = 0x10, 0x20, 0x04
 FULL_OFF = (0, 0, 0, 0x10)
 """ON and OFF, low byte first: bit 4 of the last byte holds the output low, so the servo gets no pulse."""
 OSCILLATOR_HZ, COUNTS = 25_000_000, 4096
+MOST_BYTES = 32
+"""Of a block on the bus: eight channels."""
 WAKES_S = 0.0005
 """After a sleep the oscillator needs so long."""
 SHORTEST_US, LONGEST_US = 300, 2700
@@ -77,18 +79,14 @@ class Pca9685(ServoWire):
             self._check(board, PRESCALE, (self._prescale,))
 
     def apply(self, changes: Sequence[tuple[int, float | None]]) -> None:
-        left = dict(changes)
-        for board in self._boards:
-            servos = [servo for servo, output in self._outputs.items() if output.board == board]
-            if all(left.get(servo, 0) is None for servo in servos):  # one write for the whole board
-                self._bus.write_i2c_block_data(board, ALL_LED, FULL_OFF)
-                self._check(board, LED0 + 4 * self._outputs[servos[-1]].channel, FULL_OFF)
-                continue
-            mine = [servo for servo in servos if servo in left]
-            for servo in mine:
-                self._bus.write_i2c_block_data(board, self._register(servo), self._counts(servo, left[servo]))
-            if mine:
-                self._check(board, self._register(mine[-1]), self._counts(mine[-1], left[mine[-1]]))
+        wanted: dict[int, dict[int, tuple[int, ...]]] = {}
+        for servo, angle_deg in changes:
+            output = self._outputs[servo]
+            wanted.setdefault(output.board, {})[output.channel] = self._counts(output, angle_deg)
+        for board, channels in wanted.items():
+            for channel, data in _runs(channels):
+                self._bus.write_i2c_block_data(board, LED0 + 4 * channel, data)
+                self._check(board, LED0 + 4 * channel, data)
 
     def close(self) -> None:
         bus, self._open_bus = self._open_bus, None
@@ -96,13 +94,10 @@ class Pca9685(ServoWire):
             with suppress(OSError):
                 bus.close()
 
-    def _register(self, servo: int) -> int:
-        return LED0 + 4 * self._outputs[servo].channel
-
-    def _counts(self, servo: int, angle_deg: float | None) -> tuple[int, ...]:
+    def _counts(self, output: Output, angle_deg: float | None) -> tuple[int, ...]:
+        """The four bytes of an output."""
         if angle_deg is None:
             return FULL_OFF
-        output = self._outputs[servo]
         pulse_us = output.at_0_us + (output.at_180_us - output.at_0_us) * angle_deg / 180
         counts = round(pulse_us / self._count_us)
         return 0, 0, counts & 0xFF, counts >> 8
@@ -113,6 +108,18 @@ class Pca9685(ServoWire):
             raise OSError(errno.EIO, f"board 0x{board:02x} was reset")
         if tuple(self._bus.read_i2c_block_data(board, register, len(data))) != tuple(data):
             raise OSError(errno.EIO, f"board 0x{board:02x} has not taken what was written")
+
+
+def _runs(channels: Mapping[int, tuple[int, ...]]) -> Iterator[tuple[int, list[int]]]:
+    """Neighbouring channels together: the first of them, and the bytes of all; no more than a block has."""
+    first, data = 0, list[int]()
+    for channel in sorted(channels):
+        if data and (channel != first + len(data) // 4 or len(data) == MOST_BYTES):
+            yield first, data
+            data = []
+        first = first if data else channel
+        data = [*data, *channels[channel]]
+    yield first, data
 
 
 def _outputs(options: Mapping[str, object]) -> dict[int, Output]:

@@ -50,6 +50,14 @@ class Call(NamedTuple):
         return set(self.changes.values()) == {None}
 
 
+def declare(folder: Path, name: str, target: str) -> None:
+    """Let Pythons that search this folder find the plug-in, as if pip had installed it there."""
+    described = folder / f"{target.partition(':')[0]}-1.0.dist-info"
+    described.mkdir()
+    (described / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{name} = {target}\n")
+
+
 class Installed:
     """The plug-in, installed in a folder of its own."""
 
@@ -58,10 +66,7 @@ class Installed:
         self.path = folder / "written"
         self.unplugged, self.mistake = (folder / f"written.{name}" for name in ("unplugged", "mistake"))
         (folder / "to_file.py").write_text(WIRE)
-        described = folder / "to_file-1.0.dist-info"
-        described.mkdir()
-        (described / "METADATA").write_text("Metadata-Version: 2.1\nName: to-file\nVersion: 1.0\n")
-        (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{NAME} = to_file:ToFile\n")
+        declare(folder, NAME, "to_file:ToFile")
 
     @property
     def section(self) -> dict[str, Any]:
