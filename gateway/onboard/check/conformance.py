@@ -36,7 +36,7 @@ class BrokenError(Exception):
     """What the plug-in does not keep, as a sentence."""
 
 
-class Step(NamedTuple):
+class WireStep(NamedTuple):
     """One row of the table. `run` returns a sentence, or raises BrokenError; an OSError counts as one."""
 
     name: str
@@ -214,16 +214,16 @@ def _unplugged(tried: Tried) -> str:
 
 
 STEPS: Final = (
-    Step("open", _open),
-    Step("stops", _stops),
-    Step("start", _start),
-    Step("set", _set),
-    Step("hundredths", _hundredths),
-    Step("single servos", _some),
-    Step("stops again", _again),
-    Step("stop-servos", _another),
-    Step("reopen", _reopen),
-    Step("times", _times),
-    Step("unplugged", _unplugged),
+    WireStep("open", _open),
+    WireStep("stops", _stops),
+    WireStep("start", _start),
+    WireStep("set", _set),
+    WireStep("hundredths", _hundredths),
+    WireStep("single servos", _some),
+    WireStep("stops again", _again),
+    WireStep("stop-servos", _another),
+    WireStep("reopen", _reopen),
+    WireStep("times", _times),
+    WireStep("unplugged", _unplugged),
 )
 """In their order: a later one needs what an earlier one has opened."""
