@@ -71,6 +71,6 @@ class CalibrationCommand(Sender):
     revision: Annotated[Count | None, Field(description="of the calibration that it changes; another: `stale`")] = None
     servos: Annotated[dict[ServoName, ServoChange], Field(default_factory=dict, description="by id")]
     landing: Annotated[
-        dict[ServoName, AngleDeg | None], Field(default_factory=dict, description="landing pose; null: removed")
+        dict[ServoName, AngleDeg | None], Field(default_factory=dict, description="landing pose, or null")
     ]
     accept_default: Annotated[Literal[True] | None, Field(description="use no trim, since the file is broken")] = None

@@ -50,15 +50,13 @@ class LegsReport(Report):
     ]
     age_ms: Annotated[
         tuple[_Age, _Age, _Age, _Age, _Age, _Age],
-        Field(description="since an accepted command started or set a servo; null: none yet"),
+        Field(description="since an accepted start or set; null: none"),
     ]
     angles_deg: Annotated[SixAngles, Field(description="joints 1 to 3 as last written; null: does not run")]
-    targets_deg: Annotated[
-        SixAngles | None, Field(description="where they are commanded to go; null: as `angles_deg`")
-    ] = None
+    targets_deg: Annotated[SixAngles | None, Field(description="where they are to go; null: as `angles_deg`")] = None
     source: Annotated[
         tuple[_Place, _Place, _Place, _Place, _Place, _Place],
-        Field(description="whose command is in force, an index into `sources`; null: nobody's, or no name"),
+        Field(description="index into `sources`: whose command is in force"),
     ]
 
 
@@ -66,9 +64,7 @@ class StateReport(ChangingState):
     """The payload of `hexapod/state`: at most 2 048 bytes. A text that was cut ends with `…`."""
 
     legs: LegsReport
-    sources: Annotated[
-        tuple[str, ...], Field(max_length=len(LEGS), description="names that `legs.source` refers to")
-    ] = ()
+    sources: Annotated[tuple[str, ...], Field(max_length=len(LEGS), description="whose commands are in force")] = ()
 
     def cut(self, most: int, most_source: int) -> "StateReport":
         """The same with at most `most` characters in each text, and `most_source` in each name of who commands."""

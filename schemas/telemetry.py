@@ -39,14 +39,8 @@ class Reason(Value):
     BAD_ENCODING = "bad_encoding", "the encoding is not JSON"
     MALFORMED = "malformed", "the payload is not JSON"
     INVALID = "invalid", "a field is missing, unknown or out of range, or the key is none"
-    SERVO_STOPPED = (
-        "servo_stopped",
-        "a `set` names a stopped servo, or a Stop arrived too; or its calibration changes or cannot be used",
-    )
-    JOINT_LIMIT = (
-        "joint_limit",
-        "the angle is outside the servo's limits, or is never sent (*Angles that are not sent*)",
-    )
+    SERVO_STOPPED = "servo_stopped", "a `set` names a stopped servo, a Stop arrived too, or its calibration is in doubt"
+    JOINT_LIMIT = "joint_limit", "the angle is outside the servo's limits, or is never sent"
     STALE = "stale", "it was delayed for too long, belongs to a burst, names an old calibration, or repeats a check-in"
     ESTOPPED = "estopped", "the emergency stop is engaged, or a reset names another one"
     BUS_FAULT = "bus_fault", "the controller cannot be reached"
@@ -102,10 +96,7 @@ class Kind(Value):
     CALIBRATED = "calibrated", "a changed calibration is in force and kept"
     OVERFLOW = "overflow", "messages of one key were lost, perhaps a Stop: its servos are stopped"
     BUS_MEDDLED = "bus_meddled", "another program changed the SPI settings; they are restored, and `bus_fault` follows"
-    REVOKED = (
-        "revoked",
-        "a newer list is in force, and the gateway restarts; or, at a start, the stored list was older",
-    )
+    REVOKED = "revoked", "a newer list is in force: the gateway restarts; or the stored list was older"
     BUTTON_REGISTERED = "button_registered", "a button is registered and replaces an older one of its name"
     BUTTON_SILENT = "button_silent", "a button was silent for too long"
     BUTTON_LEFT = "button_left", "a button left"
@@ -182,25 +173,21 @@ class Answer(Sparse):
 class Ack(Answer):
     """The reply to an acknowledged command; null fields are left out of the JSON."""
 
-    coalesced: Annotated[
-        Literal[True] | None, Field(description="a newer command replaced this one before its frame")
-    ] = None
+    coalesced: Annotated[Literal[True] | None, Field(description="a newer command replaced it before its frame")] = None
     written: Annotated[
         list[int] | None,
-        Field(description="if not accepted: legs whose frame was written before (Behaviour *Answered in part*)"),
+        Field(description="if not accepted: legs already written (*Answered in part*)"),
     ] = None
     stopped: Annotated[
         Literal[True] | None,
-        Field(description="if not accepted: its servos are stopped all the same; left out during a bus fault"),
+        Field(description="if not accepted: its servos are stopped all the same"),
     ] = None
     stop_frames: Annotated[Count | None, Field(description="of an emergency stop: Stop frames written")] = None
     estop: Annotated[Count | None, Field(description="of an emergency stop: its number")] = None
     latency_us: Annotated[
-        float | None, Field(ge=0, description="of an emergency stop: request received to last Stop frame written")
+        float | None, Field(ge=0, description="of an emergency stop: request to last Stop written")
     ] = None
-    confirmed: Annotated[
-        bool | None, Field(description="of a Stop, with a power board: whether the board has confirmed the supply off")
-    ] = None
+    confirmed: Annotated[bool | None, Field(description="of a Stop: whether the power board confirmed it")] = None
     confirmed_ms: Annotated[float | None, Field(ge=0, description="from the command to that confirmation")] = None
 
     def __bool__(self) -> bool:
@@ -214,9 +201,7 @@ class ServoReport(Report):
     id: int
     running: bool
     angle_deg: float | None
-    target_deg: Annotated[
-        float | None, Field(description="where it is commanded to go, if it runs or waits to be started")
-    ] = None
+    target_deg: Annotated[float | None, Field(description="where it is to go, if it runs or waits to start")] = None
 
 
 class LegReport(Report):
@@ -352,18 +337,14 @@ class CalibrationReport(Report):
     """The calibration in force, without its numbers; those are on `hexapod/calibration`."""
 
     revision: Annotated[Count, Field(description="of the calibration in force")] = 0
-    fault: Annotated[
-        str | None, Field(description="why the kept calibration cannot be used; nothing can be started then")
-    ] = None
+    fault: Annotated[str | None, Field(description="why the file cannot be used; nothing can start then")] = None
     kept: Annotated[bool, Field(description="whether the next boot finds it")] = False
 
 
 class TelemetryReport(Report):
     """What the gateway publishes besides the state."""
 
-    frames: Annotated[
-        bool | None, Field(description="whether `hexapod/frame` is published; null: an older gateway")
-    ] = None
+    frames: Annotated[bool | None, Field(description="whether `hexapod/frame` is published; null: unknown")] = None
 
 
 class CertificateReport(Report):
@@ -398,9 +379,7 @@ class Battery(Report):
 class Imu(Report):
     """The body's inertial sensor: how it stands, turns and is accelerated, in its own frame."""
 
-    orientation_wxyz: Annotated[
-        tuple[float, float, float, float], Field(description="the body's orientation as sent, not normalised")
-    ]
+    orientation_wxyz: Annotated[tuple[float, float, float, float], Field(description="of the body, not normalised")]
     angular_velocity_rad_s: Annotated[tuple[float, float, float], Field(description="x, y, z in the sensor's frame")]
     linear_acceleration_m_s2: Annotated[tuple[float, float, float], Field(description="x, y, z, with gravity")]
 
@@ -427,13 +406,10 @@ class Telemetry(Sparse):
     temperature_c: Annotated[float | None, Field(description="the controller's")] = None
     battery: Battery | None = None
     imu: Imu | None = None
-    tilt_deg: Annotated[
-        float | None,
-        Field(description="of the body, 0 to 180; left out if the orientation is no unit quaternion"),
-    ] = None
+    tilt_deg: Annotated[float | None, Field(description="of the body, 0 to 180, if the orientation is valid")] = None
     feet: Annotated[
         tuple[float, float, float, float, float, float] | None,
-        Field(description="forces of legs 1 to 6, in the robot's own unit"),
+        Field(description="forces, unit unknown"),
     ] = None
     servos: Annotated[dict[str, ServoTelemetry] | None, Field(description="by id, from the power board")] = None
     supply: Supply | None = None
@@ -447,9 +423,7 @@ class WireReport(Report):
     name: Annotated[str, Field(description="the setting `wire.name`")] = ""
     whole_robot: Annotated[bool, Field(description="only all servos together can be started and stopped")] = False
     measures: Annotated[bool, Field(description="telemetry comes back")] = False
-    acknowledges: Annotated[
-        bool, Field(description="a frame counts as written once the controller has confirmed it")
-    ] = False
+    acknowledges: Annotated[bool, Field(description="a written frame is one that the controller confirmed")] = False
     supply_starts: Annotated[bool, Field(description="with a power board, supply starts a servo")] = False
 
 
@@ -491,15 +465,11 @@ class ConfigReport(Report):
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
     telemetry: Annotated[TelemetryReport, Field(description="an older gateway does not say")] = TelemetryReport()
     certificate: Annotated[CertificateReport | None, Field(description="null: none in use")] = None
-    missing_endpoints: Annotated[
-        tuple[str, ...], Field(description="not listened on yet, since the address is missing")
-    ] = ()
+    missing_endpoints: Annotated[tuple[str, ...], Field(description="not listened on yet: address is missing")] = ()
     revocations: Annotated[RevocationsReport | None, Field(description="null: no list in force")] = None
     limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
     wire: Annotated[WireReport, Field(description="an older gateway does not say")] = WireReport()
-    physics: Annotated[
-        str | None, Field(description="Zenoh id of the process that publishes `hexapod/sim/body`; null: none")
-    ] = None
+    physics: Annotated[str | None, Field(description="Zenoh id of the publisher of `hexapod/sim/body`")] = None
 
 
 class ChangingState(Report):
@@ -515,9 +485,7 @@ class ChangingState(Report):
     estop: Annotated[Count, Field(description="number of the latest emergency stop; 0: none yet")] = 0
     estop_source: Annotated[str | None, Field(description="who requested it, if known")] = None
     estop_since: Annotated[AwareDatetime | None, Field(description="null: not engaged")] = None
-    estop_fault: Annotated[
-        str | None, Field(description="why it may not outlast a restart, or counts as engaged; null: no fault")
-    ] = None
+    estop_fault: Annotated[str | None, Field(description="why a restart may forget it, or it counts as engaged")] = None
     lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
     buttons: Annotated[ButtonsAlive, Field(description="an older gateway has none")] = ButtonsAlive()
     loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
@@ -565,10 +533,8 @@ class Event(Report):
     key: Annotated[str | None, Field(description="of the command")]
     reason: Annotated[AnyReason | None, Field(description="of a rejection or an overflow")]
     detail: Annotated[str, Field(description="one sentence")]
-    left_out: Annotated[
-        Count, Field(description="events of this kind and source left out before this one (Behaviour *Events*)")
-    ] = 0
-    legs: Annotated[tuple[int, ...], Field(description="concerned, ascending")] = ()
+    left_out: Annotated[Count, Field(description="such events left out before this one (Behaviour *Events*)")] = 0
+    legs: Annotated[tuple[int, ...], Field(description="that stop, land, change hands or are named")] = ()
     incident: Annotated[str | None, Field(description="id of its incident in the black box")] = None
 
 
@@ -596,15 +562,10 @@ class BodyReport(Report):
 
     time: Annotated[AwareDatetime, Field(description="when")]
     position_m: Annotated[tuple[float, float, float], Field(description="of the body's frame")]
-    orientation_xyzw: Annotated[
-        tuple[float, float, float, float], Field(description="unit quaternion, from the body to the ground")
-    ]
+    orientation_xyzw: Annotated[tuple[float, float, float, float], Field(description="unit quaternion, body to ground")]
     velocity_m_s: Annotated[tuple[float, float, float], Field(description="of the body")]
     upright: Annotated[bool, Field(description="leans by less than 45°")]
     feet: Annotated[tuple[bool, bool, bool, bool, bool, bool], Field(description="of legs 1 to 6: on the ground")]
     servos: Annotated[dict[str, SimulatedServo], Field(description="by id")]
     terrain: Annotated[str, Field(description="as `run --terrain` names it")] = "flat"
-    real_time_factor: Annotated[
-        float,
-        Field(ge=0, description="simulated seconds in a second, of the last two; below 1 the machine is too slow"),
-    ] = 1.0
+    real_time_factor: Annotated[float, Field(ge=0, description="below 1 the machine is too slow")] = 1.0

@@ -46,7 +46,7 @@ def test_tables_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> Non
         "| `servos` | 3 × object | joints 1, 2, 3; as in [ServoCommand](#servocommand) |",
         "| `to` | 1 to 64 characters? | with `release`: who gets it, of those that asked |",
         "| `servos.N.trim_deg` | number, -90 to 90? | added to the angle on the wire |",
-        "| `legs.age_ms` | 6 × number? | since an accepted command started or set a servo; null: none yet |",
+        "| `legs.age_ms` | 6 × number? | since an accepted start or set; null: none |",
         "| `servo_silent` | a running servo draws nothing for 1 s |",
     ],
 )
