@@ -100,7 +100,7 @@ class StoppedError(GatewayError):
     def __init__(
         self, detail: str, legs: Iterable[int], by: str | None = None, cause: str = "", at_s: float | None = None
     ) -> None:
-        """A sentence, the legs' numbers, who, why, and when (monotonic; the text says how long ago)."""
+        """A sentence, the legs' numbers, who, why, and when (monotonic; the text states how long ago)."""
         super().__init__(detail)
         self.legs = tuple(sorted(legs))
         self.by = by

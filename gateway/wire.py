@@ -4,7 +4,7 @@
     my-board = "my_board:MyBoard"        # [wire] name = "my-board" in gateway.toml chooses it
 
 A plug-in imports this module and nothing else of the gateway. Lease, watchdog, emergency stop, limits and calibration
-are the gateway's, as on any wire; docs/protocol.md says what it may rely on. `check --wire` tries it.
+are the gateway's, as on any wire; docs/protocol.md lists what it may rely on. `check --wire` tries it.
 """
 
 from abc import ABC, abstractmethod

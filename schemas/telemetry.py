@@ -155,7 +155,7 @@ class Sparse(Report):
 
 
 class Answer(Sparse):
-    """What every reply to a request says."""
+    """What every reply to a request contains."""
 
     accepted: Annotated[bool, Field(description="whether the request took effect")]
     reason: Annotated[AnyReason | None, Field(description="why not")] = None
@@ -370,7 +370,7 @@ class ServoLimitsReport(Report):
 
 
 class Battery(Report):
-    """The robot's battery; percent as the robot says it."""
+    """The robot's battery; percent as the robot reports it."""
 
     voltage_v: Annotated[float, Field(description="as measured")]
     percent: Annotated[float, Field(description="as the controller sends it")]
@@ -463,12 +463,12 @@ class ConfigReport(Report):
     watchdog: WatchdogConfig
     buttons: Annotated[ButtonsConfig, Field(description="an older gateway has none")] = ButtonsConfig()
     calibration: Annotated[CalibrationReport, Field(description="an older gateway has none")] = CalibrationReport()
-    telemetry: Annotated[TelemetryReport, Field(description="an older gateway does not say")] = TelemetryReport()
+    telemetry: Annotated[TelemetryReport, Field(description="an older gateway lacks it")] = TelemetryReport()
     certificate: Annotated[CertificateReport | None, Field(description="null: none in use")] = None
     missing_endpoints: Annotated[tuple[str, ...], Field(description="not listened on yet: address is missing")] = ()
     revocations: Annotated[RevocationsReport | None, Field(description="null: no list in force")] = None
-    limits: Annotated[LimitsReport, Field(description="an older gateway does not say")] = LimitsReport()
-    wire: Annotated[WireReport, Field(description="an older gateway does not say")] = WireReport()
+    limits: Annotated[LimitsReport, Field(description="an older gateway lacks it")] = LimitsReport()
+    wire: Annotated[WireReport, Field(description="an older gateway lacks it")] = WireReport()
     physics: Annotated[str | None, Field(description="Zenoh id of the publisher of `hexapod/sim/body`")] = None
 
 
@@ -486,11 +486,11 @@ class ChangingState(Report):
     estop_source: Annotated[str | None, Field(description="who requested it, if known")] = None
     estop_since: Annotated[AwareDatetime | None, Field(description="null: not engaged")] = None
     estop_fault: Annotated[str | None, Field(description="why a restart may forget it, or it counts as engaged")] = None
-    lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway does not say")] = LeaseReport()
+    lease: Annotated[LeaseReport, Field(description="who is driving; an older gateway lacks it")] = LeaseReport()
     buttons: Annotated[ButtonsAlive, Field(description="an older gateway has none")] = ButtonsAlive()
-    loop_lag_us: Annotated[LoopLag, Field(description="an older gateway does not say")] = LoopLag()
+    loop_lag_us: Annotated[LoopLag, Field(description="an older gateway lacks it")] = LoopLag()
     incident: Annotated[str | None, Field(description="id of the latest incident in the black box")] = None
-    controller: Annotated[ControllerReport, Field(description="an older gateway does not say")] = ControllerReport()
+    controller: Annotated[ControllerReport, Field(description="an older gateway lacks it")] = ControllerReport()
     battery: Annotated[Battery | None, Field(description="null: not measured")] = None
     power: Annotated[PowerReport | None, Field(description="null: no power board")] = None
 

@@ -74,7 +74,7 @@ class ProofChecker:
     ) -> str | None:
         holder = holder_of(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
-        clock, roles = f"the robot's clock says {_minute(now)}", " or a ".join(purpose.roles)
+        clock, roles = f"the robot's clock states {_minute(now)}", " or a ".join(purpose.roles)
         issued = any(is_issued(certificate, ca) for ca in self._cas if _is_valid(ca, now))
         revoked = self._revoked is not None and self._revoked.holds(holder.common_name, certificate.serial_number)
         own = holder.name == source or (purpose.own_names and source.startswith(f"{holder.name}/"))

@@ -25,7 +25,7 @@ def mount_of(path: Path, mounts: str | None = None) -> tuple[str, str]:
 
 
 def forgets(folder: Path) -> str:
-    """The kind of a file system that a boot empties; "" if the folder is on another one, or nobody can tell."""
+    """The kind of a file system that a boot empties; "" if the folder is on another one, or it is unknown."""
     try:
         kind = mount_of(folder.resolve())[1]
     except (OSError, ValueError):

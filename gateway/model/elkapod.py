@@ -9,7 +9,7 @@
 
 An answer has as many bytes with the same first and last one; `ANSWER` has what is between. Neither has a length, a type
 or a checksum, so an answer is checked as far as it can be (`measured`). No frame has a Stop: UART messages start and
-shut down all servos. What the values' units are is written nowhere; docs/protocol.md says which ones are assumed.
+shut down all servos. What the values' units are is written nowhere; docs/protocol.md states which ones are assumed.
 """
 
 import math

@@ -31,7 +31,7 @@ class Framing(enum.StrEnum):
         """Which controllers need it."""
         if self is Framing.LENGTH_PREFIXED:
             return "the published STM32 firmware"
-        return "a controller that reads frames as the protocol's document says"
+        return "a controller written to the protocol document"
 
     @property
     def needs_chip_select(self) -> bool:

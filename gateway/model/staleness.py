@@ -113,7 +113,7 @@ class Staleness:
         clocks = self._clocks_of(name, instant_ns / 1e6)
         if clocks is None:
             return (
-                f"{SOURCES} sources have sent commands within {FORGET_MS / 1000:g} s, more than the gateway can tell "
+                f"{SOURCES} sources have sent commands within {FORGET_MS / 1000:g} s, more than the gateway can track "
                 "apart by their clocks; wait, or leave out sent_ms"
             )
         difference_ms = now_ms - sent_ms

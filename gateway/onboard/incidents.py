@@ -50,7 +50,7 @@ def list_incidents(context: typer.Context, config: ConfigOption = None, as_json:
 def show(
     context: typer.Context, incident: IncidentArgument, config: ConfigOption = None, as_json: JsonOption = False
 ) -> None:
-    """Tell what happened: commands, decisions and frames, with times relative to the stop."""
+    """Explain what happened: commands, decisions and frames, with times relative to the stop."""
     from gateway.onboard import black_box
 
     sys.exit(black_box.show(_settings(context, config), incident, as_json=as_json))

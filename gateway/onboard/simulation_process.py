@@ -110,7 +110,7 @@ class BoardProcess(SimulationProcess):
         """`outputs`: the servo on each. `page`: where a simulated controller sends its servos; a new one by default.
         `sensed`: what a simulated body feels, whose torques decide the currents. `record`: a file for all frames."""
         self.page = ServoPage() if page is None else page
-        """For the simulated controller: it says which servos are fed."""
+        """For the simulated controller: which servos are fed."""
         pages = [self.page.fd] if sensed is None else [self.page.fd, sensed.fd]
         given = {
             "outputs": list(outputs),

@@ -56,7 +56,7 @@ def how_to_repeat(version: str) -> str:
 
 
 def why_nothing_loads() -> str:
-    """What `check` says where a file keeps it from being loaded itself; "": none does."""
+    """What `check` prints where a file keeps it from being loaded; "": none does."""
     found = compare()
     if found.changed:
         return f"not as installed: {', '.join(found.changed[:SHOWN])} → {how_to_repeat(version())}"

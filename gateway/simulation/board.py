@@ -141,7 +141,7 @@ class SimulatedBoard:
         return self._measure_due_ns
 
     def press_button(self, now_ns: int) -> None:
-        """Its power button: it says so while it is awake (69), and wakes from standby."""
+        """Its power button: it reports a press while it is awake (69), and wakes from standby."""
         if self._awake_ns is None:
             self._awake_ns = now_ns + AWAKE_NS
         else:

@@ -7,7 +7,7 @@ What it takes from that firmware (docs/protocol.md):
 * Chip select means nothing: bytes are one stream, so a lost byte misaligns everything after it, until a pause.
 * A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
 * A receive that takes 1000 ms is given up. The firmware counts ticks of a millisecond (HAL_GetTick), from the tick in
-  which the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` says how much of a tick was over
+  which the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` is how much of a tick was over
   at time 0 of the clock. The published firmware then still executes what has arrived, with zeros for the rest, so half
   of a ONE SERVO Start starts its servo. The controller that follows the document drops it.
 * A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
@@ -54,7 +54,7 @@ class ServoState:
     target_deg: float | None = None
     angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
     pulse_us: int | None = None  # where its controller counts one
-    fed: bool = True  # until a simulated power board says otherwise
+    fed: bool = True  # until a simulated power board reports otherwise
 
     @property
     def driven(self) -> bool:
@@ -71,7 +71,7 @@ class SimulatedServos(dict[int, ServoState]):
     """The 18 by id. Times are of one monotonic clock."""
 
     def __init__(self, now_ns: int, page: ServoPage | None) -> None:
-        """All off. Into `page` goes where each is sent; it says which of them have supply."""
+        """All off. Into `page` goes where each is sent; which also has the servos with supply."""
         super().__init__((servo_id, ServoState()) for servo_id in SERVO_IDS)
         self._page = page
         self._moved_ns = now_ns

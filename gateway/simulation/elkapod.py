@@ -104,7 +104,7 @@ class SimulatedElkapod(DuplexDevice):
         battery: SimulatedBattery | None = None,
     ) -> None:
         """Switched on now, servos slack. `clock` gives nanoseconds. `on_change` gets a line on what changed; into
-        `page` goes where each servo is sent, which also says what a power board feeds; `sensed` has what a simulated
+        `page` goes where each servo is sent, which also states what a power board feeds; `sensed` has what a simulated
         body feels."""
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         """The newest on SPI, with their times."""

@@ -23,6 +23,6 @@ def test_no_device_is_touched_before_somebody_has_said_the_framing(tmp_path: Pat
     unset, document, published = end.stderr.splitlines()
     assert "spi.framing: is not set" in unset
     assert 'published STM32 firmware needs "length-prefixed"' in published
-    assert 'document says needs "plain"' in document
+    assert 'protocol document needs "plain"' in document
     assert end.stdout == ""
     assert device.stat().st_size == 0

@@ -94,7 +94,7 @@ def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_co
 ) -> None:
     page = watching(visitor, watcher, PHONE, **LANDSCAPE)
     with frozen(console.child.pid):
-        expect(page["word"]).to_have_text("NOT HEARD")
+        expect(page["word"]).to_have_text("NO SIGNAL")
         expect(page["known"]).to_contain_text("use the switch")
         assert page.page.evaluate("window.shakes.length") > 0
         assert page.page.evaluate("document.body.scrollHeight <= innerHeight"), "all of it is seen"
@@ -139,7 +139,7 @@ def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(vis
     page = watching(visitor, watcher, PHONE)
     page.page.evaluate(HIDE)
     heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
-    expect(page["word"]).to_have_text("NOT HEARD")
+    expect(page["word"]).to_have_text("NO SIGNAL")
     page.page.evaluate(SHOW)
     heard.wait(lambda event: event.kind == Kind.BUTTON_RETURNED)
     expect(page["word"]).to_have_text("STOP")
@@ -159,7 +159,7 @@ def test_answers_that_come_late_are_seen_and_a_registration_that_was_held_back_d
     page.page.evaluate("window.heldBackMs = { register: 600 }")
     page["button"].click()
     expect(page["known"]).to_contain_text("to register took 0.6 s, which is too long")
-    expect(page["word"]).to_have_text("NOT HEARD")
+    expect(page["word"]).to_have_text("NO SIGNAL")
     page["button"].click()
     expect(page["known"]).to_have_text("6 Stops written")
     assert watcher.state().mode == Mode.ESTOPPED

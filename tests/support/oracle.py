@@ -477,7 +477,7 @@ class Oracle(RobotHistory):
                 latest.append(leg.unfed_ns + self.rules.feed_ns)
             if self.landing is None and self.armed(number) and not self.waits_for_supply(number):
                 deadline_ns = (leg.commanded_ns or 0) + self.rules.timeout_ns
-                demand(now_ns < deadline_ns, "a no command for leg that in the timeout is off")
+                demand(now_ns < deadline_ns, "a leg without a command within the timeout is off")
                 latest.append(deadline_ns)
             waits = [servo for each, servo in self.servos.items() if leg_of(each) == number and each not in held]
             under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in waits)

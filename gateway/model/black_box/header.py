@@ -45,7 +45,7 @@ def slots_of(head: bytes, size: int) -> int:
     if version != VERSION or slot != SLOT:
         raise DamagedRingError(f"it has version {version}, with records of {slot} bytes")
     if not slots or size != file_bytes(slots):
-        raise DamagedRingError(f"it has {size} bytes, and its header says {slots} records")
+        raise DamagedRingError(f"it has {size} bytes, and its header states {slots} records")
     return int(slots)
 
 

@@ -1,4 +1,4 @@
-"""`check --wire`: does a plug-in (`gateway.wire`) keep what docs/protocol.md says of it? For its author.
+"""`check --wire`: does a plug-in (`gateway.wire`) meet docs/protocol.md? For its author.
 
 It is called as the gateway would call it, without a gateway: on real electronics, or whatever its options name.
 """
@@ -23,7 +23,7 @@ _MIDDLE_DEG: Final = 90.0
 _BY_DEG: Final = 5.0
 _ROUNDS: Final = 20
 _HOLD_S: Final = 0.5
-"""Between two motions, for whoever looks."""
+"""Between two motions, for a person who looks."""
 _LATE_MS: Final = 20.0
 """The shortest watchdog that can be set."""
 _UNPLUGGED_S: Final = 60.0
@@ -152,7 +152,7 @@ def _hundredths(tried: Tried) -> str:
 
 def _some(tried: Tried) -> str:
     if tried.wire.capabilities.whole_robot:
-        return "it stops all servos together only, as it says"
+        return "it stops all servos together only, by its capabilities"
     tried.apply([(32, None)])
     tried.apply([(31, 90.0), (33, 90.0)])
     tried.apply([(32, 90.0)])
@@ -202,7 +202,7 @@ def _unplugged(tried: Tried) -> str:
         try:
             tried.apply(_STOPS)
         except OSError as error:
-            ask(f"It says: {error}. Put it back, then press Enter: ")
+            ask(f"The plug-in reports: {error}. Put it back, then press Enter: ")
             break
         if time.monotonic() > end_s:
             raise BrokenError("apply raises no OSError: a board that is gone passes for one that is stopped")

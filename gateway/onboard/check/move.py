@@ -61,7 +61,7 @@ _CAUSES: Final = (
     (_LEGS, "Chip select: the gateway writes to {spi.device}; CE0 is /dev/spidev0.0, CE1 is /dev/spidev0.1."),
     (_WHOLE, "UART: does the Pi's TX lead to the controller's RX? Its heartbeat comes by the other wire."),
     (_WHOLE, "Wiring: does MOSI lead from the Pi to the controller? Its answers come by MISO, so SCLK works."),
-    (_ALL, "The servo: is it plugged in where its id says (the leg, then the joint)? Try another one."),
+    (_ALL, "The servo: is it plugged in at the place of its id (the leg, then the joint)? Try another one."),
 )
 # fmt: on
 """Why a servo may stand still though every frame was written: of which robots each is, the likeliest first."""

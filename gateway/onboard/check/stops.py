@@ -28,7 +28,7 @@ _ANSWER_MS: Final = 100.0  # the answer to an emergency stop, beyond that to any
 _PROGRAM_S: Final = 20.0  # for 15° at 1° a second, stop-servos, systemctl, and a new start of the service
 _SAME_START_S: Final = 15.0  # from the begin of a process to that of its uptime: loading Python, on a slow board
 _REST_S: Final = 3.0  # the board's errors are deleted behind a reset, for 2 s at most
-_SILENT_MS: Final = 200.0  # a power board that is silent for so long is reported
+_SILENT_MS: Final = 200.0  # a power board that is silent for this long is reported
 _PLUGGED_S: Final = 60.0  # for a person to unplug something
 _STYLES: Final = {"PASS": GOOD, "FAIL": BAD, "SKIPPED": NOTE}
 

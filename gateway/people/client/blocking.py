@@ -327,7 +327,7 @@ class Client(metaclass=_Brief):
         accept_default: bool = False,
         check: bool = True,
     ) -> Ack:
-        """Change the calibration, completely or not at all. It is accepted once it is on the robot's disk.
+        """Change the whole calibration, or nothing. It is accepted once it is on the robot's disk.
 
         The servos that it changes must not run. `landing` is the landing pose in degrees; None removes a servo from it.
         With the `revision` of `calibration()`, it is rejected if somebody else has changed it since. `accept_default`
@@ -392,7 +392,7 @@ class Client(metaclass=_Brief):
         try:
             return self._get(keys.TELEMETRY, None, Telemetry, again=False, timeout_s=timeout_s)
         except UnansweredError:
-            self.state(timeout_s)  # it answers: so it has nothing to say there
+            self.state(timeout_s)  # it answers: so there is no reason to give
             return None
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":

@@ -59,7 +59,7 @@ class ConfirmedStop(Generic[P, W]):
     """All pages' presses of one Stop. Its shell calls `begin` after each change, and again at `due_ns`."""
 
     def __init__(self, lasts_ns: int | None = None) -> None:
-        """`lasts_ns`: so long after a press a request may begin for it; None: until it is confirmed."""
+        """`lasts_ns`: how long after a press a request may begin for it; None: until it is confirmed."""
         self._lasts_ns = lasts_ns
         self._presses = 0
         self._asked = 0

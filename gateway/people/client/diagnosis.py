@@ -165,7 +165,7 @@ def role(certificate: Path) -> str:
 def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) -> Finding:
     """The validity at `now` of a certificate that is valid from `begin` to `end`."""
     if now < begin:
-        clock = f"this machine's clock says {now:%Y-%m-%d}"
+        clock = f"this machine's clock states {now:%Y-%m-%d}"
         sentence = f"{name} is good from {begin:%Y-%m-%d} only, and {clock}"
         if now.year < _OLDEST_YEAR:
             sentence = f"{clock}, which is before any certificate was made"

@@ -12,7 +12,7 @@ LATE_PART: Final = 0.5
 MOST_DEG: Final = 3.2
 """Half a turn in radians, rounded up."""
 RADIANS_S: Final = 1.0
-"""A whole stride of most gaits: a leg in degrees stays between 0 and 3.2 for so long only on purpose."""
+"""A whole stride of most gaits: a leg in degrees stays between 0 and 3.2 for this long only on purpose."""
 MOST_QUESTIONS: Final = 2
 """In each second, while the robot is stopped or the gateway does not answer."""
 _KEPT_TICKS: Final = 1000
@@ -187,7 +187,7 @@ class Radians:
         if self._warn_at_s == math.inf:
             return False
         if any(angle > MOST_DEG for angles in angles_deg for angle in angles):
-            self._warn_at_s = math.inf  # for good: one angle in degrees decides
+            self._warn_at_s = math.inf  # permanently: one angle in degrees decides
             return False
         if self._warn_at_s is None:
             self._warn_at_s = now_s + RADIANS_S

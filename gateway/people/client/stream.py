@@ -113,7 +113,7 @@ class Stream:
 
     @property
     def missed(self) -> int:
-        """Ticks for which `set` was called too late, or not at all. They were skipped, never sent later."""
+        """Ticks for which `set` was called too late, or not called. The ticks were skipped, never sent later."""
         return self._pace.missed
 
     @property

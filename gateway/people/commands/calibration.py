@@ -180,7 +180,7 @@ def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
         client.state()  # raises where nobody answers at all
         raise NotKeptYetError(
             "the gateway runs, and its disk has not taken the change yet: look in some seconds whether it is in force "
-            f"({command('calibrate show')}); if the disk hangs, trying again says so"
+            f"({command('calibrate show')}); if the disk hangs, trying again reports this"
         ) from error
 
 

@@ -57,7 +57,7 @@ class StatusChanges:
         self._received_ns: int | None = None
         self._silent = False
         self._said: set[str] = set()
-        """What stands for the time of a silence, and is said once in it."""
+        """The line for the time of a silence, printed once in it."""
 
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
         """Yield a line for each sentence that differs from the state before."""

@@ -37,7 +37,7 @@ ConnectOption = Annotated[
         metavar="ENDPOINT",
         envvar=own_command.CONNECT_VARIABLE,
         callback=_reach_by("connect"),
-        help="Where the gateway listens. Default: tcp/127.0.0.1:7447, or what the --zenoh-config file says.",
+        help="Where the gateway listens. Default: tcp/127.0.0.1:7447, or the address in the --zenoh-config file.",
     ),
 ]
 ZenohConfigOption = Annotated[

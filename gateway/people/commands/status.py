@@ -23,7 +23,7 @@ def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
 
 
 def topics(state: GatewayState) -> dict[str, str]:
-    """What a person asks of a robot that moves, a sentence each; "": there is nothing to say."""
+    """What a person asks of a robot that moves, a sentence each; "": there is nothing to advise."""
     lease, buttons, certificate = state.lease, state.buttons, state.certificate
     drives = "drives" if lease.held_s is not None else "is handed the lease"
     soon = None if certificate is None else certs.expires_soon(certificate.file, certificate.expires, state.time)

@@ -81,7 +81,7 @@ def _nobody(role: str, *, ended: bool) -> Finding:
             "the connection was open, and the robot ended it: your certificate is revoked, or its places are taken"
         )
         fix = (
-            "where ca.key is, hexapod-gateway certs list --dir DIR says whether it is revoked, and "
+            "where ca.key is, hexapod-gateway certs list --dir DIR shows whether it is revoked, and "
             "hexapod-gateway certs issue NAME --role operator --dir DIR makes another; bring its files here"
         )
         return Finding(Stage.ROLE, sentence, fix)

@@ -2,7 +2,7 @@
 
 The gateway's process starts it, and passes two pages of memory: this one reads the servos' targets in the first, and
 writes what the body's sensors feel into the second. The end of its standard input is the end of the gateway. What it
-has to say to people goes to stderr.
+has to report to people goes to stderr.
 """
 
 import datetime as dt
@@ -43,7 +43,7 @@ NICE: Final = 10
 MOST_BEHIND_S: Final = 0.1
 """What is missing beyond this is left out: the body is slower then, and does not leap afterwards."""
 WINDOW_S: Final = 2.0
-"""Over so long the factor is measured."""
+"""Over this long the factor is measured."""
 SLOW: Final = 0.95
 """Below this factor a person is informed, and again above `KEEPS_UP`."""
 KEEPS_UP: Final = 0.99

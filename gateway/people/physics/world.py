@@ -33,7 +33,7 @@ _END_M: Final = 0.03
 """Of a leg: what touches the ground so near to its tip is the foot."""
 
 
-mujoco.set_mju_user_warning(lambda _: None)  # `fault` says it; MuJoCo would write a file where it was started
+mujoco.set_mju_user_warning(lambda _: None)  # `fault` states it; MuJoCo would write a file where it was started
 
 
 class Body(NamedTuple):
@@ -233,7 +233,7 @@ class Sensors:
         self._time_s = world.time_s
         self._velocity_m_s: Any = world.data.qvel[:3].copy()
         self._felt_m_s2: Any = -world.model.opt.gravity
-        """Acceleration in the world's frame; a body at rest is held up against gravity."""
+        """Acceleration in the world's frame; a body at rest is supported against gravity."""
 
     def read(self) -> Sensed:
         """What they feel now. The acceleration is the mean since the last call, as an IMU's filter has it."""

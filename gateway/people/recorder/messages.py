@@ -55,7 +55,7 @@ class FrameInBox(FrameRecord):
     """A FrameRecord with what the black box knows besides."""
 
     transfer_us: float
-    late_us: Annotated[float | None, Field(description="of a watchdog's Stop: written so long after its deadline")]
+    late_us: Annotated[float | None, Field(description="of a watchdog's Stop: written this long after its deadline")]
 
 
 class Note(Report):

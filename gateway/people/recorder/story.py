@@ -286,8 +286,8 @@ def _events(messages: list[RecordedMessage], name: str) -> Iterator[Line]:
             at_ns = 0
         source = message.content.get("source")
         by = f" ({source})" if source else ""
-        said, detail = _EVENTS.get(kind, str(kind).replace("_", " ")), str(message.content.get("detail"))
-        yield Line(at_ns, f"{detail if detail.startswith(said) else f'{said}: {detail}'}{by}")
+        prefix, detail = _EVENTS.get(kind, str(kind).replace("_", " ")), str(message.content.get("detail"))
+        yield Line(at_ns, f"{detail if detail.startswith(prefix) else f'{prefix}: {detail}'}{by}")
 
 
 def _stops(frames: Iterable[FrameIn]) -> Iterator[Line]:

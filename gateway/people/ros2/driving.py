@@ -40,7 +40,7 @@ class Driving:
     """For any thread: one of them acts at a time."""
 
     def __init__(self, client: Client, name: str, geometry: Geometry, show: Callable[[str], None]) -> None:
-        """`name` is who we are to the lease, where no certificate says it; `show` takes lines for a person."""
+        """`name` is who we are to the lease, where no certificate names us; `show` takes lines for a person."""
         self._client = client
         self._name = name
         self._geometry = geometry

@@ -23,7 +23,7 @@ NAME: Final = "follow_joint_trajectory"
 FEEDBACK_S: Final = 0.05
 """As joint_trajectory_controller's action_monitor_rate: 20 Hz."""
 _RESULT_KEPT_S: Final = 60
-"""So long the result of a goal that has ended can be asked for."""
+"""How long the result of a goal that has ended can be asked for."""
 
 
 class FollowAction:

@@ -87,7 +87,7 @@ class Followed:
 
 
 def error_code(error: Exception) -> int:
-    """Which result says why a goal cannot be followed."""
+    """Which result states why a goal cannot be followed."""
     if isinstance(error, NamesError):
         return INVALID_JOINTS
     return OLD_HEADER_TIMESTAMP if isinstance(error, OverError) else INVALID_GOAL

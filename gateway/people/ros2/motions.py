@@ -95,7 +95,7 @@ class Course:
     ) -> None:
         """`ride` makes one of legs that run already; it may raise WalkError. `whole`: only all legs start together.
 
-        `limp_s`: for so long after its start a servo may have no supply yet (`Robot.limp_s`). Until then a plan waits.
+        `limp_s`: how long a started servo may have no supply (`Robot.limp_s`). Until then a plan waits.
         """
         self._geometry = geometry
         self._whole = whole
@@ -152,7 +152,7 @@ class Course:
             self.leave(now_s, "its sender has left the graph, so the robot sits down")
 
     def leave(self, now_s: float, why: str = "the bridge was released") -> None:
-        """Plan to sit down from now on; `next` says how."""
+        """Plan to sit down from now on; `next` returns the steps."""
         self._look(now_s)
         self._plan, self._rests_s, self._left = None, min(self._rests_s, now_s), why
 

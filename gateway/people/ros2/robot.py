@@ -138,7 +138,7 @@ def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, 
 def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = BASE) -> Iterator[tuple[str, Message]]:
     """The topics and messages of what the robot measures; `time_ns` is when it was received.
 
-    The robot says nothing of its sensors' accuracy, and nothing of where they are: they count as the body's own.
+    The robot reports neither its sensors' accuracy, nor where they are: they count as the body's own.
     """
     header = Header(stamp(time_ns - round(min(found.age_ms, _MOST_AGE_MS) * 1_000_000)), base)
     if found.battery is not None:
@@ -232,12 +232,12 @@ def status(part: str, level: int, message: str, **values: object) -> Message:
 
 
 def diagnostic_array(statuses: tuple[Message, ...], time_ns: int, hardware_id: str = _HEXAPOD) -> Message:
-    """The robot's diagnostics as one message of `/diagnostics`; `hardware_id` tells it from others."""
+    """The robot's diagnostics as one message of `/diagnostics`; `hardware_id` distinguishes it from others."""
     for each in statuses:
         each.hardware_id = hardware_id
     return ros.DiagnosticArray(Header(stamp(time_ns)), statuses)
 
 
 def _text(value: object) -> str:
-    """Without the zeros that a CDR string cannot have: a stranger's name is in it."""
+    """Without the zeros that a CDR string cannot have: a name from outside is in it."""
     return str(value).replace("\0", "\ufffd")

@@ -30,7 +30,7 @@ _MOST_APART_NS: Final = 10 * 365 * 86_400_000_000_000
 that knows no time yet, begin in 1970."""
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
 _MOST_SHOWN: Final = 200
-"""Reasons that have a line: strangers choose the names in some of them."""
+"""Reasons that have a line: other programs choose the names in some of them."""
 
 
 class Topics:

@@ -1,4 +1,4 @@
-"""What the robot's own sensors say about the ground: how the body leans, which feet carry, whether it has fallen. Pure.
+"""What the sensors report about the ground: how the body leans, which feet carry, whether it has fallen. Pure.
 
 A foot is believed once it was seen with and without contact: one that is stuck from the beginning counts as unknown,
 and walks as it would without sensors. Forces have the robot's own unit, so they are compared with its weight.
@@ -14,7 +14,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
 TERRAINS: Final = ("level", "adapt")
-"""The floor is level, as far as the walk knows; or the sensors say how it is, where there are some."""
+"""The floor is level, as far as the walk knows; or as the sensors report it, where there are some."""
 FALLEN_DEG: Final = 45.0
 """A body that leans further does not stand on its feet any more."""
 _FRESH_S: Final = 0.3
@@ -39,7 +39,7 @@ _RISES_M_S: Final = 0.03
 EARLY_M: Final = 0.010
 """Servos give way under load: a foot that touches below this height goes on to the ground that was expected."""
 LATE_S: Final = 0.12
-"""So long a foot waits at most for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+"""How long a foot waits at most for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
 WAIT_FORGOTTEN: Final = 0.8
 """How much of that time remains after each foot whose contact was reported at once."""
 _CERTAIN_S: Final = 0.07
@@ -76,7 +76,7 @@ class ReceivedTelemetry:
 
 
 class Felt(NamedTuple):
-    """What the sensors say now; without any this is all unknown, and the walk is as on level ground."""
+    """What the sensors report now; without any this is all unknown, and the walk is as on level ground."""
 
     roll_rad: float | None = None
     pitch_rad: float | None = None
@@ -101,7 +101,7 @@ class Senses:
         self._tilted_s = self._lifted_s = 0.0
 
     def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
-        """What this telemetry says; None where none is fresh. `stands`: its feet alone carry it, not its belly."""
+        """What this telemetry shows; None where none is fresh. `stands`: its feet alone carry it, not its belly."""
         if telemetry is None:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
@@ -141,7 +141,7 @@ class Lateness(NamedTuple):
     contacts: int = 0
 
     def after(self, late_s: float) -> "Lateness":
-        """After a contact that was reported so long after its foot had arrived (below 0: before)."""
+        """After a contact that was reported this long after its foot had arrived (below 0: before)."""
         step_s = _LEARNS_S[self.contacts >= _FIRST]
         median_s = self.median_s + math.copysign(step_s, late_s - self.median_s)
         return Lateness(max(0.0, min(LATE_S, median_s)), self.contacts + 1)

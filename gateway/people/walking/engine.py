@@ -94,7 +94,7 @@ class Engine:
         """Legs that somebody else has stopped: `step` leaves them out."""
         self._senses = Senses()
         self.felt = NOTHING
-        """What the sensors said at the latest step."""
+        """What the sensors reported at the latest step."""
         self._leans_rad = LEANS_RAD
         """How far the body leans at most; less once that has left its legs no stride."""
         self._barred = ""

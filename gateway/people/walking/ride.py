@@ -42,7 +42,7 @@ REST_S: Final = 10.0
 START_PAUSE_S: Final = 0.015
 """Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
 GIVES_UP_S: Final = 2.0
-"""So long a robot that has fallen or was lifted stands still; then nothing is sent, so that the gateway stops it."""
+"""How long a fallen or lifted robot stands still; then nothing is sent, so the gateway stops it."""
 _ALL: Final = frozenset(LEGS)
 
 
@@ -124,7 +124,7 @@ class Ride:
     ) -> None:
         """`running`: legs that run already, in degrees; if all six do, they are held at once for their watchdog.
 
-        `once`: over for good after it has sat down or failed. Raises WalkError.
+        `once`: over permanently after it has sat down or failed. Raises WalkError.
         """
         self._once = once
         self._terrain = terrain_named(terrain)

@@ -92,7 +92,7 @@ class Robot:
         self.geometry = geometry
         self.starts_whole = starts_whole
         self.limp_s = FEED_S if fed_singly else 0.0
-        """For so long behind the last start a servo may not be fed yet."""
+        """For this long behind the last start a servo may not be fed yet."""
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
         heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]
@@ -272,7 +272,7 @@ def running_deg(state: GatewayState) -> dict[int, Angles]:
 
 
 def arrived(state: GatewayState) -> bool:
-    """Whether no running servo is still on its way to where it was commanded; an older gateway does not tell."""
+    """Whether no running servo is still on its way to where it was commanded; an older gateway lacks it."""
     running = (servo for leg in state.legs for servo in leg.servos if servo.running)
     return all(servo.target_deg in (None, servo.angle_deg) for servo in running)
 

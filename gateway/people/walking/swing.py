@@ -118,7 +118,7 @@ class State(Figure):
         return new
 
     def touched(self, late_s: float) -> None:
-        """A contact was reported so long after its foot had arrived where the ground was expected (before: below 0)."""
+        """Take a contact, this long after its foot arrived where the ground was expected (before: below 0)."""
         self.lateness = self.lateness.after(late_s)
 
     def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:

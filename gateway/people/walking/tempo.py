@@ -25,7 +25,7 @@ _LEAST_TEMPO: Final = 0.37
 TEMPO_SPARE: Final = 0.93
 """Of a disc: feet are lifted at ticks, so a little late."""
 _TEMPO_S: Final = 1.0
-"""A change of the tempo by 1 takes so long: it moves the feet that swing."""
+"""A change of the tempo by 1 takes this long: it moves the feet that swing."""
 _QUICK_LIFT_M: Final = 0.020
 """How high feet are lifted at the least tempo."""
 _QUICK_CLIMB: Final = 0.3

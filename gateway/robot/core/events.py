@@ -134,7 +134,7 @@ class BusOpened:
 class BusFailed:
     """A transfer failed, or the device could not be opened again.
 
-    CONTROLLER_SILENT: the controller does not answer; CONTROLLER_RESTARTED: it may have forgotten all it was told.
+    CONTROLLER_SILENT: the controller does not answer; CONTROLLER_RESTARTED: it may have forgotten all commands.
     """
 
     detail: str

@@ -104,7 +104,7 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
 
 
 def named_source(payload: bytes) -> str | None:
-    """Who an emergency stop's payload says has sent it. It may be anything, and stops whatever it is."""
+    """Who has sent an emergency stop, by its payload. It may be anything, and stops whatever it is."""
     try:
         return SENDER.validate_json(payload).source
     except ValidationError:
@@ -226,7 +226,7 @@ def _sentence(fault: dict[str, Any]) -> str:
         case "too_short":
             return "legs is empty; name at least one leg"
         case kind:
-            must = _MUST.get(kind) or _RANGES.get(field) or "what the schema says"
+            must = _MUST.get(kind) or _RANGES.get(field) or "what the schema requires"
             return f"{where or 'the payload'} is {_echo(fault['input'])}; it must be {must}"
 
 

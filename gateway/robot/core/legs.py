@@ -1,7 +1,7 @@
 """How the legs' commands become frames: pure, time as an argument.
 
 The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
-for their leg's rate slot, what one frame states for three servos, which Stops are still to be repeated, and which
+for their leg's rate slot, what one frame contains for three servos, which Stops are still to be repeated, and which
 commands are thereby done.
 """
 

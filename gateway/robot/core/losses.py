@@ -5,7 +5,7 @@ names, until a Start on the same key came after it. So these servos are stopped,
 that were left starts.
 
 A message that is rejected for its form, and may contain a Stop, stops the servos that its payload names; all servos of
-its key where that cannot be told. To stop once too often harms nobody.
+its key where that is not known. To stop once too often harms nobody.
 """
 
 import json
@@ -60,7 +60,7 @@ def stops_in(rejected: Received) -> Targets:
             del payload["source"]  # a name, whatever words it has
         servo_ids = _stopped_by(payload, servo_ids)
     except (ValueError, RecursionError):
-        pass  # it cannot be told
+        pass  # it is not known
     return tuple((servo_id, STOP) for servo_id in servo_ids)
 
 

@@ -1,4 +1,4 @@
-"""The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and say.
+"""The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and report.
 
 No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
 are carried out by the service in their order. If writing a frame fails, `BusFailed` follows.

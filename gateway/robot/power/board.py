@@ -7,7 +7,7 @@
 - **Confirmed** is an answer 6B that was given after the mask had reached the board (offs.py). The board answers
   questions in its receive interrupt, masks later: so one that comes behind the answer to a question that was sent after
   the mask (questions.py).
-- **Nothing comes on unasked.** When an error of the board is deleted, by whomever, it feeds all of the last mask again.
+- **Nothing comes on unasked.** A board whose error is deleted feeds all of the last mask again.
   So each mask leaves out outputs that it has blocked, that another node took, or that were off after a silence, until
   the owner has once not wanted their servos and then wants them anew.
 """

@@ -1,6 +1,6 @@
 """What the service needs of a wire to a controller, whatever that wire's bytes are.
 
-A step of the supervisor decides what servos do (`model.frames`). A wire says it to the controller: `spi.bus.Bus` in the
+A step of the supervisor decides what servos do (`model.frames`). A wire sends it: `spi.bus.Bus` in the
 frames of HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in frames of 80 bytes, with a UART. Neither knows of the
 other, and the supervisor knows of neither, but for whether only the whole robot can be started and stopped
 (`Rules.starts_whole`).
@@ -18,12 +18,12 @@ from gateway.robot.protocol.latency import Latency
 
 @dataclass(slots=True)
 class Sent:
-    """What a frame decides is on the wire, or is in what the wire says next."""
+    """What a frame decides is on the wire, or is in what the wire sends next."""
 
     place: int
     """Which of the frames that were to be written."""
     data: bytes
-    """The frame in its own bytes, those of HexapodProtocol v1.0.0, whatever the wire has said."""
+    """The frame in its own bytes, those of HexapodProtocol v1.0.0, whatever the wire has sent."""
     ns: int
     """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
     call_ns: int

@@ -1,4 +1,4 @@
-"""What elkapod-2025 says next, and whether the controller is alive or has restarted: pure, time as an argument.
+"""What elkapod-2025 sends next, and whether the controller is alive or has restarted: pure, time as an argument.
 
 All eighteen angles stand in each frame, and a UART message starts or shuts down all servos. So the order is what keeps
 servos from moving unasked: a shutdown comes before the first frame, and a start only behind START_CYCLES frames with
@@ -26,7 +26,7 @@ _PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
 
 
 class Commanded:
-    """What the robot was told, and the next frame and UART message.
+    """What the robot was commanded, and the next frame and UART message.
 
     Where a power board feeds each servo by itself (`fed_singly`), that is a servo's start and its Stop. The UART starts
     the controller with the first of them, and shuts it down with the last.
@@ -40,7 +40,7 @@ class Commanded:
         self._carried: set[int] = set()
         """Those whose start's angle is in the frame that `frame` made last."""
         self.ready: frozenset[int] = frozenset()
-        """Servos that may be fed: their angles were on the wire, and then the UART said start."""
+        """Servos that may be fed: their angles were on the wire, and then the UART sent start."""
 
     def shut_down(self) -> bytes:
         """A Stop of all: the message that shuts down all servos. No start that waits comes after it."""
@@ -141,7 +141,7 @@ class Beats:
 
     A heartbeat waits in the kernel until somebody looks, so a late look finds it all the same. It may have been lost if
     the whole machine stood still. So a look counts for at most an eighth of `silent_ns`, and no gap below a third of
-    that is one: for so long a busy machine may keep heartbeats back.
+    that is one: a busy machine may keep heartbeats back for this long.
     """
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
@@ -223,7 +223,7 @@ class SignsOfLife:
         return self.answered_ns is not None and self._beats.newest_ns is not None and self.silent(now_ns) is None
 
     def silent(self, now_ns: int) -> str | None:
-        """A sentence that says what has not come for too long; None: it is alive."""
+        """A sentence that states what has not come for too long; None: it is alive."""
         silent_ms = self._silent_ns // NS_PER_MS
         if now_ns - (self._begun_ns if self.answered_ns is None else self.answered_ns) >= self._silent_ns:
             return f"no well-formed answer of the controller for {silent_ms} ms (the last one: {self._why})"

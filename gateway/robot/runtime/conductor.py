@@ -250,7 +250,7 @@ class Conductor:
         self._look_for_stop_servos()
 
     def _look_for_stop_servos(self) -> None:
-        """Take over what the device knows of `stop-servos`; if it knows nothing (closed, say), nothing changes."""
+        """Take over what the device knows of `stop-servos`; what it does not know (it is closed) changes nothing."""
         at_work = self.bus.stop_servos_at_work()
         if at_work is not None and at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))

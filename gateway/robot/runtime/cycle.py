@@ -48,7 +48,7 @@ class Cycle:
         try:
             while not self._conductor.closed:
                 self.exchange()
-                # A frame that is late is not made up for: two in a row would tell the controller nothing new.
+                # A frame that is late is not made up for: two in a row would give the controller nothing new.
                 due_ns = max(due_ns + self._cycle_ns, self._clock())
                 time.sleep(max(0, due_ns - self._clock()) / 1e9)
         except Exception as error:

@@ -104,7 +104,7 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
     age_s = telemetry.age_s(conductor.bus.answered_ns)
     for name, help_text, number in (
         ("battery_volts", "The battery's voltage", values and values.voltage_v),
-        ("battery_percent", "The battery's charge, as the robot says it", values and values.percent),
+        ("battery_percent", "The battery's charge, as the robot reports it", values and values.percent),
         ("temperature_celsius", "The temperature that the controller measures", values and values.temperature_c),
         ("tilt_degrees", "Between the body's up and the world's", values and values.tilt_deg),
         ("controller_alive", "1: the controller sends what it should", alive),
@@ -128,12 +128,12 @@ POWER_CHANGES: Final = tuple(kind for kind in Kind if kind.startswith(("power_",
 def powered(power: PowerReport, measured: Telemetry | None, events: Mapping[Kind, int]) -> Iterator[Metric]:
     """What the board feeds, and what each servo draws; without values until there are some."""
     yield _gauge("power_alive", "1: the power board answers", power.alive)
-    yield _gauge("power_confirmed", "1: the board has said that all is off which is to be off", power.confirmed)
+    yield _gauge("power_confirmed", "1: the board has confirmed all offs that are asked of it", power.confirmed)
     yield _gauge(
         "power_answer_age_seconds", "Since the board last answered", {} if power.age_ms is None else power.age_ms / 1000
     )
     supplied = {str(servo): servo in power.supplied for servo in SERVO_IDS}
-    yield _gauge("servo_supplied", "1: the board fed this servo when it last said so", supplied, "servo")
+    yield _gauge("servo_supplied", "1: the board fed this servo when it last reported it", supplied, "servo")
     drawn = {str(servo): current_a for servo, current_a in currents_a(measured).items()}
     yield _gauge("servo_current_amperes", "What this servo draws", drawn, "servo")
     supply = None if measured is None else measured.supply

@@ -51,7 +51,7 @@ def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
         return Reason.INVALID, f"do must be {does}"
     if first["type"] == "extra_forbidden":
         return Reason.INVALID, "the payload has a field that is not known here"
-    return Reason.INVALID, f"{'.'.join(known)} is missing, or not what docs/interface.md says"
+    return Reason.INVALID, f"{'.'.join(known)} is missing, or not as docs/interface.md defines it"
 
 
 def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:

@@ -40,7 +40,7 @@ MOST_LOOKS: Final = 30
 """3 s, in which a line looks three hundred times."""
 _WHY: Final = {
     Mode.ESTOPPED: "for the emergency stop",
-    Mode.BUS_FAULT: "since the controller cannot be told to stop",
+    Mode.BUS_FAULT: "since the controller cannot be commanded to stop",
     Mode.STOPPING: "since the gateway ends",
 }
 _DREW: Final = "it drew current after its Stop; a reset feeds it again"
@@ -185,7 +185,7 @@ class RobotSupply:
         # Of a silent board nobody knows: what lands keeps its supply, if it has any.
         lost = status.lost if status.alive else _NONE
         self._trusted = self._trusted and (status.alive or self._ready is not None)
-        if self._alive and status.alive:  # another program took it, `stop-servos` say
+        if self._alive and status.alive:  # another program took it, such as `stop-servos`
             self._withheld |= dict.fromkeys(lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()
         # One that the board, or a person at it, has unblocked is not fed before a reset.

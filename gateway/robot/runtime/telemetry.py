@@ -26,7 +26,7 @@ class Measurement(NamedTuple):
 class LatestTelemetry:
     """The newest values; nothing, until a robot that measures has sent some. Written by the owner of the state.
 
-    Older ones stay when the controller falls silent: their age says so, and a fault of the bus is reported by itself.
+    Older ones stay when the controller falls silent: their age shows this, and a fault of the bus is reported apart.
     """
 
     def __init__(self, outbox: Outbox, clock: Callable[[], int], supply: RobotSupply | None) -> None:

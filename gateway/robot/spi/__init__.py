@@ -11,7 +11,7 @@ Batch = Sequence[Transfer]
 
 
 class OpenDevice(Protocol):
-    """An opened SPI device. No other program reaches it, unless a device says so."""
+    """An opened SPI device. No other program reaches it, unless a device documents otherwise."""
 
     def stop_servos_at_work(self) -> bool | None:
         """Whether `stop-servos` stops the servos through the same device now; None: not known.

@@ -7,7 +7,7 @@ a frame is executed where the only one that is left before it is 0: the controll
 A Stop of a whole leg brings a controller back that still awaits the body of another such frame: its announcement and
 thirteen of its bytes fill that body (whose type is then no type, so it is ignored), and its last byte is a length of 0,
 which is ignored too. So two transfers do what takes fourteen zeros. From wherever a controller is, Stops and zeros are
-executed as Stops or not at all (`tests/unit/robot/test_awaited.py` tries each).
+executed as Stops, or not executed (`tests/unit/robot/test_awaited.py` tries each).
 """
 
 import heapq
@@ -47,7 +47,7 @@ def after_failure(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
 
 
 def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
-    """What it may await where their call took so long that the controller may have given up a frame within it.
+    """What it may await where their call took so much time that the controller may have given up a frame within it.
 
     It then takes the rest, such as a body without its announcement, for lengths.
     """

@@ -13,7 +13,7 @@ on, and the wire gives no sign of it. So the bus resynchronises it with the prea
 
 A first Stop waits for none of that, unless a batch has just failed.
 
-A failed call may cost 200 ms (Linux waits for so long for a transfer that is lost). So Stops that failed are tried one
+A failed call may cost 200 ms (Linux waits as long for a transfer that is lost). So Stops that failed are tried one
 by one, each in a call of its own, and where a Stop brings the controller back by itself (`awaited`), no zeros precede
 it. Which legs are still to be stopped, and what the controller may await, outlasts a call and an opening of the device.
 """
@@ -47,7 +47,7 @@ ZEROS_AT_ONCE: Final = 8
 CS_CHANGE_NS: Final = 10_000
 """Linux deasserts chip select for this long after each pause."""
 IDLE_NS: Final = 1_100_000_000
-"""After so long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
+"""After this long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
 """What a zero takes in a loop's pause at most: its transfer, its share of the call, and a timer's lateness."""
 EARLY_SHARE: Final = 8
@@ -56,11 +56,11 @@ ZEROS_ON_A_BAD_BUS: Final = 3
 """In one call, where one in five transfers fails at once: more fail too often, and single ones take more calls. A call
 that fails slowly costs more than any number of calls, so there it is one."""
 PAUSE_NS: Final = 100_000_000
-"""After so long without a call, the device's settings are looked at before frames that are no repetition: one call
+"""After this long without a call, the device's settings are looked at before frames that are no repetition: one call
 of the kernel. In a stream, the gateway's look ten times a second does."""
 TRIES: Final = 6
 ZEROS_NS: Final = 900_000_000
-"""After so many failed calls of zeros in a row, or so long, all Stops are tried without them: the controller may be
+"""After so many failed calls of zeros in a row, or this long, all Stops are tried without them: the controller may be
 synchronised. Sooner would be worse where any transfer may fail, since a Stop that comes into the middle of a body
 leaves the controller awaiting up to 63 bytes (100 trials each, one in five fails after 200 ms: 3 never stopped)."""
 GIVEN_UP: Final = 18
@@ -72,12 +72,12 @@ and a last call that take 200 ms to fail the loop stands still for 0.7 s, and sy
 LOOKED_AT: Final = len(LEGS)
 """So many of the Stops are looked at for a way back; a search among eighteen takes 0.1 s."""
 SLOW_NS: Final = 20_000_000
-"""A call that takes so long to fail is a transfer that Linux waited for. Others fail within a millisecond."""
+"""A call that takes this long to fail is a transfer that Linux waited for. Others fail within a millisecond."""
 RESYNC_NS: Final = 1_000_000_000
 """The longest time in a stream without a preamble: until then a controller that lost a byte ignores each Set and first
 Stop. A preamble takes 1.8 ms of the bus, so once a second costs 0.2 % of it."""
 STALLED_NS: Final = 900_000_000
-"""A call that took so long is a failure: the controller gives up a frame 1000 ms behind its announcement."""
+"""A call that took this long is a failure: the controller gives up a frame 1000 ms behind its announcement."""
 
 
 class Bus(Wire):
@@ -94,7 +94,7 @@ class Bus(Wire):
         computed: bool = True,
     ) -> None:
         """`pause` is for a kernel that takes no lists; `resync_ns`: 0 is for never in a stream. `computed`: when a call
-        began, and the clock, tell when a frame was on the wire; else it was by the end of its call."""
+        began, and the clock, show when a frame was on the wire; else it was by the end of its call."""
         self._open_device = open_device
         self._framing = settings.framing
         self.announces = self._framing is Framing.LENGTH_PREFIXED
@@ -132,7 +132,7 @@ class Bus(Wire):
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since anything else was written
         self.resync_due = False
-        """Whether the stream has lasted so long that its next pause is to be filled with `write_zeros`."""
+        """Whether the stream has lasted long enough that its next pause is to be filled with `write_zeros`."""
         self._failures = 0  # of calls, in a row
         self._zeros_failed = 0  # calls of zeros, in a row
         self._zeros_failed_ns = 0  # how long these took

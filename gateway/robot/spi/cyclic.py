@@ -3,9 +3,9 @@
 Two ways, and neither waits for the other. Stops go over the UART, at once, and are one message whatever they name, so
 a transfer that takes 300 ms to fail delays none. Frames go over SPI on a thread of their own (`runtime.cycle`), which
 owns the state only between two transfers. What a step wants moved is in the next frame; what it wants started, the UART
-says once the angles were on the wire (`protocol.elkapod.Commanded`).
+shows when the angles were on the wire (`protocol.elkapod.Commanded`).
 
-Where SPI fails, or the controller falls silent or restarts, the UART says shut down at once, before anything else
+Where SPI fails, or the controller falls silent or restarts, the UART sends shut down at once, before anything else
 learns of it.
 """
 
@@ -32,7 +32,7 @@ MESSAGE_NS: Final = len(SHUTDOWN) * _UART_BITS * NS_PER_S // UART_BAUD
 
 
 class CyclicBus(Wire):
-    """Says what steps decide. Its owner calls it; `exchange` alone is for the cycle's thread, without the state."""
+    """Sends what steps decide. Its owner calls it; `exchange` alone is for the cycle's thread, without the state."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class CyclicBus(Wire):
     ) -> None:
         """`open_device` is None where only Stops are written (`stop-servos`).
 
-        `before_frames_ns`: for so long behind an opening no frame is clocked, since a frame moves servos whose shutdown
+        `before_frames_ns`: how long behind an opening no frame is clocked, since a frame moves servos whose shutdown
         was lost, and meanwhile it is repeated. `fed_singly`: a power board starts and stops each servo by its supply.
         """
         self._open_device = open_device
@@ -163,7 +163,7 @@ class CyclicBus(Wire):
         return None if self._device is None else self._device.stop_servos_at_work()
 
     def put_right(self) -> str | None:
-        """Not during a transfer: the kernel lets whoever asks for a setting wait for its end, and a Stop with it."""
+        """Not during a transfer: the kernel makes a request for a setting wait for its end, and a Stop with it."""
         return None if self._device is None or self._exchanging else self._device.put_right()
 
     def release(self) -> None:
@@ -200,7 +200,7 @@ class CyclicBus(Wire):
         return device.exchange(frame)
 
     def end_cycle(self, answer: bytes, took_ns: int, now_ns: int) -> Measured | None:
-        """The transfer has ended well: take the answer, and say what follows the frame. Raises SpiError.
+        """The transfer has ended well: take the answer, and return what follows the frame. Raises SpiError.
 
         A controller that has restarted is not started by what was meant for it before.
         """

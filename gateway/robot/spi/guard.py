@@ -77,7 +77,7 @@ def _announced_len(data: bytes) -> int:
 
 
 def _check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
-    """Raise IllegalTransferError that says what is wrong, if anything is."""
+    """Raise IllegalTransferError that states what is wrong, if anything is."""
     try:
         frame = decode(data)
     except FrameError as error:
@@ -92,7 +92,7 @@ def _check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
 
 
 def _is_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> bool:
-    """Whether these are a legal frame's bytes. Four times faster than `decode`, which says why not."""
+    """Whether these are a legal frame's bytes. Four times faster than `decode`, which states why not."""
     size = len(data)
     if data[:2] == _ONE_LEG and size == ONE_LEG_LEN:
         ids = (data[2], data[6], data[10])

@@ -49,7 +49,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
     def __init__(
         self, path: str, speed_hz: int, *, mode: int = 0, exclusive: bool = True, spare: Spare | None = None
     ) -> None:
-        """Open and set up the device. Raises SpiError with one sentence that says what is missing.
+        """Open and set up the device. Raises SpiError with one sentence that states what is missing.
 
         `mode`: clock polarity and phase, 0 to 3.
         `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.

@@ -1,4 +1,4 @@
-"""What Linux says of the computer and of the SPI controller behind a device: files of /proc and /sys below a root."""
+"""What Linux reports about computer and SPI controller: files of /proc and /sys below a root."""
 
 import datetime as dt
 import re
@@ -9,7 +9,7 @@ ROOT_DIR: Final = Path("/")
 SELECT_BY_GPIO: Final = "let a GPIO select the controller (cs-gpios in the device tree, as on a Raspberry Pi)"
 RP1_FIXED: Final = dt.date(2025, 2, 5)
 """Until then Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286; fixed
-by 6646 and 6649). A kernel that was built earlier lacks the fix. No version says which of the later ones have it."""
+by 6646 and 6649). A kernel that was built earlier lacks the fix. No version shows which of the later ones have it."""
 _RP1_DRIVERS: Final = ("dw_spi_mmio", "spi-dw-mmio")
 _GPIO_CELLS: Final = 3
 """Of one GPIO in `cs-gpios`: its controller, pin and flags (`#gpio-cells` is 2 on each Raspberry Pi)."""
@@ -23,7 +23,7 @@ def driver_of(device: str, root: Path = ROOT_DIR) -> str | None:
 
 
 def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
-    """Whether the device's chip select is a GPIO; None where nothing says so.
+    """Whether the device's chip select is a GPIO; None where nothing shows it.
 
     Linux then drives it, and releases it between the transfers of one call; else the controller does as it likes.
     """
@@ -75,7 +75,7 @@ def computer(root: Path = ROOT_DIR) -> str:
 
 
 def kernel(root: Path = ROOT_DIR) -> tuple[str, dt.date | None]:
-    """Its release (`6.6.31+rpt-rpi-v8`), and when it was built, where it says so."""
+    """Its release (`6.6.31+rpt-rpi-v8`), and when it was built, where this is known."""
     try:
         text = (root / "proc/version").read_text(errors="replace")
     except OSError:

@@ -27,7 +27,7 @@ class Listener:
         self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
 
     def look(self) -> bool | None:
-        """Whether `stop-servos` is at work; None: the device does not say. Takes some microseconds, never raises."""
+        """Whether `stop-servos` is at work; None: unknown. Takes some microseconds, never raises."""
         # UNSEEN before AT_WORK: when `stop-servos` finds UNSEEN free after its last Stop, a look has seen it at work.
         self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
         at_work = _held(self._fd, _AT_WORK)
@@ -97,7 +97,7 @@ def _held(fd: int, place: int) -> bool | None:
 
 
 def is_gateways(path: str) -> bool:
-    """Whether a gateway holds the device that somebody has locked; also where the device does not say."""
+    """Whether a gateway holds the device that somebody has locked; also where the device does not report it."""
     fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
         return _held(fd, _UNSEEN) is not False

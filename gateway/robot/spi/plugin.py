@@ -26,7 +26,7 @@ from schemas.robot import SERVO_IDS
 _FRAMES: Final = SpiSettings(speed_hz=20_000_000, framing=Framing.PLAIN, frame_gap_us=0)
 """Six legs are one call."""
 SINGLY_NS: Final = 50_000_000
-"""For so long at most: six legs are tried, and with a call that takes a second systemd ends the gateway."""
+"""For this long at most: six legs are tried, and with a call that takes a second systemd ends the gateway."""
 _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)
 
 

@@ -32,7 +32,7 @@ class SerialUart(Uart):
     """
 
     def __init__(self, path: str, *, exclusive: bool = True) -> None:
-        """Open and set it up. Raises SpiError with one sentence that says what is missing.
+        """Open and set it up. Raises SpiError with one sentence that states what is missing.
 
         `exclusive`: reject one that another gateway holds. `stop-servos` does not ask for that.
         """

@@ -354,7 +354,7 @@ def _lost(key: str, count: int) -> Received:
 
 
 def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | None = None) -> Received:
-    """What was said on `key`, and when it came, where that is known better than by now."""
+    """What arrived on `key`, and when it came, where that is known better than by now."""
     payload = item.payload
     size = len(payload) if payload is not None else 0
     if type(item) is zenoh.Query:

@@ -37,7 +37,7 @@ class ReceiverThread:
         *,
         priority: int = RECEIVER_PRIORITY,
     ):
-        """`note` is called before the thread owns the state, and says what is to be done then."""
+        """`note` is called before the thread owns the state, and returns what is to be done then."""
         self._ring = ring
         self._loop = loop
         self._owner = owner

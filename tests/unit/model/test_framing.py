@@ -36,7 +36,7 @@ def test_how_fast_each_takes_its_bytes() -> None:
 
 @pytest.mark.parametrize(
     ("framing", "controller", "needs_chip_select"),
-    [(Framing.PLAIN, "a controller that reads frames", True), (Framing.LENGTH_PREFIXED, "the published STM32", False)],
+    [(Framing.PLAIN, "a controller written to", True), (Framing.LENGTH_PREFIXED, "the published STM32", False)],
 )
 def test_what_is_said_of_a_controller_follows_from_its_framing(
     framing: Framing, controller: str, needs_chip_select: bool

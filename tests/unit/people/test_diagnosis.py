@@ -29,10 +29,14 @@ DAY = dt.timedelta(days=1)
         (BEGIN, "anna.pem is good until 2028-01-01", ""),
         (END - SECOND, "anna.pem is good until 2028-01-01", ""),
         (END, "anna.pem expired on 2028-01-01", "certs renew"),
-        (BEGIN - SECOND, "anna.pem is good from 2026-01-01 only, and this machine's clock says 2025-12-31", "set the"),
+        (
+            BEGIN - SECOND,
+            "anna.pem is good from 2026-01-01 only, and this machine's clock states 2025-12-31",
+            "set the",
+        ),
         (
             dt.datetime(1970, 1, 1, tzinfo=dt.UTC),
-            "this machine's clock says 1970-01-01, which is before",
+            "this machine's clock states 1970-01-01, which is before",
             "set the clock",
         ),
     ],

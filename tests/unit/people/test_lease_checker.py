@@ -155,7 +155,7 @@ BAD: dict[str, tuple[Callable[[], Proof], str]] = {
         lambda: proof(
             authority.KeyPair(own_certificate(ANNA.key, name_of("operator", "anna"), start=NOW + DAY / 2), ANNA.key)
         ),
-        "is valid from 2026-11-22 12:00 UTC; the robot's clock says 2026-11-22 00:00",
+        "is valid from 2026-11-22 12:00 UTC; the robot's clock states 2026-11-22 00:00",
     ),
     "without a person": (
         lambda: proof(certificate=pem(own_certificate(ANNA.key, x509.Name(name_of("operator", "x").rdns[:1])))),

@@ -114,7 +114,7 @@ def test_every_byte_counts(path: Path) -> None:
         (b"#!/bin/sh\n" * 1000, "it is no black box"),
         (b"short", "it has no header"),
         (header.new(40).ljust(header.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
-        (header.new(50), "it has 4096 bytes, and its header says 50 records"),
+        (header.new(50), "it has 4096 bytes, and its header states 50 records"),
         (header.new(50).replace(b"\n\x02", b"\n\x01").ljust(header.file_bytes(50), b"\0"), "it has version 1"),
     ],
 )

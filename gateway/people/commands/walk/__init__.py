@@ -34,7 +34,7 @@ def walk(
     left: Annotated[float, typer.Option("--left", metavar="M_S", help="Metres a second sideways.")] = 0.0,
     turn: Annotated[float, typer.Option("--turn", metavar="RAD_S", help="Counter-clockwise, radians a second.")] = 0.0,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", min=0, max=3600, help="Walk so long, without a person.")
+        float | None, typer.Option("--seconds", metavar="S", min=0, max=3600, help="Walk this long, without a person.")
     ] = None,
     gait: Annotated[
         str,

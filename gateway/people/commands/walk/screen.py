@@ -69,7 +69,7 @@ _TICK_S: Final = 0.02
 KEYS_HOLD_S: Final = 0.25
 """If the drive thread freezes, the robot stands after this time. The thread commands 50 times a second."""
 KEYS_REST_S: Final = 60.0
-"""After so long without a key the robot sits down, and its servos are stopped."""
+"""After this long without a key the robot sits down, and its servos are stopped."""
 HEIGHT_STEP_M: Final = 0.01
 _GAITS: Final = {str(number): name for number, name in enumerate(GAITS, 1)}
 _KEYS: Final = f"""

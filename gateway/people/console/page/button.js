@@ -22,7 +22,7 @@ const LIFE = 600;
 const REFRESH_MS = 100;
 const BUZZ_MS = [200, 100, 200];
 const BUZZ_EVERY_MS = 1500;
-/** If the console is silent for so long after a tap, the page connects again. */
+/** If the console is silent for this long after a tap, the page connects again. */
 const DEAF_MS = 1000;
 
 /**
@@ -41,7 +41,7 @@ class StopButton {
     this.endsMs = 0;
     /** How long the latest answer took. */
     this.answerMs = 0;
-    /** What the latest answer says besides. */
+    /** What else the latest answer contains. */
     this.detail = "";
     this.lastTickMs = performance.now();
     this.trouble = "";
@@ -204,7 +204,7 @@ class StopButton {
     const { counts } = this;
     const tone = !this.watches ? "off" : !counts ? "unheard" : this.unconfirmed ? "unconfirmed" : this.mode === "estopped" ? "stopped" : "watches";
     attribute(document.body, "data-tone", tone);
-    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NOT HEARD", unconfirmed: "CUT POWER", stopped: "STOPPED", watches: "STOP" };
+    const words = { off: this.looks ? "NO BUTTON" : "TAP TO WATCH", unheard: "NO SIGNAL", unconfirmed: "CUT POWER", stopped: "STOPPED", watches: "STOP" };
     text(byId("word"), words[tone]);
     const lines = {
       off: this.looks ? "this page may only look" : "then a tap anywhere stops the robot",

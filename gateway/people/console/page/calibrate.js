@@ -14,7 +14,7 @@ import { ended } from "./words.js";
 
 /** @typedef {import("./types.js").CalibrationMessage} CalibrationMessage */
 
-/** So long after the last click or key the servo is stopped: the person may have left. */
+/** This long after the last click or key the servo is stopped: the person may have left. */
 const UNTOUCHED_MS = 120_000;
 const STEPS = ["wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn"];
 

@@ -70,7 +70,7 @@ export function legs(legs) {
 }
 
 /**
- * Ask before something is done. Resolves to false where it is closed in any other way than by the button that says yes.
+ * Ask before something is done. Resolves to false where it is closed in any other way than by the button that means yes.
  * It is not modal: STOP ALL stays within reach.
  * @param {string} question @param {string} explanation @param {string} yes @param {string} no
  * @returns {Promise<boolean>}

@@ -59,7 +59,7 @@ export class Drive {
   refresh(nowMs = performance.now()) {
     const looks = this.model.looks;
     const may = barred(this.hold, nowMs) === "";
-    for (const id of ["hold", "hold-leg"]) attribute(byId(id), "aria-disabled", may ? "false" : "true"); // pressed, it says why
+    for (const id of ["hold", "hold-leg"]) attribute(byId(id), "aria-disabled", may ? "false" : "true"); // pressed, it shows why
     show(byId("controls"), !looks);
     show(byId("only-looks"), looks);
     const { whole } = this.model;

@@ -12,7 +12,7 @@ const USUAL_TTL_MS = 1000;
 const LONGEST_NAME = 14;
 const HANDED = "The lease is handed over to you: press Drive.";
 const FREE = "The lease is free: press Drive.";
-/** So long after a lease was lost, a restart of the gateway is still its cause. */
+/** This long after a lease was lost, a restart of the gateway is still its cause. */
 const RESTART_MS = 30_000;
 
 export class Lease {

@@ -11,7 +11,7 @@ const MOST_UNSENT_BYTES = 4096;
 /** What the codes of a connection's end mean (RFC 6455); by others it was lost. @type {Record<number, import("./words.js").Cause>} */
 const CODES = { 1001: "closed", 1008: "rejected", 1012: "closed", 1013: "rejected" };
 const SIGNED_OUT = "signed out";
-/** A connection that is silent for so long is closed: after a change of a phone's network it would stay open for minutes. */
+/** A connection that is silent for this long is closed: after a change of a phone's network it would stay open for minutes. */
 const DEAF_MS = 5000;
 
 export class Link {
@@ -61,7 +61,7 @@ export class Link {
     return true;
   }
 
-  /** Connect again if the connection has been silent for so long. @param {number} ms */
+  /** Connect again if the connection has been silent for this long. @param {number} ms */
   renewIfDeaf(ms) {
     const { socket } = this;
     if (!socket || performance.now() - this.receivedMs < ms) return;

@@ -145,7 +145,7 @@ function received(message) {
     case "link":
       model.gateway = message;
       if (lease.mine && message.status !== "connected" && !(walk.moved || hold.active || calibrate.active)) {
-        say(`You cannot drive now: ${ended({ cause: message.status }).line}.`); // the others say so themselves
+        say(`You cannot drive now: ${ended({ cause: message.status }).line}.`); // the others show this themselves
       }
       break;
     case "event":

@@ -9,7 +9,7 @@ import { because, clock, ended, sentence, short, worded } from "./words.js";
 const LEGS = 6;
 /** A click so soon after a pointer's press belongs to it. */
 const SAME_TAP_MS = 1000;
-/** If the console is silent for so long after a press, the page connects again. */
+/** If the console is silent for this long after a press, the page connects again. */
 const DEAF_MS = 1000;
 
 /**

@@ -4,7 +4,7 @@
 import { ago, legs as legsInWords } from "./dom.js";
 
 export const LOOPBACK = /^(127\.|localhost$|\[::1\]$)/;
-/** Whoever looks from the robot's own machine has a terminal there; a phone has none. */
+/** A viewer on the robot's own machine has a terminal there; a phone has none. */
 const HAS_TERMINAL = LOOPBACK.test(location.hostname) && !matchMedia("(pointer: coarse)").matches;
 /** Letters of a name where the place is narrow. */
 const LONGEST_NAME = 18;
@@ -118,7 +118,7 @@ const NEWS = {
   battery_low: "The battery is low. What runs goes on; nothing new starts until it is charged.",
   fallen: "It has fallen, or was lifted: its legs are stopped. Put it on its feet before you start it.",
   power_unconfirmed: "The power board does not confirm that servos are off. Keep clear of the legs, and switch the power off by hand.",
-  power_fault: "The power board reports a fault; the events say which. What it has switched off stays off until a reset.",
+  power_fault: "The power board reports a fault; see the events. What it has switched off stays off until a reset.",
   servo_draws: "A servo was stopped and still draws current. Keep clear of its leg.",
   servo_silent: "A servo runs and draws nothing: it is unplugged, or broken.",
   off_button: "Somebody pressed the robot's off button: all six legs are stopped.",

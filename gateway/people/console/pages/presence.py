@@ -41,7 +41,7 @@ class GatewayPresence:
             self.link = LinkMessage(status="connected")
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether no state has come for so long that `fell_silent` applies."""
+        """Whether the newest state is so old that `fell_silent` applies."""
         return self._silence.is_long(now_ns)
 
     def fell_silent(self, *, linked: bool) -> None:

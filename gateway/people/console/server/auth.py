@@ -71,7 +71,7 @@ class SignedIn:
     entry: Entry
     role: Role
     tab: str = ""
-    """The browser's tab, by a name that it gave itself: the same after a reload. Empty: it told none."""
+    """The browser's tab, by a name that it gave itself: the same after a reload. Empty: it gave none."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class Now(NamedTuple):
-    """The boot's id ("": the system tells none), the time since it, which nobody sets, and the wall clock."""
+    """The boot's id ("": the system has none), the time since it, which nobody sets, and the wall clock."""
 
     boot: str
     boot_s: float

@@ -17,7 +17,7 @@ from gateway.people.console.server.site import LOCALHOST, Site, address_of, shar
 BACKLOG: Final = 64
 """Connections that the kernel queues; it drops further ones."""
 DEAD_MS: Final = 15_000
-"""A connection that acknowledges nothing for so long is closed: its page is frozen, or its machine is gone."""
+"""A connection that acknowledges nothing for this long is closed: its page is frozen, or its machine is gone."""
 SOCKET_BUFFER_BYTES: Final = 8192
 """Of the kernel's buffer for each connection."""
 FIRST_DESCRIPTOR: Final = 3

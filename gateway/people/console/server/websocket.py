@@ -22,9 +22,9 @@ FRAMES_A_SECOND: Final = 300
 FRAMES_AT_ONCE: Final = 150
 """A page whose network stalled for a second sends at once what waited."""
 PING_S: Final = 20.0
-"""A page that has sent nothing for so long is pinged, and closed after half as long again."""
+"""A page that has sent nothing for this long is pinged, and closed after half as long again."""
 SEND_S: Final = 5.0
-"""A page that does not read for so long, while its socket is full, is closed."""
+"""A page that does not read for this long, while its socket is full, is closed."""
 REASON_BYTES: Final = 123
 """The room for it in a close frame."""
 
