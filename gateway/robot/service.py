@@ -5,13 +5,13 @@ import logging
 import selectors
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import zenoh
 
@@ -66,12 +66,10 @@ if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
 
 BEAT_S = 0.1
-"""Period of measuring the loop's lag and notifying systemd, unless systemd's watchdog needs a shorter one."""
+"""Period of measuring the loop's lag, notifying systemd, and publishing the state and telemetry, which people and pages
+can follow so; unless systemd's watchdog needs a shorter one."""
 
 T = TypeVar("T")
-
-REPORTS_HZ: Final = 10.0
-"""Of the state and of telemetry: what people and pages can follow; a change of mode is published at once."""
 
 logger = logging.getLogger(__name__)
 
@@ -270,18 +268,22 @@ async def _run(
         on_ready(config)  # first, so what `make run` prints when it is notified comes after this
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out, late)
-        tasks = [
-            *_report_tasks(settings, conductor, outbox),
-            asyncio.create_task(
-                _beat(notifier, conductor, inbox, UnknownKeys(session, physics and physics.zenoh_id), servos, end)
-            ),
-        ]
-        for task in tasks:
-            task.add_done_callback(end.task_done)
+        beat = asyncio.create_task(
+            _beat(
+                notifier,
+                conductor,
+                inbox,
+                outbox,
+                _reports(settings, conductor),
+                UnknownKeys(session, physics and physics.zenoh_id),
+                servos,
+                end,
+            )
+        )
+        beat.add_done_callback(end.task_done)
         await end.wait()
         notifier.stopping(anew=end.starts_anew)
-        for task in tasks:
-            task.cancel()
+        beat.cancel()
         deadline = loop.time() + SHUTDOWN_S
         await stop_the_robot(conductor, bus)
         with owner:
@@ -403,35 +405,24 @@ def _attendants(
     return ConnectionLimiter(session, conductor.metrics.count_sessions, revoked), upkeep
 
 
-def _report_tasks(settings: Settings, conductor: Conductor, outbox: ZenohOutbox) -> list[asyncio.Task[None]]:
-    """Publish the state, and what the robot measures if it does."""
-    telemetry_hz = REPORTS_HZ if settings.measures else 0.0
-    return [
-        asyncio.create_task(_report(STATE, REPORTS_HZ, conductor.reports.publish, conductor, outbox)),
-        asyncio.create_task(_report(TELEMETRY, telemetry_hz, conductor.telemetry.publish, conductor, outbox)),
-    ]
-
-
-async def _report(
-    key: str, rate_hz: float, publish: Callable[[], None], conductor: Conductor, outbox: ZenohOutbox
-) -> None:
-    """Publish on `key` so many times a second, if anyone listens (changes of mode are published as they happen)."""
-    while rate_hz:
-        await asyncio.sleep(1 / rate_hz)
-        if outbox.anyone_listens(key):
-            with conductor.owner:  # it also orders reports: an older state must not follow a newer one
-                publish()
+def _reports(settings: Settings, conductor: Conductor) -> dict[str, Callable[[], None]]:
+    """What is published at each beat, by key."""
+    measured = {TELEMETRY: conductor.telemetry.publish} if settings.measures else {}
+    return {STATE: conductor.reports.publish, **measured}
 
 
 async def _beat(
     notifier: SystemdNotifier,
     conductor: Conductor,
     inbox: Inbox,
+    outbox: ZenohOutbox,
+    reports: Mapping[str, Callable[[], None]],
     unknown_keys: UnknownKeys,
     servos: ServosFile,
     end: ServiceEnd,
 ) -> None:
     """Measure the loop's lag, detect `stop-servos`, and notify systemd that the loop and the receiver threads run.
+    Publish the reports that somebody listens to, by key (changes of mode are published as they happen).
 
     It needs the state: while another thread keeps that, systemd gets no notification.
     """
@@ -454,11 +445,14 @@ async def _beat(
         await asyncio.sleep(period_s)
         lag_ns = round((loop.time() - due_s) * 1e9)
         found = unknown_keys.poll()
-        with conductor.owner:
+        wanted = [publish for key, publish in reports.items() if outbox.anyone_listens(key)]
+        with conductor.owner:  # it also orders reports: an older state must not follow a newer one
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)
             if found is not None:
                 conductor.answers.reject_unread(*found)
+            for publish in wanted:
+                publish()
     end.because("a thread that waits for commands has ended")
 
 

@@ -109,7 +109,7 @@ def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path) 
 def test_it_ends_when_a_thread_that_hears_has_ended(tmp_path: Path) -> None:
     deaf = FAULTY.replace("conductor.Conductor._receive = broken", "").replace(
         "def broken",
-        "from gateway.robot.zenoh_io import inbox\ninbox.Inbox.hears = property(lambda self: False)\ndef broken",
+        "from gateway.robot.zenoh_io import inbox\ninbox.Inbox.receives = property(lambda self: False)\ndef broken",
     )
     config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
     end = subprocess.run([sys.executable, "-c", deaf, config], capture_output=True, text=True, check=False, timeout=20)
