@@ -64,6 +64,7 @@ class Oracle(RobotHistory):
         What came belongs to the instant that began at `instant_ns`, to one of its own if that is not given.
         """
         self.instant_ns = now_ns if instant_ns is None else instant_ns
+        self._pose_cdeg = self.calibration.landing_cdeg()  # a deadline comes before what the step takes
         kept = self.calibration.kept(event, effects, self.alive) if isinstance(event, CalibrationSaved) else None
         judge_results(effects)
         effects = self.calibration.read(effects)
@@ -290,13 +291,12 @@ class Oracle(RobotHistory):
         if not self.energised or now_ns >= ends_ns:
             return False
         ways = {}
-        pose_cdeg = self.calibration.landing_cdeg()
         for servo_id, servo in self.servos.items():
             if servo.want is not None:
                 self._lost |= {servo.want.number}
             servo.want, servo.bound_cdeg, servo.eases = None, None, False
             if servo.written_cdeg is not None:
-                ways[servo_id] = servo.written_cdeg, pose_cdeg.get(servo_id, servo.written_cdeg)
+                ways[servo_id] = servo.written_cdeg, self._pose_cdeg.get(servo_id, servo.written_cdeg)
         for leg in self.legs.values():
             leg.source = None
         self.landing = LandingHistory(now_ns, ends_ns, ways, {})

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from gateway.allowance import NS_PER_MS
+from gateway.model.calibration import CalibrationChange
 from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.leg import Rules
@@ -153,6 +154,14 @@ def test_a_pose_outside_the_joint_limits_is_not_approached() -> None:
     steps = landing_steps(joint_limits_cdeg={31: (80_00, 100_00)})
     told = until(steps, ENDS_MS)
     assert {angle for _, angle in told.get(31, [])} <= {90_00}
+
+
+def test_a_landing_that_was_due_before_a_new_pose_was_kept_goes_to_the_old_one() -> None:
+    steps = landing_steps()
+    steps.calibrate(20, CalibrationChange({}, {31: 170_00, 42: 10_00}))
+    assert steps.kept(10 + TIMEOUT_MS) == ["announce landing", "announce calibrated", "completed 2"]
+    told = until(steps, ENDS_MS - 1)
+    assert (told[31][-1][1], told[42][-1][1]) == (30_00, 100_00)
 
 
 def test_a_limited_speed_holds_in_a_landing() -> None:
