@@ -25,8 +25,8 @@ def cpu_ns(pid: int) -> int:
 
 def never_delay(pid: int) -> None:
     """Give all present threads of a process real-time priority, if allowed: it stands for what is no program here."""
-    with suppress(PermissionError):
-        for task in Path(f"/proc/{pid}/task").iterdir():
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(PermissionError, ProcessLookupError):  # the thread has ended
             os.sched_setscheduler(int(task.name), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(50))
 
 

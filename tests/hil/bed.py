@@ -22,6 +22,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -182,7 +183,8 @@ class SpiTestbed(Closing):
     def prefer(self) -> None:
         """Let the emulation come before every other process: it stands for hardware, which no load slows. Root only."""
         for task in Path(f"/proc/{self._emulation.pid}/task").iterdir():
-            os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(50))
+            with suppress(ProcessLookupError):  # the thread has ended
+                os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(50))
 
     def spawn(self, command: Sequence[str], *, env: Mapping[str, str] | None = None) -> Child:
         """Start a program on the device; several may run at once. `env` adds to this process's variables."""

@@ -2,7 +2,6 @@
 
 import itertools
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any, Generic, TypeVar
@@ -59,14 +58,20 @@ class Heard(Generic[R]):
 
     def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 30) -> R:
         """Wait until `condition` holds for `count` reports; the last of these."""
-        deadline = time.monotonic() + timeout_s
+        found: list[R] = []
+
+        def enough(reports: list[R]) -> bool:
+            found[:] = filter(condition, reports)
+            return len(found) >= count
+
+        self.wait_for_all(enough, timeout_s=timeout_s)
+        return found[count - 1]
+
+    def wait_for_all(self, condition: Callable[[list[R]], bool], *, timeout_s: float = 30) -> None:
+        """Wait until `condition` holds for all reports together. Raises TimeoutError."""
         with self._changed:
-            while True:
-                found = [report for report in self._reports if condition(report)]
-                if len(found) >= count:
-                    return found[count - 1]
-                if not self._changed.wait(deadline - time.monotonic()):
-                    raise TimeoutError(f"heard only {list(self._reports)[-20:]}")
+            if not self._changed.wait_for(lambda: condition(list(self._reports)), timeout_s):
+                raise TimeoutError(f"heard only {list(self._reports)[-20:]}")
 
 
 def running(client: Client) -> list[int]:

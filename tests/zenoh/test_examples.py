@@ -256,9 +256,8 @@ def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -
             assert client.state().commands.rejected == 0
             assert {servo // 10 for servo in moved(written)} == {1, 2, 3, 4, 5, 6}
             landing = tomllib.loads(ELKAPOD.read_text())["watchdog"]["landing"]
-            assert last_angles(written.all) == {
-                int(servo): centidegrees(180 - deg if servo in MIRRORED else deg) for servo, deg in landing.items()
-            }
+            pose = {int(servo): centidegrees(180 - deg if servo in MIRRORED else deg) for servo, deg in landing.items()}
+            written.wait_for_all(lambda records: last_angles(records) == pose)
         shown = Child([*COMMAND, "incidents", "show", "last", "--config", str(ELKAPOD)], env)
         assert shown.wait() == 0, shown.stderr
         shown.close()
