@@ -8,8 +8,8 @@ import pytest
 from gateway.client import Client, leg_payload, servo_payload
 from gateway.model.frames import OneLeg, OneServo, decode, stop_leg
 from schemas import keys
-from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, FrameRecord, Kind, Mode, Reason
+from schemas.robot import SERVO_IDS
+from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode, Reason
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames
@@ -36,45 +36,32 @@ def running(client: Client) -> set[int]:
     return {servo.id for leg in client.state().legs for servo in leg.servos if servo.running}
 
 
-@pytest.mark.parametrize("number", LEGS)
-def test_a_legs_key_takes_put_get_and_delete(client: Client, number: int) -> None:
+def servos_of(records: list[FrameRecord], *, stop: bool) -> set[int]:
+    """The servos that commands have stopped, or started and set."""
+    found = [frame_of(record) for record in records if record.cause == Cause.COMMAND]
+    return {servo_id for frame in found if frame.is_stop is stop for servo_id, _ in frame.servos}
+
+
+@pytest.mark.parametrize(
+    ("key", "payload", "servos"),
+    [
+        (keys.leg_command(3), START, {31, 32, 33}),
+        (keys.servo_command(62), servo_payload("start", 90), {62}),
+        (keys.LEGS_COMMAND, {"legs": {"2": START, "5": START}}, {21, 22, 23, 51, 52, 53}),
+    ],
+)
+def test_each_kind_of_key_takes_put_get_and_delete(
+    client: Client, key: str, payload: dict[str, object], servos: set[int]
+) -> None:
     heard = frames(client)
-    key = keys.leg_command(number)
-    first = servo_payload("start", 90)
-    servos = {10 * number + joint for joint in (1, 2, 3)}
-    client.publish(key, {"servos": [first] * 3})
-    heard.wait(lambda record: frame_of(record).servos[0][0] == 10 * number + 1)
+    client.publish(key, payload)
+    heard.wait_for_all(lambda records: servos_of(records, stop=False) >= servos)
     assert running(client) == servos
     client.session.delete(key)
-    heard.wait(lambda record: frame_of(record) == stop_leg(number))
-    assert client.ask(key, START).accepted
-    assert running(client) == servos
-
-
-@pytest.mark.parametrize("servo_id", SERVO_IDS)
-def test_a_servos_key_takes_put_get_and_delete(client: Client, servo_id: int) -> None:
-    heard = frames(client)
-    key = keys.servo_command(servo_id)
-    client.publish(key, servo_payload("start", 90))
-    heard.wait(lambda record: frame_of(record).servos[0][0] == servo_id)
-    assert running(client) == {servo_id}
-    client.session.delete(key)
-    heard.wait(lambda record: record.bytes == f"0602{servo_id:02x}020000")
-    assert client.ask(key, servo_payload("start", 1)).accepted
-    assert running(client) == {servo_id}
-
-
-def test_the_legs_key_takes_put_get_and_delete(client: Client) -> None:
-    heard = frames(client)
-    two = {"legs": {"2": START, "5": START}}
-    client.publish(keys.LEGS_COMMAND, two)
-    heard.wait(lambda record: frame_of(record).servos[0][0] == 51)
-    assert running(client) == {21, 22, 23, 51, 52, 53}
-    client.session.delete(keys.LEGS_COMMAND)
-    heard.wait(lambda record: frame_of(record) == stop_leg(6))
+    heard.wait_for_all(lambda records: servos_of(records, stop=True) >= servos)
     assert running(client) == set()
-    assert client.ask(keys.LEGS_COMMAND, two).accepted
-    assert running(client) == {21, 22, 23, 51, 52, 53}
+    assert client.ask(key, payload).accepted
+    assert running(client) == servos
 
 
 @pytest.mark.parametrize(
@@ -90,11 +77,7 @@ def test_a_wildcard_put_means_all_that_it_matches(
 ) -> None:
     heard = frames(client)
     client.session.put(expression, json.dumps(payload))
-    named: set[int] = set()
-    for record in heard.each():
-        named |= {servo_id for servo_id, _ in frame_of(record).servos}
-        if named >= expected:
-            break
+    heard.wait_for_all(lambda records: servos_of(records, stop=False) >= expected)
     assert running(client) == expected
 
 
