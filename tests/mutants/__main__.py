@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from tests.mutants.by_hand import made_by_hand
 from tests.mutants.generated import accepted, mutants_of
@@ -36,8 +36,6 @@ def main() -> int:
     parser.add_argument(
         "--changed", action="store_true", help="only files that the last commit or nobody yet has changed"
     )
-    parser.add_argument("--accepted", action="store_true", help="run those that are accepted: is one noticed by now?")
-    parser.add_argument("--survivors", action="store_true", help="where only tests were added: what survived last time")
     parser.add_argument("--sample", type=int, metavar="N", help="of each file only these many, always the same ones")
     parser.add_argument("--seconds", type=float, default=math.inf, help="begin with no further file after so many")
     arguments = parser.parse_args()
@@ -46,15 +44,13 @@ def main() -> int:
     if arguments.changed:
         files = [file for file in files if file in changed()]
     # Not a list that ends early: a survivor in one file hides none in the next.
-    again = {file: last_score(file) if arguments.survivors else None for file in files}
-    run_accepted, sample = arguments.accepted, arguments.sample
     scores = []
     for number, file in enumerate(files):
         if time.monotonic() > until_s:
             print("not judged, for want of time: " + ", ".join(files[number:]))
             del files[number:]
             break
-        scores.append(judge(file, run_accepted=run_accepted, sample=sample, last=again[file]))
+        scores.append(judge(file, arguments.sample))
     killed, wanted = (sum(score[of] for score in scores) for of in ("killed", "wanted"))
     print(f"\n{killed} of {wanted} killed ({killed / max(1, wanted):.1%}) in {len(files)} files")
     low = list(below_floor(dict(zip(files, scores, strict=True))))
@@ -71,47 +67,35 @@ def below_floor(scores: Mapping[str, Counter[str]]) -> Iterator[tuple[str, float
             yield room, killed / wanted
 
 
-def judge(file: str, *, run_accepted: bool, sample: int | None, last: dict[str, Any] | None) -> Counter[str]:
-    """Judge a file's mutants, print what became of them and keep the score. `right`: its tests pass without one.
-
-    `last`: only those that survived then are judged, the others count as they did.
-    """
+def judge(file: str, sample: int | None) -> Counter[str]:
+    """Judge a file's mutants, print what became of them and keep the score. `right`: its tests pass without one."""
     begun_s = time.monotonic()
     source = (ROOT / file).read_text(encoding="utf-8")
     mutants = {str(mutant.name): mutant.source for mutant in (*mutants_of(source), *made_by_hand(file, source))}
     forgiven = accepted(file)
     wrong = [f"accepted, but no mutant any more: {name}" for name in forgiven.keys() - mutants.keys()]
-    todo = [name for name in mutants if run_accepted or name not in forgiven]
-    if last is not None:
-        todo = [name for name in todo if name in last["survived"]]
+    todo = [name for name in mutants if name not in forgiven]
     if sample is not None:
         todo = sorted(todo, key=lambda name: sha256(name.encode()).digest())[:sample]
     found: Counter[Outcome] = Counter()
-    survived: list[str] = []
     try:
         for number, verdict in verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutants[name] for name in todo))):
-            name = todo[number]
-            if name not in forgiven:
-                found[verdict.outcome] += 1
-            if verdict.outcome is Outcome.SURVIVED and name not in forgiven:
-                survived.append(name)
-                wrong.append(f"survived: {name}")
-            elif verdict.outcome in (Outcome.KILLED, Outcome.TIMED_OUT) and name in forgiven:
-                wrong.append(f"accepted, but noticed by {verdict.test}: {name}")
+            found[verdict.outcome] += 1
+            if verdict.outcome is Outcome.SURVIVED:
+                wrong.append(f"survived: {todo[number]}")
     except TestsFailError as error:
         print(f"{file}: its tests fail without a mutant, so they can judge nothing: {error}", flush=True)
         return Counter(right=False)
-    before = last or {"killed": 0, "by_time": 0}
-    killed = before["killed"] + found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
+    killed = found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
     score = Counter(
         killed=killed,
-        by_time=before["by_time"] + found[Outcome.TIMED_OUT],
+        by_time=found[Outcome.TIMED_OUT],
         wanted=killed + found[Outcome.SURVIVED],
         accepted=len(forgiven.keys() & mutants.keys()),
         generated=len(mutants),
     )
     if sample is None:
-        keep(file, score, survived)
+        keep(file, score, wrong)
     share = killed / max(1, score["wanted"])
     took_s = time.monotonic() - begun_s
     print(f"{file}: {killed} of {score['wanted']} ({share:.1%}), {score['accepted']} accepted, {took_s:.0f} s")
@@ -126,28 +110,13 @@ def changed() -> set[str]:
     return {*subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()}
 
 
-def last_score(file: str) -> dict[str, Any] | None:
-    """What was kept of a file; None: nothing, or of another text of it, so all has to be judged."""
-    last: dict[str, Any] = kept().get(file, {})
-    return last if last.get("digest") == digest(file) else None
-
-
-def keep(file: str, score: Counter[str], survived: list[str]) -> None:
-    """Leave a file's score for those who read it afterwards, and for `--survivors`."""
+def keep(file: str, score: Counter[str], wrong: list[str]) -> None:
+    """Leave a file's score for those who read it afterwards."""
+    scores = dict(json.loads(SCORES.read_text(encoding="utf-8"))) if SCORES.exists() else {}
     share = round(100 * score["killed"] / max(1, score["wanted"]), 1)
-    entry = {**score, "score": share, "survived": sorted(survived), "digest": digest(file)}
+    scores[file] = {**score, "score": share, "wrong": sorted(wrong)}
     SCORES.parent.mkdir(parents=True, exist_ok=True)
-    SCORES.write_text(json.dumps(kept() | {file: entry}, indent=2, sort_keys=True) + "\n", encoding="utf-8")
-
-
-def kept() -> dict[str, Any]:
-    """What earlier runs have left, by file."""
-    return dict(json.loads(SCORES.read_text(encoding="utf-8"))) if SCORES.exists() else {}
-
-
-def digest(file: str) -> str:
-    """By which an unchanged file is known."""
-    return sha256((ROOT / file).read_bytes()).hexdigest()[:16]
+    SCORES.write_text(json.dumps(scores, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
