@@ -53,16 +53,12 @@ class LimitedSpeeds:
         supply_starts = self._rules.angles_first
         for servo in servos:
             servo.source = source
-            if not self._eases:
-                continue
-            if servo.angle_cdeg is None:
-                if not (supply_starts or servo.stopped):
-                    continue
-                if supply_starts and servo.announced_cdeg is None:  # supply starts it before any frame
+            if self._eases and (servo.running or supply_starts or servo.stopped):
+                leg.eases = True  # a servo that does not run eases by its start's frame
+                if servo.running and not servo.eases:
+                    servo.eases, servo.since_ns = True, leg.slots.taken_ns
+                elif not servo.running and supply_starts and servo.announced_cdeg is None:  # that is before any frame
                     servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
-            elif not servo.eases:
-                servo.eases, servo.since_ns = True, leg.slots.taken_ns
-            leg.eases = True  # a servo that does not run eases by its start's frame
 
     def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
         """Where a servo that does not run stands, if its Stop was not long ago and the calibration is the same."""

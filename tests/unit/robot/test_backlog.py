@@ -116,6 +116,34 @@ def test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_se
     assert robot.time(353 + WAIT_MS) == ["command 1 start 90", "completed 6"]
 
 
+def test_a_message_behind_the_window_is_of_no_burst_and_a_stop_is_of_none() -> None:
+    robot = Steps(RULES)
+    for at_ms in (100, 105, 110, 120):
+        assert "rejected" not in str(robot.command(at_ms, leg_to(1, "start 90")))
+    robot = Steps(RULES)
+    for at_ms in (100, 101, 102):
+        robot.command(at_ms, leg_to(1, "stop"))
+    assert robot.command(103, leg_to(1, "start 90")) == []
+
+
+def test_a_higher_rate_allows_more_messages_in_the_window() -> None:
+    robot = Steps(replace(RULES, period_ns=5 * NS_PER_MS))
+    for at_ms in range(100, 106):
+        assert "rejected" not in str(robot.command(at_ms, leg_to(1, "start 90")))
+    assert "rejected 7 stale" in robot.command(106, leg_to(1, "start 90"))
+
+
+def test_a_burst_of_one_key_drops_no_start_with_a_time_of_another() -> None:
+    robot = Steps(RULES)
+    robot.command(100, leg_to(1, "start 90"))
+    robot.time(100 + WAIT_MS)
+    robot.command(116, leg_to(1, "stop"))
+    robot.take(117, Command(leg_to(1, "start 80"), key="another", number=99, sent_ms=1))
+    for at_ms in (117, 118, 119):
+        robot.command(at_ms, leg_to(2, "set 90"))
+    assert "command 1 start 80" in str([robot.time(at_ms) for at_ms in (120, 125, 130, 135)])
+
+
 def test_sets_are_of_the_burst_too_and_a_start_before_them_is_dropped() -> None:
     robot = Steps(RULES)
     robot.command(100, leg_to(1, "start 90"))

@@ -102,6 +102,13 @@ def test_two_seconds_behind_its_stop_nobody_knows_where_it_hangs(later_ms: int, 
     assert steps.command(220 + later_ms, leg_to(3, "start 160"), source="anna")[0] == f"command 3 start {first}"
 
 
+def test_of_a_leg_only_the_servo_that_ran_begins_where_it_stands() -> None:
+    steps = Steps(RULES)
+    steps.command(1, servo_to(32, "start 20"), source="anna")
+    steps.command(40, servo_to(32, "stop"), source="anna")
+    assert steps.command(80, leg_to(3, "start 35"), source="anna")[0] == "command 3 start 35 | start 20 | start 35"
+
+
 def test_what_never_ran_starts_where_it_is_told() -> None:
     assert Steps(RULES).command(1, servo_to(31, "start 160"), source="anna")[0] == "command 31 start 160"
 
