@@ -4,11 +4,9 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 from gateway.model.black_box.format import COALESCED
 from gateway.model.frames import leg_of
-from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import Announce, Command, Request, Result
 from gateway.robot.core.intake import echo_of
 from gateway.robot.runtime.event_publisher import EventPublisher
-from gateway.robot.runtime.metrics import Metrics
 from schemas.telemetry import Ack, Kind, Reason
 
 Confirm = Callable[[Collection[int], int, Callable[[bool, float | None], None]], None]
@@ -18,13 +16,10 @@ Confirm = Callable[[Collection[int], int, Callable[[bool, float | None], None]],
 class PendingCommands:
     """Numbers commands and answers each once. Called by the owner of the state."""
 
-    def __init__(
-        self, metrics: Metrics, recorder: Recorder, events: EventPublisher, confirm: Confirm | None = None
-    ) -> None:
+    def __init__(self, events: EventPublisher, confirm: Confirm | None = None) -> None:
         """`confirm`: the power board's, where there is one; the answer to a Stop waits for it."""
         self._number = 0
-        self._metrics = metrics
-        self._recorder = recorder
+        self._metrics = events.metrics
         self._events = events
         self._confirm = confirm
 
@@ -71,7 +66,7 @@ class PendingCommands:
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
         """Reject a message before the supervisor decides; `received`: the command, if it was read."""
-        self._recorder.step(received, (), ((request, reason, detail),))
+        self._events.recorder.step(received, (), ((request, reason, detail),))
         self.end(request, reason, detail)
 
     def end(self, request: Request, reason: Reason, detail: str) -> None:

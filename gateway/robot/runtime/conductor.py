@@ -98,16 +98,9 @@ class Conductor:
         self.telemetry = LatestTelemetry(outbox, clock, supply)
         self.events = EventPublisher(outbox, recorder, self.metrics, clock)
         self.supply = supply
-        self.answers = PendingCommands(self.metrics, recorder, self.events, supply.confirm if supply else None)
+        self.answers = PendingCommands(self.events, supply.confirm if supply else None)
         self._executor = Executor(
-            bus,
-            self.answers,
-            self.events,
-            recorder,
-            self.metrics,
-            publish_frames=settings.telemetry.frames,
-            supervisor=supervisor,
-            supply=supply,
+            bus, supervisor, supply, self.answers, self.events, publish_frames=settings.telemetry.frames
         )
         if supply is not None:
             supply.on_news = self.power_changed

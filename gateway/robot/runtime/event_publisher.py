@@ -18,33 +18,27 @@ EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10
 """Of each source and kind."""
 
-WARNINGS: Final = frozenset(
+INFORMATIONAL: Final = frozenset(
     {
-        Kind.COMMAND_REJECTED,
-        Kind.WATCHDOG_EXPIRED,
-        Kind.LANDING,
-        Kind.ESTOP_ENGAGED,
-        Kind.ESTOP_KEPT,
-        Kind.ESTOP_NOT_KEPT,
-        Kind.BUS_FAULT,
-        Kind.BUS_MEDDLED,
-        Kind.STOPPED_OUTSIDE,
-        Kind.OVERFLOW,
-        Kind.REVOKED,
-        Kind.BUTTON_SILENT,
-        Kind.BUTTON_LEFT,
-        Kind.CONTROLLER_SILENT,
-        Kind.CONTROLLER_RESTARTED,
-        Kind.BATTERY_LOW,
-        Kind.FALLEN,
-        Kind.POWER_UNCONFIRMED,
-        Kind.POWER_FAULT,
-        Kind.SERVO_DRAWS,
-        Kind.SERVO_SILENT,
-        Kind.OFF_BUTTON,
+        Kind.STARTED,
+        Kind.STOPPING,
+        Kind.ESTOP_RESET,
+        Kind.BUS_RECOVERED,
+        Kind.CONTROLLER_RETURNED,
+        Kind.SOURCE_CHANGED,
+        Kind.LEASE_ACQUIRED,
+        Kind.LEASE_RELEASED,
+        Kind.LEASE_EXPIRED,
+        Kind.LEASE_TAKEN,
+        Kind.LEASE_ASKED,
+        Kind.CALIBRATED,
+        Kind.BUTTON_REGISTERED,
+        Kind.BUTTON_RETURNED,
+        Kind.POWER_CUT,
+        Kind.POWER_RESTORED,
     }
 )
-"""Kinds that are logged as warnings; the others are informational."""
+"""Kinds that are logged as information; the others are warnings."""
 
 logger: Final = logging.getLogger(__name__)
 
@@ -96,7 +90,7 @@ class EventPublisher:
             "kind": kind, "source": source, "key": what.key, "reason": what.reason, "left_out": left_out or None,
             "legs": list(what.legs) or None, "incident": incident,
         }  # fmt: skip
-        logger.log(logging.WARNING if kind in WARNINGS else logging.INFO, what.detail, extra=extra)
+        logger.log(logging.INFO if kind in INFORMATIONAL else logging.WARNING, what.detail, extra=extra)
         event = telemetry.Event(
             time=wall_clock(), kind=kind, source=source, key=what.key, reason=what.reason, detail=what.detail,
             left_out=left_out, legs=what.legs, incident=incident,

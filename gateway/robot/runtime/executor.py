@@ -7,7 +7,7 @@ from typing import Final, assert_never
 
 from gateway.errors import SpiError
 from gateway.model.black_box.format import ACCEPTED
-from gateway.robot.blackbox.recorder import Recorder, Written
+from gateway.robot.blackbox.recorder import Written
 from gateway.robot.core.events import (
     Announce,
     Completed,
@@ -25,7 +25,6 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.answers import PendingCommands
 from gateway.robot.runtime.event_publisher import EventPublisher
-from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.supply import RobotSupply
 from schemas.telemetry import Cause, Kind, Reason
 
@@ -75,20 +74,18 @@ class Executor:
     def __init__(
         self,
         bus: Wire,
-        answers: PendingCommands,
-        events: EventPublisher,
-        recorder: Recorder,
-        metrics: Metrics,
-        *,
-        publish_frames: bool,
         supervisor: Supervisor,
         supply: RobotSupply | None,
+        answers: PendingCommands,
+        events: EventPublisher,
+        *,
+        publish_frames: bool,
     ) -> None:
         self._bus = bus
         self._answers = answers
         self._events = events
-        self._recorder = recorder
-        self._metrics = metrics
+        self._recorder = events.recorder
+        self._metrics = events.metrics
         self._publish_frames = publish_frames
         self._supervisor = supervisor
         self._supply = supply

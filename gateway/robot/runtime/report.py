@@ -132,6 +132,7 @@ class StateReports:
         supervisor, bus, metrics, now_ns = self._supervisor, self._bus, self._events.metrics, self._events.clock()
         settings = self._settings
         buttons = supervisor.buttons
+        answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
         return GatewayState(
             mode=supervisor.mode,
@@ -182,7 +183,7 @@ class StateReports:
             revocations=self.revocations,
             limits=self._limits,
             wire=self._wire,
-            controller=_controller(bus, now_ns),
+            controller=ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
             battery=self._telemetry.battery,
             power=self._telemetry.power(),
         )
@@ -204,11 +205,6 @@ def _lease(lease: RobotLease, now_ns: int) -> LeaseReport:
         expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
         asked_by=lease.asked_by,
     )
-
-
-def _controller(bus: Wire, now_ns: int) -> ControllerReport:
-    age_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
-    return ControllerReport(alive=bus.controller_alive, age_ms=age_ms)
 
 
 def _leg(leg: Leg, now_ns: int) -> LegReport:
