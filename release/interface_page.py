@@ -173,7 +173,7 @@ def _kinds(node: Node, document: Node) -> Iterator[str]:
         yield (
             f"{len(items)} × ({inner})"
             if "prefixItems" in node and " " in inner
-            else (f"{len(items)} × {inner}" if "prefixItems" in node else f"array of {inner}")
+            else (f"{len(items)} × {inner}" if "prefixItems" in node else f"array of {inner}s")
         )
     else:
         yield _limited(node)
