@@ -103,6 +103,7 @@ HANDS: Final = """() => {
   if (pad.left > 24 || turn.right < innerWidth - 24) faults.push("the pads are not at the edges");
   const wide = innerWidth > innerHeight;
   if (wide && (pad.right > picture.left || picture.right > turn.left)) faults.push("the picture is not between");
+  if (picture.height < 64) faults.push(`the picture is ${picture.height} pixels high`);
   if (pad.width < Math.min(0.28 * innerHeight, 0.45 * innerWidth) && !wide) faults.push("the pads are small");
   document.getElementById("more").click();
   for (const each of document.querySelectorAll("details")) each.open = true;
