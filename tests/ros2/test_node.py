@@ -42,7 +42,7 @@ def managed(gateway: Gateway, *arguments: str) -> Iterator[RclpyPeer]:
 def test_a_user_without_a_home_and_a_passwd_entry_starts_it(gateway: Gateway) -> None:
     hidden = 'mount --bind /dev/null /etc/passwd && unset HOME && exec "$@"'
     with RclpyBridge(gateway, domain=OWN_DOMAIN, by=("unshare", "--mount", "sh", "-c", hidden, "sh")) as bridge:
-        assert "ROS 2's graph" in bridge.child.stdout
+        bridge.child.wait_for_output("ROS 2's graph")
 
 
 def test_a_node_that_is_deactivated_sits_down_and_only_an_activation_and_drive_move_it_again(
