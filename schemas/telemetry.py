@@ -15,10 +15,11 @@ CUT = "…"
 class Report(BaseModel):
     """Frozen and open: fields are only ever added, and readers ignore unknown ones.
 
-    An older reader that rejected them would show NOT STOPPED after a successful stop.
+    An older reader that rejected them would show NOT STOPPED after a successful stop. A report's validator is made when
+    it is first used: the service writes its first Stops before.
     """
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(frozen=True, extra="ignore", defer_build=True)
 
 
 class Value(StrEnum):

@@ -37,7 +37,6 @@ from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.protocol import Wire
-from gateway.robot.runtime import prometheus as exposition
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.cycle import Cycle
@@ -349,7 +348,9 @@ def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> tup
     """Open the metrics page and Zenoh. Waits for name servers, and for routers if the Zenoh file demands it."""
     late, metrics = LateAddresses(conductor.reports.has_missing), settings.telemetry.metrics
     if metrics:
-        late.serve(metrics, partial(exposition.serve, metrics, conductor))
+        from gateway.robot.runtime import prometheus  # noqa: PLC0415  (slow to load, and most have no such page)
+
+        late.serve(metrics, partial(prometheus.serve, metrics, conductor))
     return late.open(config), late
 
 
