@@ -31,8 +31,9 @@ def unreached(connect: str | None, zenoh_config: Path | None) -> list[str]:
         return str(error).splitlines()
 
 
-def unanswered(client: Client, connect: str | None, zenoh_config: Path | None) -> list[str]:
-    if not client.session.info.links():
+def unanswered(client: Client | None, connect: str | None, zenoh_config: Path | None) -> list[str]:
+    """Return why no answer comes, a line each. `client`: None if no session could be opened."""
+    if client is None or not client.session.info.links():
         return unreached(connect, zenoh_config)
     try:
         identity = Identity.of(client_config(connect, zenoh_config))

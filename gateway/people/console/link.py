@@ -73,7 +73,7 @@ class GatewayLink(Receiver):
         loop.set_default_executor(self._questions.executor)
         self._spare = Spare()
         self._receiver = receiver
-        reasons = partial(_why, connect, zenoh_config)
+        reasons = partial(why.unanswered, connect=connect, zenoh_config=zenoh_config)
         self._live = Live(partial(self._connect, source=source), OnLoop(loop, self), reasons)
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
@@ -173,9 +173,3 @@ class GatewayLink(Receiver):
         if self._presence.link != self._announced:
             self._announced = self._presence.link
             self._receiver.link_changed(self._announced)
-
-
-def _why(connect: str | None, zenoh_config: Path | None, client: Client | None) -> list[str]:
-    if client is None:
-        return why.unreached(connect, zenoh_config)
-    return why.unanswered(client, connect, zenoh_config)
