@@ -28,7 +28,7 @@ class Sent:
     """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
     call_ns: int
     """How long its call took."""
-    heard: bool
+    received: bool
     """False: it counts as failed, since the zeros before it did."""
 
 

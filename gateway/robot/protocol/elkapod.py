@@ -158,7 +158,7 @@ class Beats:
         """When the newest was found."""
         return self._came_ns[-1] if self._came_ns else None
 
-    def look(self, data: bytes, now_ns: int) -> None:
+    def take(self, data: bytes, now_ns: int) -> None:
         """Take what the UART has received since the last look."""
         count, since_ns = self._heartbeats.feed(data), now_ns - self._looked_ns
         self._looked_ns = now_ns
@@ -192,9 +192,9 @@ class SignsOfLife:
         self.restarted = ""
         """Why it counts as restarted; "": it does not. `anew` has the signs of its next life."""
 
-    def heard(self, data: bytes, now_ns: int) -> None:
+    def receive(self, data: bytes, now_ns: int) -> None:
         """Take what the UART has received."""
-        self._beats.look(data, now_ns)
+        self._beats.take(data, now_ns)
         if self._beats.missing:
             self.restarted = "two of its heartbeats are missing"
 

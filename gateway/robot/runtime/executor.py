@@ -51,7 +51,7 @@ class Outcome:
 
     def failed(self, effects: Sequence[Effect]) -> Sequence[Transmit]:
         """The frames that the controller is not known to have been sent."""
-        received = {id(transmit) for transmit, sent in self.written if sent.heard}
+        received = {id(transmit) for transmit, sent in self.written if sent.received}
         return [each for each in effects if type(each) is Transmit and id(each) not in received]
 
     def rejects(self, request: Request) -> bool:
@@ -65,7 +65,7 @@ class Outcome:
 
     def stop_frames(self, cause: Cause) -> int:
         """How many frames with this cause a controller is known to have been sent."""
-        return sum(sent.heard and transmit.cause is cause for transmit, sent in self.written)
+        return sum(sent.received and transmit.cause is cause for transmit, sent in self.written)
 
 
 class Executor:
@@ -166,7 +166,7 @@ class Executor:
                 self._metrics.frames[transmit.cause] += 1
                 for command in transmit.commands:
                     command.written += (transmit.frame.leg,)
-                if transmit.deadline_ns is not None and sent.heard:
+                if transmit.deadline_ns is not None and sent.received:
                     self._metrics.watchdog_stops.record(self._bus.ended_ns - transmit.deadline_ns)
             if report.rejection is not None:
                 logger.warning("%s; from now on each transfer is a call of its own", report.rejection)

@@ -280,9 +280,9 @@ class Bus(Wire):
         if ended_ns - begun_ns >= STALLED_NS:
             self._failed(batch, ended_ns - begun_ns, zeros_only=False)
             raise SpiError(f"the SPI device took {(ended_ns - begun_ns) / 1e9:.1f} s for a call of milliseconds")
-        heard = True
+        received = True
         if self._awaited is not NOTHING:
-            heard = max(self._awaited) <= zeros
+            received = max(self._awaited) <= zeros
             awaited = after(self._awaited, (each for each, _ in batch))
             self._awaited = NOTHING if awaited == NOTHING else awaited
         self._failures = 0
@@ -296,7 +296,7 @@ class Bus(Wire):
         for frame in frames:
             wire_ns += self._byte_ns * frame.data[0] + self._announced_ns  # a frame's first byte is its length
             left_ns = wire_ns if wire_ns < ended_ns else ended_ns
-            report.sent += [Sent(first, frame.data, left_ns, ended_ns - begun_ns, heard)]
+            report.sent += [Sent(first, frame.data, left_ns, ended_ns - begun_ns, received)]
             wire_ns += self._gap_ns
             first += 1
             self.frames += 1
@@ -357,7 +357,7 @@ class Bus(Wire):
                 if place in left:  # one that fails, or may not have been received, is tried again after the others
                     left = [*(each for each in left if each != place), place]
                 self._call(report, 0, (frames[place],), place)
-                if report.sent[-1].heard:
+                if report.sent[-1].received:
                     left = [each for each in left if each != place]
                     self._received.add(frames[place].data)
             except SpiError as fault:

@@ -122,7 +122,7 @@ class CyclicBus(Wire):
         self.ended_ns = self._clock()
         took_ns = self.ended_ns - begun_ns
         left_ns = self.ended_ns + MESSAGE_NS if stops else self.ended_ns
-        report.sent = [Sent(place, each.data, left_ns, took_ns, heard=True) for place, each in enumerate(frames)]
+        report.sent = [Sent(place, each.data, left_ns, took_ns, received=True) for place, each in enumerate(frames)]
         return report
 
     def ready_servos(self, to_feed: Mapping[int, int | None]) -> frozenset[int]:
@@ -211,7 +211,7 @@ class CyclicBus(Wire):
         measured, message = self._signs.answered(answer, now_ns), self._commanded.left()
         try:
             if self._uart is not None:
-                self._signs.heard(self._uart.read(), now_ns)
+                self._signs.receive(self._uart.read(), now_ns)
                 if message is not None and not self._signs.restarted:
                     self._uart.write(message)
         except SpiError:

@@ -81,7 +81,7 @@ def test_wherever_up_to_three_transfers_fail_all_stops_are_written_and_executed(
         scene.device.begin(failing)
         moved = scene.bus.write([first])
         report = scene.bus.write(STOP_ALL)
-        assert {sent.place for sent in report.sent if sent.heard} == set(range(6)), failing
+        assert {sent.place for sent in report.sent if sent.received} == set(range(6)), failing
         assert not scene.controller.energised, failing
         assert not scene.controller.corruptions, failing
         failed = any(number < len(scene.device.seen) for number in failing)
@@ -94,7 +94,7 @@ def test_a_batch_of_stops_that_failed_is_written_one_by_one_and_the_first_of_the
     scene.device.begin({3})  # the second Stop's body
     report = scene.bus.write(STOP_ALL)
     assert scene.device.seen == on_wire(scene.framing, *STOP_ALL[:2], *reversed(STOP_ALL), STOP_ALL[5])
-    assert [(sent.place, sent.heard) for sent in report.sent] == [
+    assert [(sent.place, sent.received) for sent in report.sent] == [
         (5, False),
         *((place, True) for place in (4, 3, 2, 1, 0, 5)),
     ], "the first ones were most likely written before"
@@ -112,7 +112,7 @@ def test_a_zero_that_fails_leaves_a_synchronised_controller_synchronised() -> No
             scene.bus.write_zeros()
     report = scene.bus.write(STOP_ALL)
     assert scene.device.seen[3:] == on_wire(scene.framing, *STOP_ALL)
-    assert all(sent.heard for sent in report.sent)
+    assert all(sent.received for sent in report.sent)
 
 
 def test_stops_that_fail_again_and_again_want_zeros_as_many_as_the_controller_may_await() -> None:
@@ -122,7 +122,7 @@ def test_stops_that_fail_again_and_again_want_zeros_as_many_as_the_controller_ma
     scene.device.begin({1, 3, 5, 7, 9, 11, 13, 15, 17})  # each time a body, behind its announcement
     report = scene.bus.write(STOP_ALL[:1])
     assert ZERO in scene.device.seen
-    assert report.sent[-1].heard
+    assert report.sent[-1].received
     assert not {11, 12, 13} & scene.controller.energised
 
 
@@ -146,7 +146,7 @@ def test_stops_are_tried_also_where_zeros_fail_again_and_again() -> None:
     assert scene.device.seen[:7] == [ZERO] * 7, "a preamble, and six times zeros by themselves"
     assert scene.device.seen[7] == on_wire(PREFIXED, STOP_ALL[0])[0]
     assert not scene.controller.energised
-    assert {sent.place for sent in report.sent if sent.heard} == set(range(6))
+    assert {sent.place for sent in report.sent if sent.received} == set(range(6))
 
 
 @pytest.mark.parametrize("framing", Framing)
@@ -172,7 +172,7 @@ def test_a_stop_that_counts_as_received_was_received_though_transfers_fail_by_ch
         chance, scene = random.Random(seed), Scene(PREFIXED)  # noqa: S311
         scene.device.begin(number for number in range(3000) if chance.random() < share)
         report = scene.bus.write(STOP_ALL)
-        heard = {sent.place for sent in report.sent if sent.heard}
+        heard = {sent.place for sent in report.sent if sent.received}
         assert not stopped(STOP_ALL, heard) & scene.controller.energised, seed
         assert len(heard) == 6 or share > 0.2, seed
 

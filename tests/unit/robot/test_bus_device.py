@@ -226,7 +226,7 @@ def test_without_lists_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_ane
     devices.stall_ns = stall_ms * 1_000_000
     report = bus.write([STOP])
     assert "stood still" in str(report.fault)
-    assert [sent.heard for sent in report.sent] == [False, True]
+    assert [sent.received for sent in report.sent] == [False, True]
     written = [data for batch in devices.calls for data, _ in batch]
     gave_up = [ZERO] * (stall_ms > 1000)
     stops = on_wire(PREFIXED, STOP, STOP)
@@ -272,7 +272,7 @@ def test_where_it_fails_one_by_one_after_a_list_was_rejected_nobody_believes_the
     devices.fail(3)
     report = bus.write(STOPS)
     assert str(report.fault) == "told to fail"
-    assert [sent.heard for sent in report.sent][:2] == [False, True]
+    assert [sent.received for sent in report.sent][:2] == [False, True]
 
 
 def test_what_is_rejected_one_by_one_already_is_a_fault() -> None:

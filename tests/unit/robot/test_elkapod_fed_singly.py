@@ -92,7 +92,7 @@ def said_for_a_stop_of_leg_1(parts: Parts) -> list[bytes]:
     assert parts.said[-1] == START
     parts.said.clear()
     (sent,) = parts.bus.write(STOPS[:1]).sent
-    assert sent.heard
+    assert sent.received
     return parts.said
 
 

@@ -95,7 +95,7 @@ def test_what_is_no_answer_is_none_and_says_why(bad: str) -> None:
     signs = SignsOfLife(SILENT_NS, 0)
     assert answered(signs, 10 * MS) is not None
     for now_ms in range(20, 310, 20):
-        signs.heard(elkapod.heartbeat(), now_ms * MS)
+        signs.receive(elkapod.heartbeat(), now_ms * MS)
         assert answered(signs, now_ms * MS, BAD[bad]) is None
         assert signs.silent(now_ms * MS) is None
     assert "no well-formed answer of the controller for 300 ms (the last one: it " in str(signs.silent(310 * MS))
@@ -106,7 +106,7 @@ def judged(signs: SignsOfLife, values: Iterable[Measured], begun_ms: int = 0) ->
     taken = []
     for cycle, each in enumerate(values, 1):
         now_ns = (begun_ms + 20 * cycle) * MS
-        signs.heard(elkapod.heartbeat(), now_ns)
+        signs.receive(elkapod.heartbeat(), now_ns)
         taken += [answered(signs, now_ns, elkapod.answer(each)) is not None]
     return taken
 
@@ -159,7 +159,7 @@ def beaten(
         now_ms = cycle_ms + (late if cycle_ms % 400 == 0 else 0)
         count = sum(seen_ms < at_ms <= now_ms for at_ms in came_ms)
         seen_ms = now_ms
-        signs.heard(elkapod.heartbeat() * count, now_ms * MS)
+        signs.receive(elkapod.heartbeat() * count, now_ms * MS)
 
 
 @pytest.mark.parametrize(
@@ -187,12 +187,12 @@ def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
     signs = SignsOfLife(SILENT_NS, 0)
     beaten(signs, 1010)
     now_ms = 1000 + paused_ms
-    signs.heard(elkapod.heartbeat() * (paused_ms // 50 if kept else 0), now_ms * MS)
+    signs.receive(elkapod.heartbeat() * (paused_ms // 50 if kept else 0), now_ms * MS)
     for cycle in range(1, 60):
-        signs.heard(elkapod.heartbeat() * (cycle % 3 != 0), (now_ms + cycle * 20) * MS)
+        signs.receive(elkapod.heartbeat() * (cycle % 3 != 0), (now_ms + cycle * 20) * MS)
     assert signs.restarted == ""
     for cycle in range(60, 70):
-        signs.heard(b"", (now_ms + cycle * 20) * MS)
+        signs.receive(b"", (now_ms + cycle * 20) * MS)
     assert signs.restarted, "but the next gap is one"
 
 

@@ -62,7 +62,7 @@ def test_stops_reach_a_controller_that_gave_up_within_a_call_that_was_stuck(stal
 
     bed.controller.fail_where(stuck)
     for _ in range(3):
-        heard = {sent.place for sent in bed.bus.write([stop_leg(leg) for leg in LEGS]).sent if sent.heard}
+        heard = {sent.place for sent in bed.bus.write([stop_leg(leg) for leg in LEGS]).sent if sent.received}
         if len(heard) == len(LEGS):
             break
     assert len(heard) == len(LEGS)
