@@ -22,11 +22,11 @@ def load(name: str, options: Mapping[str, object], built_in: tuple[str, ...]) ->
 def _made(entry: EntryPoint, options: Mapping[str, object]) -> object:
     try:
         kind = entry.load()
-    except Exception as error:  # whatever somebody else's module raises
+    except (Exception, SystemExit) as error:  # whatever somebody else's module raises
         raise ValueError(f'"{entry.name}" ({entry.value}) cannot be loaded: {type(error).__name__}: {error}') from error
     try:
         return kind(options)
     except ValueError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f'"{entry.name}" takes no such options: {type(error).__name__}: {error}') from error

@@ -129,8 +129,10 @@ class Settings:
         if self.limits.start_stagger_ms >= self.watchdog.timeout_ms:
             sentence = f"a leg's start may not wait for as long as watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
             yield SettingFault(("limits", "start_stagger_ms"), sentence)
+        # A plug-in cannot hand measurements over, whatever it states: a limit on them would never stop anything.
+        measured = self.wire.built_in is not None and self.wire.capabilities.measures
         for each in fields(self.safety):
-            if getattr(self.safety, each.name) and not self.wire.capabilities.measures:
+            if getattr(self.safety, each.name) and not measured:
                 yield SettingFault(("safety", each.name), f"{wire} has nothing that measures it; leave it at 0")
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, ServoLimits())

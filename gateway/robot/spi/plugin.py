@@ -70,16 +70,18 @@ class PluginDevice(SpiDevice):
             changes = _STOP_ALL
         try:
             self._wire.apply(changes)
-        except OSError as error:
+        except (Exception, SystemExit) as error:  # of somebody else's code, whose exit code would be the gateway's
             if stops and len(changes) < len(SERVO_IDS):
                 self._stop_singly(changes)
-            raise SpiError(f"{self._name}: {_words(error)}") from error
+            if isinstance(error, OSError):
+                raise SpiError(f"{self._name}: {_words(error)}") from error
+            raise RuntimeError(f"{self._name}: {type(error).__name__}: {error}") from error
 
     def _stop_singly(self, changes: Sequence[tuple[int, float | None]]) -> None:
         """One servo's electronics may be gone, and those behind it in the same call still run."""
         until_ns = time.monotonic_ns() + SINGLY_NS
         for change in changes:
-            with suppress(OSError):
+            with suppress(Exception, SystemExit):
                 if time.monotonic_ns() < until_ns:
                     self._wire.apply((change,))
 

@@ -1,0 +1,62 @@
+"""A plug-in (`gateway.wire`) that does what no wire should: a Stop, and a rule, never depend on its author's care."""
+
+import sys
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint
+from typing import ClassVar
+
+import pytest
+
+from gateway.errors import ConfigError
+from gateway.host import wire_plugins
+from gateway.host.settings_table import WireSettings
+from gateway.model.frames import stop_leg
+from gateway.robot.settings import Settings
+from gateway.robot.spi.plugin import PluginBus
+from gateway.wire import GROUP, Capabilities, ServoWire
+
+
+class Exits(ServoWire):
+    """Ends the process in place of raising, and says that it measures."""
+
+    capabilities = Capabilities(measures=True)
+
+    stopped: ClassVar[set[int]] = set()
+
+    def open(self) -> None:
+        self.stopped.clear()
+
+    def apply(self, changes: Sequence[tuple[int, float | None]]) -> None:
+        for servo, _ in changes:
+            if servo == 12:
+                sys.exit(2)
+            self.stopped.add(servo)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = EntryPoint("exits", f"{__name__}:Exits", GROUP)
+    early = EntryPoint("early", "sys:exit", GROUP)
+    monkeypatch.setattr(wire_plugins, "entry_points", lambda **_: (found, early))
+
+
+def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped() -> None:
+    bus = PluginBus(WireSettings("exits", {}))
+    bus.open()
+    with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
+        bus.write([stop_leg(1)])
+    assert Exits.stopped == {11, 13}, "a mistake with one servo keeps no Stop from the others"
+
+
+def test_one_that_exits_where_it_is_made_is_a_sentence() -> None:
+    with pytest.raises(ValueError, match='"early" takes no such options: SystemExit'):
+        _ = WireSettings("early", {}).plugin
+
+
+def test_a_limit_on_what_a_plugin_cannot_hand_over_is_not_accepted() -> None:
+    with pytest.raises(ConfigError, match=r"safety\.max_tilt_deg: exits has nothing that measures it"):
+        Settings.of({"wire": {"name": "exits"}, "safety": {"max_tilt_deg": 45}})
+    assert Settings.of({"wire": {"name": "exits"}}).wire.capabilities.measures
