@@ -29,6 +29,9 @@ class ToFile(ServoWire):
             raise OSError(5, "it does not answer")
         if os.path.exists(self._path + ".mistake"):
             raise RuntimeError("a mistake in the plug-in")
+        while os.path.exists(self._path + ".hangs"):
+            open(self._path + ".hung", "w").close()
+            time.sleep(0.01)
         self._file.write(f"{time.monotonic_ns()} {os.getpid()} {list(changes)}\\n")
         self._file.flush()
 
@@ -64,7 +67,8 @@ class Installed:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.path = folder / "written"
-        self.unplugged, self.mistake = (folder / f"written.{name}" for name in ("unplugged", "mistake"))
+        names = ("unplugged", "mistake", "hangs", "hung")
+        self.unplugged, self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in names)
         (folder / "to_file.py").write_text(WIRE)
         declare(folder, NAME, "to_file:ToFile")
 

@@ -1,5 +1,6 @@
 """A plug-in's wire (`gateway.wire`), installed as somebody else's package: what it is called with, and when."""
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -104,6 +105,16 @@ def test_a_mistake_in_it_ends_the_gateway_with_stops_tried(plugin: Installed, ga
         assert gateway.child.wait() == 1
     assert "a mistake in the plug-in" in gateway.child.stderr
     assert "no Stop could be written to legs 1, 2, 3, 4, 5, 6" in gateway.child.stderr
+
+
+def test_a_call_that_hangs_ends_the_gateway_as_a_hanging_driver_does(plugin: Installed, tmp_path: Path) -> None:
+    env = {**plugin.env, "RUNTIME_DIRECTORY": str(tmp_path), "NOTIFY_SOCKET": "/nowhere", "WATCHDOG_USEC": "1000000"}
+    with Gateway(tmp_path, patient(wire=plugin.section), options=(), env=env) as gateway:
+        plugin.hangs.touch()  # one of the Stops that follow the start
+        assert gateway.child.wait() == -signal.SIGALRM
+        assert plugin.hung.exists()
+        plugin.hangs.unlink()
+        assert stop_servos(gateway, plugin).returncode == 0
 
 
 @pytest.mark.parametrize(
