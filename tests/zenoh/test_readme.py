@@ -78,7 +78,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
 
 
 def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
-    """Those that a gateway without a fault can be brought to say; each is in docs/robot.md as it is printed."""
+    """Those that a gateway without a fault can be brought to say; a row of docs/robot.md has each, … for what varies."""
     with Gateway(tmp_path) as gateway:
 
         def said(*arguments: str) -> str:
@@ -99,8 +99,9 @@ def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> 
         told.append(said("send", "leg", "3", "start", "90", "45", "120"))
     unreachable, _, _ = said("reset").replace(gateway.endpoint.rpartition(":")[2], "7447").partition("→")
     told.append(f"{unreachable}→ …")
+    rows = [row.split("…") for row in re.findall(r"^\| `([^`]{20,})`", ROBOT, re.MULTILINE)]
     for message in told:
-        assert f"`{message}`" in ROBOT
+        assert any(re.fullmatch(".*".join(map(re.escape, row)), message) for row in rows), message
 
 
 def test_the_keys_are_the_keys() -> None:
