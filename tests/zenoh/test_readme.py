@@ -78,7 +78,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
 
 
 def test_the_messages_of_a_robot_that_does_not_move_are_real(tmp_path: Path) -> None:
-    """Those that a gateway without a fault can be brought to say; a row of docs/robot.md has each, … for what varies."""
+    """Those that a gateway without a fault can be brought to say; docs/robot.md has each, … for what varies."""
     with Gateway(tmp_path) as gateway:
 
         def said(*arguments: str) -> str:
