@@ -58,7 +58,6 @@ from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
-from gateway.simulation import body as simulated_body
 from schemas.keys import CALIBRATION, CONFIG, STATE, TELEMETRY
 
 if TYPE_CHECKING:
@@ -184,7 +183,9 @@ def _configured(
     revoked = None if shut_out is None else shut_out.known
     list_common_names(config, revoked)
     if physics is not None:
-        simulated_body.admit(config, physics.folder)
+        from gateway.simulation.body import admit  # noqa: PLC0415  (a robot's first Stops do not wait for it)
+
+        admit(config, physics.folder)
     if revoked is not None:
         names = ", ".join(sorted(revoked.common_names)) or "nobody"
         logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")

@@ -20,8 +20,6 @@ from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
 from gateway.robot.spi.plugin import PluginBus
 from gateway.robot.spi.uart import SerialUart, Uart
-from gateway.simulation.controller import SimulatedController
-from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart
 
 BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
 """How long the repeats of the first shutdown hold back elkapod-2025's frames."""
@@ -35,6 +33,8 @@ def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None
     if not simulated:
         spare = Spare()
         return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
+    from gateway.simulation.controller import SimulatedController  # noqa: PLC0415  (a robot's first Stops need none)
+
     controller = SimulatedController(settings.spi.framing, on_change=_simulator.debug, page=page)
     return lambda: controller
 
@@ -56,6 +56,8 @@ def wire(
     open_device: Callable[[], DuplexDevice]
     open_uart: Callable[[], Uart]
     if simulated:
+        from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart  # noqa: PLC0415  (likewise)
+
         controller = SimulatedElkapod(on_change=_simulator.debug, page=page, sensed=sensed)
         open_device, open_uart = (lambda: controller), (lambda: SimulatedUart(controller))
     else:
