@@ -7,7 +7,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ALL
+from gateway.model.power_board import ALL, SET_SUPPLY
 from schemas.robot import SERVO_IDS
 from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link
 
@@ -40,6 +40,10 @@ class Watched(Link):
         self.lost_ns: dict[int, int] = {}
         """Since when we know of an answering board that it switched a servo off; a silent one may still obey a mask."""
         self.before = 0
+        self.newest: tuple[int, int, int] = (0, 0, 0)
+        """How many masks were sent, when the newest one was, and what it has."""
+        self.been_on = 0
+        """What was fed since then: the first time, the board only carries that mask out."""
         self.watch = self.check
 
     def say_want(self, servos: frozenset[int]) -> None:
@@ -50,14 +54,22 @@ class Watched(Link):
     def check(self) -> None:
         came_on = self.board.fed & ~self.before
         self.before = self.board.fed
+        masks = [(at_ns, frame) for at_ns, frame in self.sent if frame.id == SET_SUPPLY]
+        if len(masks) != self.newest[0]:
+            at_ns, frame = masks[-1]
+            self.newest = len(masks), at_ns, int.from_bytes(frame.data, "big")
+            self.been_on = self.board.fed & ~came_on
+        _, sent_ns, mask = self.newest
         lost = self.ours.status.lost if self.ours.alive else ()
         self.lost_ns = {servo: self.lost_ns.get(servo, self.now_ns) for servo in lost}
         for place, servo in enumerate(SERVO_IDS):
             bit = 1 << place
             if came_on & bit and servo not in self.wanted:
                 assert self.now_ns - self.unwanted_ns[servo] <= LATE_NS, f"{servo} came on unasked"
-            if came_on & bit:
+            carried_out = mask & bit and not self.been_on & bit and sent_ns <= self.lost_ns.get(servo, self.now_ns)
+            if came_on & bit and not carried_out:
                 assert self.now_ns - self.lost_ns.get(servo, self.now_ns) <= LATE_NS, f"{servo} came on again"
+        self.been_on |= self.board.fed
         if self.ours.confirmed:
             assert not self.fed() - self.ours.status.lost - self.wanted, "what is confirmed to be off is on"
 
@@ -65,6 +77,19 @@ class Watched(Link):
 @pytest.mark.full
 @settings(max_examples=40, deadline=None)
 @given(STEPS, st.sampled_from([0.0, 0.2]), st.integers(0, 1000), st.sampled_from([1_000_000, 1_500_000, 2_000_000]))
+# A silence ends while the board still carries the mask of before out.
+@example(
+    [
+        ("want", NONE, 40.5),
+        ("pause", NONE, 40.5),
+        ("want", ALL_SERVOS, 60.0),
+        ("clear", NONE, 0.0),
+        ("resume", NONE, 20.0),
+    ],
+    0.0,
+    0,
+    1_000_000,
+)
 # Six questions are lost: four while the board starts, two by the link.
 @example([("pause", NONE, 39.0), ("restart", NONE, 0.1), ("resume", NONE, 20.0)], 0.2, 59, 1_000_000)
 def test_nothing_comes_on_unasked_and_what_is_confirmed_is_so(
