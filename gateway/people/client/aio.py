@@ -1,4 +1,4 @@
-"""The client for asyncio: the names, arguments, rules and errors of the blocking one, whose calls wait on threads."""
+"""The client for asyncio. Names, arguments, rules and errors are the blocking one's; calls wait on threads."""
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable
@@ -25,13 +25,13 @@ T = TypeVar("T")
 
 
 class Calls:
-    """Runs each call on a thread. The end of the program waits for pending calls, so also for a Stop."""
+    """Runs each call on a thread. The end of the program waits for pending calls, also for a Stop."""
 
     def __init__(self) -> None:
         self._questions, self._stops = ThreadPoolExecutor(32), ThreadPoolExecutor(1000)  # a Stop never waits for others
 
     async def run(self, call: Callable[[], T], too_late: Callable[[T], object] = id, *, stops: bool = False) -> T:
-        """Return or raise what `call` does. If cancelled, it continues, and `too_late` receives its result."""
+        """Return or raise what `call` does. If cancelled, `call` continues, and `too_late` receives its result."""
         future = (self._stops if stops else self._questions).submit(call)
         try:
             return await asyncio.shield(asyncio.wrap_future(future))
@@ -87,7 +87,7 @@ def waits(
 def makes(
     method: Callable[Concatenate[H, P], R], twin_of: Callable[[R, Calls], T]
 ) -> Callable[Concatenate[Twin[H], P], T]:
-    """The twin of a method that returns at once. Functions that it is given are called on the running loop."""
+    """The twin of a method that returns at once. Functions among its arguments are called on the running loop."""
 
     def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
         given: Any = map(_on_this_loop, args)
@@ -188,7 +188,7 @@ class AsyncWalk(Twin[Walk]):
         await self._cover(Distance(metres, turns=False))
 
     async def turn(self, radians: float) -> None:
-        """See `Walk.turn`. When cancelled, as `ahead`."""
+        """See `Walk.turn`, and `ahead` for a cancellation."""
         await self._cover(Distance(radians, turns=True))
 
     async def _cover(self, distance: Distance) -> None:
@@ -201,7 +201,7 @@ class AsyncWalk(Twin[Walk]):
 class AsyncClient(Twin[Client]):
     """`Client` for asyncio; opened and closed by `async with`.
 
-    Cancelling a call ends the wait, not the command: it may still take effect. Callbacks run on the loop.
+    Cancelling a call ends the wait, not the command: the command may still take effect. Callbacks run on the loop.
     """
 
     _make: Callable[[], Client]

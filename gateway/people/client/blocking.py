@@ -84,11 +84,12 @@ class Client(metaclass=_Brief):
         timeout_s: float = 2.0,
         explain: bool = True,
     ) -> None:
-        """Connect by the first host of the file that answers. `source` (1 to 64 characters) is your name in events.
+        """Connect to the first host that answers. `source` (1 to 64 characters) is your name in events.
 
-        `zenoh_config`: the file of your certificate, with the robot's address. `endpoint` precedes the file's; without
-        either, it is this machine's gateway. `timeout_s`: how long an answer may take. Raises ConfigError, and
-        ZenohError, which with `explain` (up to 1 s longer) has a line for each host: what fails, and what to do.
+        `zenoh_config`: the file of your certificate, with the robot's address. `endpoint` replaces that address.
+        Without either, connect to this machine's gateway. `timeout_s`: the longest wait for an answer. Raises
+        ConfigError for a bad argument or file, ZenohError if no host answers: with `explain` (up to 1 s longer) a line
+        for each host states what fails, and what to do.
         """
         if source is not None and not 1 <= len(source) <= keys.MAX_SOURCE:  # the gateway would reject even a Stop
             raise ConfigError(f"a source has 1 to {keys.MAX_SOURCE} characters, and this one has {len(source)}")
@@ -98,7 +99,7 @@ class Client(metaclass=_Brief):
         config = client_config(endpoint, file)
         self._hosts = Hosts(config, timeout_s)
         self.robot = (str(get(config, "namespace") or ""), *self._hosts.endpoints)
-        """The namespace ("" for none) and the endpoints that it dials. @private"""
+        """The namespace ("" for none) and the client's endpoints. @private"""
         if not self._hosts.endpoints and get(config, "scouting/multicast/enabled") is not True:
             raise ConfigError(f"{file} names no gateway: set connect.endpoints in it, or give an endpoint")
         self._timeout_s = timeout_s
@@ -146,7 +147,7 @@ class Client(metaclass=_Brief):
         return f"<Client {self.name!r} of {', '.join(self._hosts.endpoints)}{', closed' * self._closed}>"
 
     def close(self) -> None:
-        """End open streams and walks, release the lease, and disconnect. It is done at the program's end as well."""
+        """End open streams and walks, release the lease, and disconnect. The program's end does the same."""
         self.__exit__()
 
     def _disconnect(self) -> None:
@@ -156,7 +157,7 @@ class Client(metaclass=_Brief):
 
     @property
     def connected(self) -> bool:
-        """Whether there is a link now. Zenoh notices a link that died silently only after its own lease time."""
+        """Whether there is a link now. Zenoh notices a silently dead link only after its own lease time."""
         try:
             with self._open_session() as session:
                 return bool(session.info.transports())
@@ -164,9 +165,9 @@ class Client(metaclass=_Brief):
             return False
 
     def wait_ready(self, timeout_s: float = 10.0) -> GatewayState:
-        """Wait until the gateway accepts commands, and return its state.
+        """Wait until the gateway accepts commands, and return its state. Raises DisconnectedError without an answer.
 
-        Raises StoppedError (in an emergency stop at once: who engaged it, and how to reset it), DisconnectedError.
+        Raises StoppedError after `timeout_s`, in an emergency stop at once: who engaged it, and how to reset it.
         """
         end_s = time.monotonic() + timeout_s
         while True:
@@ -179,7 +180,7 @@ class Client(metaclass=_Brief):
             time.sleep(_POLL_S)
 
     def stream(self, hz: float = 50) -> Stream:
-        """Setpoints of a gait, `hz` (at most 1000) times a second: `with robot.stream(50) as stream: stream.set(…)`."""
+        """Return a Stream of `hz` (above 0, at most 1000) setpoints a second: `with robot.stream(50) as stream: …`."""
         return Stream(self, hz)
 
     def walk(
@@ -190,9 +191,10 @@ class Client(metaclass=_Brief):
         *,
         terrain: str = "level",
     ) -> "Walk":
-        """Velocities in place of angles: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`; see `Walk`.
+        """Return a Walk, which takes velocities: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`.
 
         `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's file. `terrain`: `adapt` uses sensors.
+        Raises WalkError for an unknown gait or terrain, ConfigError for a faulty file, ValueError for `hz` as `stream`.
         """
         from gateway.people.client.walk import Walk
 
@@ -209,18 +211,17 @@ class Client(metaclass=_Brief):
         on_lost: Callable[[LeaseLostError], None] | None = None,
         on_asked: Callable[[str], None] | None = None,
     ) -> Lease:
-        """The right to drive, for the time of a `with`: `with robot.lease(): …`; see `Lease`.
+        """Return the right to drive for the time of a `with`: `with robot.lease(): …`; see `Lease`.
 
-        While somebody else drives, it raises LeaseError with the `holder`. With `wait_s` it asks the holder, and waits
-        that many seconds for a hand-over. With `take` it takes it by force: the gateway stops all six legs first.
-        `on_lost` is called (on a thread of its own) after a loss, `on_asked` with the name of a person who asks for it.
-        A client has one lease at a time. Its holder is your certificate's person, else `source`, else this client's
-        name.
+        The `with` raises LeaseError, with the `holder`, if somebody else drives. `wait_s`: ask the holder, and wait
+        this many seconds for a hand-over. `take`: take the lease by force; the gateway stops all six legs first.
+        `on_lost` is called (on a thread of its own) after a loss, `on_asked` with the name of a person who asks.
+        A client has one lease at a time. The holder is your certificate's person, else `source`, else the client's.
         """
         return Lease(self, take=take, wait_s=wait_s, source=source, on_lost=on_lost, on_asked=on_asked)
 
     def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
-        """Ask the holder for the lease, once; the holder may answer with `Lease.hand_over`."""
+        """Ask the holder once for the lease, and return the answer. The holder may call `Lease.hand_over`."""
         return self.lease_requests.as_person("ask", source)
 
     def carry(self, lease: Lease) -> None:
@@ -235,10 +236,10 @@ class Client(metaclass=_Brief):
     # ---- stop buttons
 
     def button(self, name: str | None = None) -> Button:
-        """A stop button, for the time of a `with`: `with robot.button("kitchen") as button: button.alive()`.
+        """Return a stop button for the time of a `with`: `with robot.button("kitchen") as button: button.alive()`.
 
-        It counts as alive only while the program calls `alive`; see `Button`. Its name is your certificate's person,
-        else `name`, else the client's.
+        The button counts as alive only while the program calls `alive`; see `Button`. Its name is your certificate's
+        person, else `name`, else the client's.
         """
         return Button(self.button_requests, self.estop, name)
 
@@ -247,7 +248,7 @@ class Client(metaclass=_Brief):
     def start_leg(
         self, leg: int, *angles: "Angle | Sequence[Angle] | Array", unit: "Unit" = "deg", check: bool = True
     ) -> Ack:
-        """Energise a leg's three servos at these angles of joints 1, 2, 3, or at one list of them."""
+        """Energise leg 1 to 6 at these angles of joints 1, 2, 3, or at one list of them. `unit`: deg, rad."""
         return self._move(check, lambda: (keys.leg_command(leg_number(leg)), leg_payload("start", row(angles), unit)))
 
     def set_leg(
@@ -267,7 +268,7 @@ class Client(metaclass=_Brief):
     def servo(
         self, servo_id: int, op: str, angle: "Angle | None" = None, *, unit: "Unit" = "deg", check: bool = True
     ) -> Ack:
-        """`op`: start, set or stop one servo (11 to 63), at an angle."""
+        """Start, set or stop (`op`) servo 11 to 63. Start and set need an `angle`."""
         if op == "stop":
             return self.ask(keys.servo_command(servo_number(servo_id)), servo_payload(op), again=True)
         return self._move(check, lambda: (keys.servo_command(servo_number(servo_id)), servo_payload(op, angle, unit)))
@@ -282,36 +283,36 @@ class Client(metaclass=_Brief):
         return ack.or_raise() if check else ack
 
     def stop(self, leg: int | None = None) -> Ack:
-        """De-energise one leg (1 to 6), or all six. Always returns the answer."""
+        """De-energise one leg (1 to 6), or all six (None). Return the answer, accepted or not."""
         if leg is not None:
             return self.ask(keys.leg_command(leg_number(leg)), leg_payload("stop"), again=True)
         return self.ask(keys.LEGS_COMMAND, legs_payload("stop", dict.fromkeys(LEGS, ())), again=True)
 
     def estop(self, source: str | None = None) -> Ack:
-        """Engage the emergency stop, and return the answer: its number, the Stop frames, the latency.
+        """Engage the emergency stop for `source`. Return its number, the Stop frames, and the latency in µs.
 
-        With a power board also `confirmed`: if false, switch the power off by hand. `source`: the requester.
+        With a power board the answer has `confirmed`: if false, switch the power off by hand.
         """
         payload = self._payload(keys.ESTOP, {} if source is None else {"source": source}, None)
         return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
 
     def reset(self, estop: int | None = None, *, check: bool = True) -> Ack:
-        """Leave the emergency stop with this number (default: the latest). Raises RejectedError if there is a newer."""
+        """Leave emergency stop number `estop` (None: the latest). Raises RejectedError if there is a newer one."""
         payload = {"estop": self.state().estop if estop is None else estop}
         return self._move(check, lambda: (keys.RESET, payload))
 
     # ---- calibration and revocation
 
     def calibration(self) -> "Calibration":
-        """Trim, direction and limits of each servo, and the landing pose, that are in force."""
+        """Return the calibration in force: trim, direction and limits of each servo, and the landing pose."""
         from schemas.calibration import Calibration  # an emergency stop must not wait for this import
 
         return self._get(keys.CALIBRATION, None, Calibration, again=True)
 
     def revocation(self, revoked: str | None = None) -> "RevocationAck":
-        """Put a list of revoked certificates (PEM) in force, or ask for the one in force.
+        """Put a list of revoked certificates (PEM) in force, or return the list in force (None).
 
-        A gateway that accepts it stops all legs and restarts; the connection returns by itself.
+        A gateway that accepts a list stops all legs and restarts; the connection returns by itself.
         """
         from schemas.revocation import RevocationAck  # an emergency stop must not wait for this import
 
@@ -327,11 +328,11 @@ class Client(metaclass=_Brief):
         accept_default: bool = False,
         check: bool = True,
     ) -> Ack:
-        """Change the whole calibration, or nothing. It is accepted once it is on the robot's disk.
+        """Make all these changes of the calibration, or none. The answer comes once they are on the robot's disk.
 
-        The servos that it changes must not run. `landing` is the landing pose in degrees; None removes a servo from it.
-        With the `revision` of `calibration()`, it is rejected if somebody else has changed it since. `accept_default`
-        accepts the calibration without trims as this robot's, if the file with its own cannot be read.
+        The changed servos must not run. `landing` is the landing pose in degrees; None removes a servo from it.
+        With the `revision` of `calibration()`, the change is rejected if the calibration has changed since then.
+        `accept_default` accepts a calibration without trims if the robot's own file cannot be read.
         """
         payload = partial(calibration_payload, servos, landing, revision=revision, accept_default=accept_default)
         return self._move(check, lambda: (keys.CALIBRATION_CMD, payload()))
@@ -339,15 +340,13 @@ class Client(metaclass=_Brief):
     def ask(
         self, key: str, payload: Mapping[str, Any], *, again: bool = False, priority: zenoh.Priority | None = None
     ) -> Ack:
-        """Send one acknowledged command. Raises DisconnectedError if no answer comes in time.
+        """Send one command and return its answer. Raises DisconnectedError if no answer comes in time.
 
-        Raises LeaseLostError if it is rejected because the lease that it carries is lost.
-
-        `again`: without an answer, or after the loss of the link, repeat it until `timeout_s` is over, also by a new
-        session through any host. Only for a Stop, which may safely happen twice: a repeated reset or start could undo a
-        Stop that somebody else requested in between.
+        Raises LeaseLostError if the command is rejected because its lease is lost.
+        `again`: repeat an unanswered command until the client's `timeout_s` is over, also by a new session through any
+        host. Only for a Stop: a repeated reset or start could undo a Stop that somebody else requested in between.
         """
-        lease = None if again else self.carried_lease  # a Stop needs none, and must not fail for one
+        lease = None if again else self.carried_lease  # a Stop needs no lease, and a lost lease must not fail it
         data = self._payload(key, payload, lease)
         ack = self._get(key, data, Ack, again=again, priority=priority)
         if lease is not None:
@@ -355,7 +354,7 @@ class Client(metaclass=_Brief):
         return ack
 
     def answerers(self, key: str, wait_s: float = 0.0) -> frozenset[str]:
-        """Zenoh ids of the programs that replied to the latest answered question on `key`.
+        """Return the Zenoh ids of the programs that replied to the latest answered question on `key`.
 
         Only one can be the gateway. Waits at most `wait_s` seconds for later replies.
         """
@@ -368,7 +367,7 @@ class Client(metaclass=_Brief):
     # ---- commands, fire and forget
 
     def publish(self, key: str, payload: Mapping[str, Any]) -> None:
-        """Send one command without waiting; a rejection is published on `hexapod/event` only."""
+        """Send one command without waiting for an answer. Only `hexapod/event` reports a rejection."""
         data = self._payload(key, payload, self.carried_lease)
         with self._open_session() as session:
             session.put(key, data, encoding=JSON, express=True)
@@ -376,7 +375,7 @@ class Client(metaclass=_Brief):
     # ---- watching
 
     def state(self, timeout_s: float | None = None) -> GatewayState:
-        """The gateway's state now. Raises DisconnectedError without an answer in `timeout_s` (None: the client's)."""
+        """Return the current state. Raises DisconnectedError without an answer in `timeout_s` (None: the client's)."""
         for _ in range(_STATE_TRIES):
             state = self._get(keys.STATE, None, StateReport, again=True, timeout_s=timeout_s)
             known = self.states.config
@@ -388,11 +387,11 @@ class Client(metaclass=_Brief):
         raise UnansweredError("the gateway's state and its configuration do not belong together; is there another one?")
 
     def telemetry(self, timeout_s: float | None = None) -> Telemetry | None:
-        """What the robot measures now; None: it measures nothing, or nothing has come yet. Raises as `state`."""
+        """Return what the robot measures now, or None if no measurement has arrived. Raises as `state`."""
         try:
             return self._get(keys.TELEMETRY, None, Telemetry, again=False, timeout_s=timeout_s)
         except UnansweredError:
-            self.state(timeout_s)  # it answers: so there is no reason to give
+            self.state(timeout_s)  # raises if no gateway answers
             return None
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
@@ -406,7 +405,7 @@ class Client(metaclass=_Brief):
         return self._subscribe(keys.EVENT, Event, callback)
 
     def on_frame(self, callback: Callable[[FrameRecord], None]) -> "zenoh.Subscriber[None]":
-        """As `on_state`, for each frame written, if the gateway publishes them (its `telemetry.frames`)."""
+        """As `on_state`, for each written frame, if the gateway publishes them (its `telemetry.frames`)."""
         return self._subscribe(keys.FRAME, FrameRecord, callback)
 
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
@@ -425,7 +424,7 @@ class Client(metaclass=_Brief):
 
     @contextmanager
     def _open_session(self) -> Iterator[zenoh.Session]:
-        """The session, for one call. Raises ZenohError, one sentence, if it is closed."""
+        """The session for one call. Raises ZenohError, one sentence, if it is closed or Zenoh fails."""
         try:
             if not self._closed:
                 yield self.session
@@ -474,7 +473,7 @@ def _why(config: zenoh.Config) -> str:
 
 
 class _EstopAck(Ack):
-    """The gateway's answer: it always accepts an emergency stop, so a reply without these is another program's."""
+    """The gateway always accepts an emergency stop. A reply without these fields is another program's."""
 
     accepted: Literal[True]
     stop_frames: Annotated[int, Field(ge=0)]
@@ -482,7 +481,7 @@ class _EstopAck(Ack):
 
 
 def several_answer(count: int, key: str) -> str:
-    """The sentence for a person if `Client.answerers` finds more than one."""
+    """Return the warning for `count` answerers (above 1) that `Client.answerers` found on `key`."""
     return (
         f"{count} programs answer on {key}, and only one of them is the gateway; "
         "certificates keep others out (docs/certificates.md)"

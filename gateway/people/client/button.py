@@ -12,11 +12,10 @@ if TYPE_CHECKING:
     from schemas.button import ButtonAck
 
 LIFE: Final = 600
-"""Times `timeout_ms` until it registers anew: the gateway lets a registration's clock drift by a quarter of that time.
-A bad crystal (200 ppm) drifts by half of that quarter meanwhile."""
+"""Times `timeout_ms` until a button registers anew. The gateway lets its clock drift by a quarter of `timeout_ms`;
+a bad crystal (200 ppm) drifts by half of that quarter meanwhile."""
 REGISTERED_WITHIN: Final = 0.5
-"""Of `timeout_ms`, for both queries of a registration. The lateness of check-ins is judged by its delay, so a
-longer delay does not count."""
+"""Of `timeout_ms`, for both queries of a registration: its delay is the measure for the lateness of check-ins."""
 REGISTRATION_TRIES: Final = 3
 """The first registration of a program also imports `cryptography`."""
 
@@ -24,8 +23,8 @@ REGISTRATION_TRIES: Final = 3
 class Button:
     """A stop button for the time of a `with`. The program itself checks in, by `alive`.
 
-    No thread does that: it would vouch for a program that hangs. Call `alive` three times within `timeout_ms`, where
-    the program knows that it works. The end of the `with` ends the registration, which is no failure.
+    A thread would check in for a program that hangs. Call `alive` three times within `timeout_ms`, from the code whose
+    progress counts. The end of the `with` ends the registration, which is no failure.
 
     >>> with Client(endpoint) as robot, robot.button("kitchen") as button:
     ...     button.alive().alive
@@ -44,12 +43,12 @@ class Button:
         self._ends_s = 0.0
         """When to register anew, monotonic."""
         self.name = ""
-        """Its name at the gateway: the certificate's person, else the name that the program chose."""
+        """The button's name at the gateway: the certificate's person, else the name that the program chose."""
         self.timeout_ms = 0.0
         """How long a check-in counts, in milliseconds."""
 
     def __enter__(self) -> Self:
-        """Raises RejectedError if the gateway denies it, DisconnectedError if none answers."""
+        """Register. Raises RejectedError if the gateway denies it, DisconnectedError if none answers."""
         self.register()
         return self
 
@@ -57,7 +56,7 @@ class Button:
         self.leave()
 
     def register(self) -> None:
-        """Register, or register anew: after the gateway was restarted, or this machine slept.
+        """Register, or register anew after the gateway was restarted or this machine slept.
 
         Raises RejectedError (`stale`) if the answers take longer than half of `timeout_ms`.
         """
@@ -74,10 +73,10 @@ class Button:
         raise RejectedError(Reason.STALE, "registering takes longer than half the time that a check-in counts")
 
     def alive(self) -> "ButtonAck":
-        """Check in. The answer has the number of buttons `alive` and `required`. Registers anew now and then.
+        """Check in. The answer has the number of buttons `alive` and `required`. Registers anew every 600 `timeout_ms`.
 
         Raises RejectedError: `unknown_button` if the gateway was restarted or another program has registered the name
-        (`register` again, or do not), `stale` if it came too late. Raises DisconnectedError if no answer comes within
+        (`register` takes it back), `stale` if the check-in was late. Raises DisconnectedError if no answer comes within
         `timeout_ms`: then this button counts as silent, and the robot stops.
         """
         if self._token is None:

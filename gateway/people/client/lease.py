@@ -1,6 +1,6 @@
 """The lease of a robot: while a program holds it, the gateway rejects the starts, sets and resets of all others.
 
-Its token is in the commands only: in no error, no log and no `repr`.
+The token is in commands only: in no error, log or `repr`.
 """
 
 import math
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 TTL_MS: Final = 1000.0
 """The gateway's default (`lease.ttl_ms`), for an answer without it."""
 CONFIRM_S: Final = 1.0
-"""For an answer that a program waits for: by then the watchdog (0.25 s) has long stopped its legs."""
+"""For an answer that a program waits for; the watchdog (0.25 s) stops its legs earlier."""
 RELEASE_S: Final = 0.5
-"""Longest delay of a program's end."""
+"""The longest that a release delays a program's end."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
 _TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
@@ -94,7 +94,7 @@ class Lease:
         self._subscriber: Any = None
         self._thread = threading.Thread(target=self._keep, name="renew the lease", daemon=True)
         self.holder = ""
-        """Our name at the gateway: the certificate's person, else the client's own name."""
+        """Our name at the gateway: the certificate's person, else `source`, else the client's name."""
         self.verified = False
         """Whether that name was proved by a certificate."""
 
@@ -107,21 +107,21 @@ class Lease:
 
     @property
     def held(self) -> bool:
-        """Whether we hold it, by the gateway's latest answer."""
+        """Whether we hold the lease, by the gateway's latest answer."""
         return self._renewal.holds is Holds.YES
 
     @property
     def lost(self) -> LeaseLostError | None:
-        """The error with which it was lost; None: it was not."""
+        """The error with which the lease was lost, or None."""
         return self._renewal.lost
 
     @property
     def ttl_ms(self) -> float:
-        """It expires so many milliseconds after the gateway's last receipt of a renewal or a command of ours."""
+        """The lease expires this many ms after the gateway last received a renewal or a command of ours."""
         return self._renewal.ttl_ms
 
     def hand_over(self, to: str) -> None:
-        """Give it to `to`, who has `ttl_ms` to acquire it; running legs go on running meanwhile.
+        """Hand the lease over to `to`, who has `ttl_ms` to acquire it. Running legs go on running.
 
         Raises LeaseLostError if we no longer hold it, and LeaseError if `to` has not asked.
         """
@@ -244,7 +244,7 @@ class Lease:
             self._on_asked(who)
 
     def _receive(self, event: Event) -> None:
-        """On a thread of Zenoh's: it may only note, never wait."""
+        """Called on a Zenoh thread, which must never wait."""
         if event.kind == Kind.LEASE_ASKED and self.held:  # before, the request may be our own
             self._asked_by = event.source
         if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:

@@ -6,13 +6,13 @@ from collections.abc import Iterable
 from typing import Final, NamedTuple
 
 SILENCE_S: Final = 0.5
-"""After this time without a report the gateway is asked: by default it publishes its state every 0.1 s."""
+"""After this time without a report the gateway is asked. By default a state is published every 0.1 s."""
 LATE_PART: Final = 0.5
-"""Of a period. A setpoint that comes later than this after its tick waits for the next, which keeps two apart."""
+"""Of a period. A setpoint that is later than this after its tick waits for the next tick, to keep a distance."""
 MOST_DEG: Final = 3.2
 """Half a turn in radians, rounded up."""
 RADIANS_S: Final = 1.0
-"""A whole stride of most gaits: a leg in degrees stays between 0 and 3.2 for this long only on purpose."""
+"""A whole stride of most gaits; a leg in degrees stays between 0 and 3.2 for this time only on purpose."""
 MOST_QUESTIONS: Final = 2
 """In each second, while the robot is stopped or the gateway does not answer."""
 _KEPT_TICKS: Final = 1000
@@ -32,7 +32,7 @@ class Jitter(NamedTuple):
 
 
 class SetpointPace:
-    """When setpoints are due: a grid of ticks that does not drift. A missed tick is skipped, never made up. Pure.
+    """When setpoints are due: a grid of ticks without drift. A missed tick is skipped, never sent later. Pure.
 
     >>> pace = SetpointPace(50)
     >>> pace.begin(10.0)
@@ -63,7 +63,7 @@ class SetpointPace:
         self._begun_s = None
 
     def next_s(self, now_s: float, least_s: float = -math.inf) -> float:
-        """When to send a setpoint that is ready now, not before `least_s`; to be called once for each."""
+        """Return when to send a setpoint that is ready now, `least_s` at the earliest. Call it once for each."""
         if self._begun_s is None:
             self._last_s = max(now_s, self._last_s + self.period_s, least_s)
         else:
@@ -86,7 +86,7 @@ class SetpointPace:
 
 
 class Retries:
-    """When a program that was stopped, or not answered, may ask again: at most MOST_QUESTIONS in a second. Pure.
+    """When a stopped or unanswered program may ask again: at most MOST_QUESTIONS times in a second. Pure.
 
     >>> retries = Retries()
     >>> for now_s in (10.0, 10.1):     # the question that found it stopped, and a start: that one need not wait
@@ -145,7 +145,7 @@ class Doubt:
         self._raised = True
 
     def asked(self) -> None:
-        """The gateway is asked now: later reports raise a new doubt."""
+        """The gateway is asked now. Later reports raise a new doubt."""
         self._raised = False
 
     def is_there(self, now_s: float) -> bool:
@@ -155,7 +155,7 @@ class Doubt:
 
 
 def thins(hz: float, limit_hz: float) -> str | None:
-    """The warning if the gateway's `limits.leg_rate_hz` leaves out a part of a stream's setpoints. Pure.
+    """Return the warning if the gateway leaves out some of a stream's setpoints, or None. Pure.
 
     >>> thins(50, 50), thins(20, 50)
     (None, None)
@@ -172,7 +172,7 @@ def thins(hz: float, limit_hz: float) -> str | None:
 
 
 class Radians:
-    """Notices a gait that counts in radians: every angle is legal, and the robot hardly moves. Pure.
+    """Notices a gait in radians: every angle is legal, and the robot hardly moves. Pure.
 
     >>> radians = Radians()
     >>> [radians.suspected([(1.57, 0.8, 2.1)], now_s) for now_s in (0.0, 0.9, 1.0, 1.1)]
