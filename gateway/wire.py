@@ -1,10 +1,10 @@
-"""What brings a wire of one's own: a class of 20 lines, and an entry point in the group `hexapod_gateway.wires`.
+"""Add a wire: a class of 20 lines, and an entry point in the group `hexapod_gateway.wires`.
 
     [project.entry-points."hexapod_gateway.wires"]
     my-board = "my_board:MyBoard"        # [wire] name = "my-board" in gateway.toml chooses it
 
-A plug-in imports this module and nothing else of the gateway. Lease, watchdog, emergency stop, limits and calibration
-are the gateway's, as on any wire; docs/protocol.md lists what it may rely on. `check --wire` tries it.
+A plug-in imports only this module of the gateway. The gateway has the lease, watchdog, emergency stop, limits and
+calibration, as on any wire. docs/protocol.md lists what a plug-in may rely on. `check --wire` tries it.
 """
 
 from abc import ABC, abstractmethod
@@ -21,9 +21,9 @@ class Capabilities(NamedTuple):
     whole_robot: bool = False
     """Only all servos together can be started and stopped."""
     measures: bool = False
-    """Telemetry comes back, and with it whether the controller is alive."""
+    """The wire returns telemetry, which shows whether the controller is alive."""
     acknowledges: bool = False
-    """A frame counts as written only once the controller has confirmed it: `apply` returns then."""
+    """`apply` returns only after the controller has confirmed the frame."""
 
 
 class ServoWire(ABC):
@@ -32,20 +32,20 @@ class ServoWire(ABC):
     capabilities = Capabilities()
 
     def __init__(self, options: Mapping[str, object]) -> None:  # noqa: B027  (a plug-in may have no options)
-        """`options`: the other keys of [wire]. Raises ValueError with a sentence. Touches no device."""
+        """`options`: the other keys of [wire]. Raises ValueError with a sentence for a bad one. Touches no device."""
 
     @abstractmethod
     def open(self) -> None:
-        """Open the device anew. Raises OSError: a fault of the bus; it is tried again every 20 ms."""
+        """Open the device anew. Raises OSError if it cannot be opened; the gateway tries again every 20 ms."""
 
     @abstractmethod
     def apply(self, changes: Sequence[tuple[int, float | None]]) -> None:
-        """Write these and return. Raises OSError: then it is closed, opened, and all servos are stopped.
+        """Write these changes. Raises OSError on a fault; the gateway then reopens the wire and stops all servos.
 
         `changes`: a servo's id (11 to 63: leg and joint) and its angle in degrees (0 to 180), or None: no holding
-        torque. All of one call are stops, or none is. A servo that is stopped starts with its first angle.
+        torque. One call has only stops, or none. A stopped servo starts with its first angle.
         """
 
     @abstractmethod
     def close(self) -> None:
-        """Release the device. Never raises, also where it is not open."""
+        """Release the device, if it is open. Never raises."""

@@ -35,7 +35,7 @@ class Press(Generic[P, W]):
     page: P | None
     """None: the page that pressed is gone."""
     id: int | None
-    """By the page's own count; None: it wants no answer."""
+    """By the page's own count; None: the page wants no answer."""
     what: W
     """The content of a request for this press."""
     pressed_ns: int
@@ -83,7 +83,7 @@ class ConfirmedStop(Generic[P, W]):
         return press
 
     def leave(self, page: P) -> None:
-        """The page is gone. Of the presses of all gone pages only the newest is kept: it stands for all of them."""
+        """The page is gone. Of the presses of all gone pages only the newest is kept: its request covers all."""
         for press in self._unconfirmed:
             if press.page is page:
                 press.page = None
@@ -97,7 +97,7 @@ class ConfirmedStop(Generic[P, W]):
 
     @property
     def due_ns(self) -> int | None:
-        """When the next request is to begin, perhaps in the past; None: not before another event.
+        """When the next request begins, perhaps in the past; None: not before another event.
 
         Only the newest press matters: a request that can confirm it can confirm all of them.
         """

@@ -31,20 +31,20 @@ _WARN: Final = frozenset({Kind.COMMAND_REJECTED, Kind.BATTERY_LOW, Kind.SERVO_SI
 
 UNCONFIRMED: Final = "STOP is not confirmed: switch the power off by hand."
 PATIENCE_NS: Final = 300_000_000
-"""The board confirms within 27 to 55 ms, and the gateway reports after 150 ms by default that it has not. A state that
-is published meanwhile is no alarm; two that are so far apart, without a confirmation, are one without any event."""
+"""The board confirms within 27 to 55 ms; by default the gateway reports after 150 ms that it has not. A state that is
+published meanwhile is no alarm. Without an event, two states without a confirmation, so far apart, are an alarm."""
 
 
 def tone_of(kind: AnyKind) -> Tone:
-    """How an event of this kind is meant; one of a later gateway is plain."""
+    """Return the tone of an event of this kind; a later gateway's unknown kind is plain."""
     return "bad" if kind in _BAD else "warn" if kind in _WARN else "plain"
 
 
 class PowerAlarm:
     """Whether a Stop is not confirmed by the power board; there is no alarm where the robot has none.
 
-    A board that has never answered may stand by, with everything off, until somebody presses its button. It is an
-    alarm only in an emergency stop. One that answered before may feed servos, so its silence is one at once.
+    A board that has never answered may stand by, with everything off, until somebody presses its button: its silence
+    is an alarm only in an emergency stop. A board that answered before may feed servos: its silence alarms at once.
     """
 
     def __init__(self) -> None:
@@ -66,12 +66,12 @@ class PowerAlarm:
             self.sentence = UNCONFIRMED
 
     def received_event(self, kind: AnyKind) -> None:
-        """An event of this kind; only a state in which the board confirms ends its alarm."""
+        """An event of this kind. Only a state in which the board confirms ends its alarm."""
         if kind == Kind.POWER_UNCONFIRMED:
             self.sentence = UNCONFIRMED
 
     def answered(self, ack: Ack) -> None:
-        """The answer to a Stop. Where that Stop is to leave the supply on, the next state ends the alarm."""
+        """The answer to a Stop. If that Stop leaves the supply on, the next state ends the alarm."""
         if ack.confirmed is not None:
             self.sentence = "" if ack.confirmed else UNCONFIRMED
 

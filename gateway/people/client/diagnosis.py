@@ -1,7 +1,7 @@
 """Finds the stage at which connecting to an endpoint fails, and what to do about it.
 
-Zenoh reports "Unable to connect" for all of them. This uses sockets of its own, one connection for each endpoint, and
-runs only after an attempt has failed: it must not delay a Stop.
+Zenoh reports "Unable to connect" for all stages. This module opens one socket for each endpoint, only after an attempt
+has failed: it must not delay a Stop.
 """
 
 import datetime as dt
@@ -68,7 +68,7 @@ class Finding:
 
 
 def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
-    """One line for each endpoint, with the stage that fails. Takes `timeout_s` at most."""
+    """Return a line for each endpoint, with the stage that fails, after `timeout_s` at most."""
     identity = Identity.of(config)
     found = look_at_all(connect_endpoints(config), identity, timeout_s)
     of_clock = [each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix]
@@ -78,7 +78,7 @@ def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
 
 
 def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S) -> dict[str, list[Finding]]:
-    """The findings of `look` for each endpoint, in parallel. The last one of each is the stage that it reached."""
+    """Return the findings of `look` for each endpoint, in parallel. The last is the stage that was reached."""
     end_s = time.monotonic() + timeout_s
     found: dict[str, list[Finding]] = {}
     threads = []
@@ -146,7 +146,7 @@ def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
 
 
 def own_expiry(config: zenoh.Config) -> str | None:
-    """A warning if one of this machine's certificates expires soon; None: none does, or none can be read."""
+    """Return a warning if one of this machine's certificates expires soon; None if none does or can be read."""
     with suppress(ConfigError):
         first = first_expiry(config)
         if first is not None:
@@ -155,7 +155,7 @@ def own_expiry(config: zenoh.Config) -> str | None:
 
 
 def role(certificate: Path) -> str:
-    """The role in a certificate: its common name; "" if that cannot be read."""
+    """Return the role in a certificate's common name; "" if the file cannot be read."""
     try:
         return certs.folder.describe(certificate).role
     except ConfigError:

@@ -24,8 +24,7 @@ from gateway.zenoh_config import CANNOT_CONNECT, connect_endpoints, get, one_lin
 NEXT_HOST_S: Final = 0.2
 """After this time the next host is tried, or as soon as the one before fails.
 
-A LAN answers in some 10 ms, so usually only one host is tried; and a Stop through the third still takes less than half
-a second.
+A LAN answers in some 10 ms, so usually one host is tried. A Stop through the third takes less than half a second.
 """
 OPEN_TIMEOUT_MS: Final = 1000
 """How long one of several hosts may take, name and handshake included, if the Zenoh file keeps Zenoh's 10 s."""

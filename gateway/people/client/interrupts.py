@@ -33,7 +33,7 @@ class Interrupts:
         self._task: asyncio.Task[Any] | None = None
 
     def open(self) -> Self:
-        """Begin; to be called in the task that uses the walk."""
+        """Begin. Call it in the task that uses the walk."""
         if threading.current_thread() is not threading.main_thread():
             return self
         self._task = asyncio.current_task()
@@ -47,7 +47,7 @@ class Interrupts:
         return self
 
     def close(self) -> None:
-        """End. Raises KeyboardInterrupt or Terminated if this has cancelled the task."""
+        """End. Raises KeyboardInterrupt or Terminated if a signal has cancelled the task."""
         if self in self._open:
             self._open.remove(self)
             if not self._open:
@@ -57,7 +57,7 @@ class Interrupts:
             raise KeyboardInterrupt if self._ours == signal.SIGINT else Terminated
 
     def meant(self, error: BaseException | None) -> BaseException | None:
-        """The error that a blocking walk would end with, in place of that of a cancelled task."""
+        """Return the error with which a blocking walk would end, for the error of the task."""
         if isinstance(error, asyncio.CancelledError) and self.count == 1:
             return KeyboardInterrupt()  # at which a walk sits
         if isinstance(error, KeyboardInterrupt) and self.count > 1:

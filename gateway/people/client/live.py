@@ -67,8 +67,8 @@ class Order(Enum):
 class Starts:
     """Recognises a restarted gateway by its time of start, not by its uptime alone. Pure.
 
-    After a silence the new gateway may have run for longer than the old one had, and a clock that is set (a Pi's after
-    its boot) moves the time of start of one that goes on.
+    After a silence the new gateway may have run for longer than the old one had. Setting the clock (a Pi's after its
+    boot) moves the time of start of a gateway that goes on.
     """
 
     def __init__(self) -> None:
@@ -94,10 +94,7 @@ class Starts:
 
 
 class Receiver:
-    """Called on threads of `Live`, or by `OnLoop` on an event loop. The methods must return quickly.
-
-    The default methods do nothing.
-    """
+    """Called on threads of `Live`, or by `OnLoop` on a loop. Methods must return quickly; here they do nothing."""
 
     def opened(self) -> None:
         """A session is open: from now on a Stop can be sent."""
@@ -136,7 +133,7 @@ class Live:
     def __init__(
         self, connect: Callable[[], Client], receiver: Receiver, why: Callable[[Client | None], list[str]]
     ) -> None:
-        """`why` returns a line for each host, why it cannot be reached; it may take a second."""
+        """`why` returns a line for each host that cannot be reached; it may take a second."""
         self.client: Client | None = None
         self._connect = connect
         self._receiver = receiver
@@ -176,7 +173,7 @@ class Live:
         self.client = client
         self._receiver.opened()
         session, ring = client.session, zenoh.handlers.RingChannel
-        # A state makes the one before it useless; of events, each counts.
+        # Only the newest state counts, but every event.
         self._read(session.declare_subscriber(keys.STATE, ring(2)), client.states.reads(self._take_state))
         events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
         self._read(events, reports(Event, self._receiver.received_event))

@@ -12,7 +12,7 @@ from typing import Final, Generic, TypeVar
 A = TypeVar("A")
 
 RESEND_S: Final = 0.05
-"""A client that lost the gateway tries to reach it again after 0.1 s (`gateway.zenoh_config`)."""
+"""A client without a link tries again after 0.1 s (`gateway.zenoh_config`)."""
 ATTEMPT_S: Final = 1.0
 """After this time without an answer a Stop is requested again: the link may be dead unnoticed.
 
@@ -69,7 +69,7 @@ class Patience(Generic[A]):
         return Query()
 
     def replied(self, query: Query[A], answer: A, *, own: bool) -> None:
-        """A program has answered; `own`: it is, or may be, the one that was dialled."""
+        """A program has answered. `own`: it is, or may be, the program that was dialled."""
         query.foreign = query.foreign or answer
         self._foreign = self._foreign or answer
         if own:
@@ -91,7 +91,7 @@ class Patience(Generic[A]):
         return min(self._end_s, self._again_s, self._end_s if self._searches else self._other_way_s)
 
     def step(self, now_s: float) -> QuestionStep:
-        """What to do now; it counts as done."""
+        """Return what to do now; it then counts as done."""
         if now_s >= self._end_s:
             self._finish(self._foreign)
             self._over = True

@@ -55,7 +55,7 @@ _lock: Final = threading.Lock()
 
 
 def close_at_the_end(client: Closable) -> None:
-    """Close it when all threads of the program have ended, apart from Zenoh's and daemons."""
+    """Close `client` when all threads of the program have ended, apart from Zenoh's and daemons."""
     with _lock:
         _open.add(client)
         if not any(isinstance(thread, _Closer) for thread in threading.enumerate()):

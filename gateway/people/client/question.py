@@ -38,7 +38,7 @@ class Question(Generic[A]):
         self._patience: Patience[A]
 
     def ask(self, session: zenoh.Session, end_s: float, *, again: bool, other_ways: Hosts | None) -> A | None:
-        """The answer. None: the time is over, or `again` is false and all programs declined or none was reached."""
+        """Return the answer; None after `end_s`, or without `again` when all programs declined or none was reached."""
         patience = self._patience = Patience(time.monotonic(), end_s, again=again, other_ways=other_ways is not None)
         self._send(session, end_s)
         search: Search | None = None

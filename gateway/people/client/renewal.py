@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 RENEWALS: Final = 3
 """In each time to live, so two may be lost."""
 LEAST_ANSWER_S: Final = 0.1
-"""For an answer to a renewal; with the shortest time to live (200 ms) a third of it would be less."""
+"""For an answer to a renewal: a third of the shortest time to live (200 ms) would be less."""
 TRY_AGAIN_S: Final = 0.3
 """While waiting for a hand-over: how often to try, besides after each event."""
 
@@ -52,13 +52,13 @@ class Renewal:
         self.lost: LeaseLostError | None = None
         """How it was lost."""
         self.gives = False
-        """It is being handed over: a renewal that is rejected meanwhile is no loss."""
+        """A hand-over is under way: a renewal that is rejected meanwhile is no loss."""
         self.due_s = math.inf
         """When the next renewal is due (seconds, by the caller's clock)."""
         self._confirmed_s = -math.inf
 
     def granted(self, ttl_ms: float, asked_s: float) -> None:
-        """It is ours, by a request sent at `asked_s`, from when its life is counted."""
+        """The lease is ours. Its life counts from `asked_s`, when the request was sent."""
         self.holds, self.ttl_ms, self._confirmed_s = Holds.YES, ttl_ms, asked_s
         self.asked(asked_s)
 
@@ -117,5 +117,5 @@ class Waiting:
         return new
 
     def pause_s(self, now_s: float) -> float:
-        """How long until it is tried again; 0 once the time is over."""
+        """Seconds until the next try; 0 once the time is over."""
         return max(0.0, min(TRY_AGAIN_S, self._end_s - now_s))

@@ -43,7 +43,7 @@ class Identity:
 
     @classmethod
     def of(cls, config: zenoh.Config) -> "Identity":
-        """Read it from a configuration; its paths have to be absolute."""
+        """Read it from a configuration with absolute paths."""
         named = {
             name: Path(value)
             for name, setting in (
@@ -61,7 +61,7 @@ class Identity:
         return self.certificate is not None and self.key is not None
 
     def person(self) -> str:
-        """The certificate's person: its organizational unit. Raises ConfigError."""
+        """The certificate's person: its organizational unit. Raises ConfigError if there is none."""
         from cryptography.x509.oid import NameOID
 
         units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
@@ -74,7 +74,7 @@ class Identity:
     ) -> dict[str, str]:
         """The proof that this person requests `do` now. `text` makes the signed text, by default a lease's.
 
-        Raises ConfigError.
+        Raises ConfigError for an unusable certificate or key.
         """
         from cryptography.hazmat.primitives import serialization
 
@@ -110,7 +110,7 @@ class _Requests(ABC, Generic[A]):
         self._name = name
 
     def person(self, name: str | None = None) -> str:
-        """The certificate's person, else `name`, else the client's name. Raises ConfigError."""
+        """The certificate's person, else `name`, else the client's name. Raises ConfigError as `Identity.person`."""
         return self._identity.person() if self._identity.proves else (name or self._name)
 
     def _proved(
@@ -133,7 +133,7 @@ class LeaseRequests(_Requests["LeaseAck"]):
     """The requests on `hexapod/lease/cmd`."""
 
     def as_person(self, do: str, name: str | None = None) -> "LeaseAck":
-        """`acquire`, `ask` or `take`. Raises ConfigError."""
+        """Request `do`: `acquire`, `ask` or `take`. Raises ConfigError for an unusable certificate or key."""
         return self._ask(self._proved(do, name))
 
     def renew(self, token: str, timeout_s: float | None = None) -> "LeaseAck":
@@ -159,9 +159,9 @@ class ButtonRequests(_Requests["ButtonAck"]):
         return name if name is not None and name.startswith(f"{person}/") else person
 
     def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
-        """Register a button. Raises ConfigError.
+        """Register a button. Raises ConfigError for an unusable certificate or key.
 
-        `sent_ms`: by the clock that later check-ins use; by default this program's monotonic one.
+        `sent_ms`: by the clock of later check-ins; None: this program's monotonic clock.
         """
         from schemas.button import signed_text
 
@@ -170,7 +170,7 @@ class ButtonRequests(_Requests["ButtonAck"]):
     def alive(
         self, token: str, count: int, sent_ms: float | None = None, timeout_s: float | None = None
     ) -> "ButtonAck":
-        """Check in; `count` is greater each time."""
+        """Check in. `count` is greater than in each check-in before."""
         return self._ask({"do": "alive", "button": token, "count": count, "sent_ms": _or_now_ms(sent_ms)}, timeout_s)
 
     def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":

@@ -14,7 +14,7 @@ QUIET_MS: Final = 250.0
 SILENT_MS: Final = 1000.0
 """After this time without a state the cause is looked for."""
 WHY_EVERY_S: Final = 3.0
-"""How often to look: each look is a connection, which costs the robot something."""
+"""How often to look: each look is a connection to the robot."""
 
 
 class Silence:

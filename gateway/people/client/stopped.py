@@ -24,7 +24,7 @@ STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""
 AGAIN: Final = "start_again() goes on; recover() of a stream waits until the cause is over, and goes on then"
-"""A program's next call, as a note of the error: tracebacks show it, `str()` does not."""
+"""A program's next call, as a note of the error. Tracebacks show a note, `str()` does not."""
 DECIDES: Final = "start_again() goes on, which a person decides"
 """The note where time does not end the cause."""
 _PASSING: Final = (
@@ -32,8 +32,7 @@ _PASSING: Final = (
     Kind.CONTROLLER_RESTARTED, Kind.STOPPING, Kind.STARTED, Reason.ESTOPPED, Reason.NOT_HOLDER, Reason.NO_BUTTON,
     Reason.NO_POWER, Reason.LANDING, Reason.STALE,
 )  # fmt: skip
-"""What ends without this program; an emergency stop by a person's reset. A fall and the board's button are missing:
-somebody may have a hand at the robot."""
+"""Causes that end without this program. A fall and the board's button are missing: somebody may touch the robot."""
 
 
 def passes(error: GatewayError) -> bool:
@@ -83,7 +82,7 @@ def reported(stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms
 
 
 def happened(event: Event) -> str:
-    """The sentence of an event that stopped legs, in past tense: an error may be shown for long."""
+    """The sentence of an event that stopped legs, in past tense: an error may stay on a screen."""
     if event.kind == Kind.ESTOP_ENGAGED:
         return _engaged(event.source)
     continues = event.kind in (Kind.STOPPED_OUTSIDE, Kind.STOPPING)  # with the state that followed
@@ -91,7 +90,7 @@ def happened(event: Event) -> str:
 
 
 def unready(state: GatewayState, legs: Collection[int] = ()) -> StoppedError | None:
-    """Why the gateway accepts no commands in this state, and `legs` do not run; None: it accepts them."""
+    """Return why the gateway accepts no commands in this state, as an error about `legs`; None: it accepts them."""
     match state.mode:
         case Mode.IDLE | Mode.ACTIVE:
             return None
@@ -109,7 +108,7 @@ def unready(state: GatewayState, legs: Collection[int] = ()) -> StoppedError | N
 
 
 def until_reset(error: StoppedError, reset: str) -> StoppedError:
-    """The same error, with the command by which a person ends an emergency stop."""
+    """Return the error; for an emergency stop with the command by which a person ends it."""
     if error.cause != Kind.ESTOP_ENGAGED:
         return error
     sentence = f"emergency stop: nothing moves until a person runs `{reset}`; {error.lasting}"
@@ -117,7 +116,7 @@ def until_reset(error: StoppedError, reset: str) -> StoppedError:
 
 
 def not_free(state: GatewayState) -> RejectedError | None:
-    """Why a program without a lease cannot start legs although the gateway accepts commands."""
+    """Return why a program without a lease cannot start legs although the gateway accepts commands, or None."""
     if state.lease.holder is not None:
         return RejectedError(Reason.NOT_HOLDER, f"{state.lease.holder} holds the lease")
     if state.buttons.alive < state.buttons.required:

@@ -41,9 +41,9 @@ _STOPPED_ALREADY: Final = (Reason.ESTOPPED, Reason.STOPPING)
 _ENDINGS: Final = (*stopped.ALL_STOPPED, Kind.STARTED)
 """Events after which no leg runs."""
 _EVENT_S: Final = 0.1
-"""How much later than an answer the event about the same Stop may arrive."""
+"""An event may arrive this much later than an answer about the same Stop."""
 WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
-"""What to send in place of a start that this robot's controller does not know, as a note."""
+"""The note of a rejected start of single legs."""
 _SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
 
 
@@ -71,13 +71,12 @@ class Stream:
     """Setpoints for any of the six legs, `hz` times a second; made by `Client.stream`.
 
     Use it in a `with`, or call `open` and `close`; the end of the client, or of the program, closes it as well.
-    The first setpoint of a leg starts it. The end of the stream stops, also after an error, the legs whose start was
-    accepted or not answered. It does not stop a leg whose start was rejected, or that the gateway has since reported
-    stopped: somebody else may have started it.
-    Only `set` sends setpoints, so the gateway's watchdog stops the legs of a program that stalls, and a leg that is
-    left out for longer than its timeout. Inside `Client.lease`, legs whose lease was handed over or taken are no longer
-    this stream's: it does not stop them at its end. A robot that starts as a whole wants all six legs in each `set`:
-    the first starts them together, and a leg that is left out stops them all. For one thread at a time.
+    The first setpoint of a leg starts it. The end of the stream, also after an error, stops the legs whose start was
+    accepted or not answered. It leaves a leg whose start was rejected, or that the gateway has since reported stopped:
+    somebody else may have started it. It also leaves legs whose lease was handed over or taken.
+    Only `set` sends setpoints. The gateway's watchdog stops the legs of a program that stalls, and a leg that is left
+    out for longer than its timeout. A robot that starts as a whole needs all six legs in each `set`: the first starts
+    them together, and a leg that is left out stops them all. For one thread at a time.
 
     >>> with Client(endpoint) as robot, robot.stream(hz=50) as stream:
     ...     for step in range(10):
@@ -101,7 +100,7 @@ class Stream:
         self._over: GatewayError | None = None
         self._doubt = Doubt(0.0)
         self._events: deque[ReceivedEvent] = deque(maxlen=_KEPT)
-        self._changes: dict[int, ReceivedEvent] = {}  # by leg: who commanded it last, other than we
+        self._changes: dict[int, ReceivedEvent] = {}  # by leg: the latest change of its source
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
         """The gateway's newest answer; the reader sets it to None."""
@@ -113,7 +112,7 @@ class Stream:
 
     @property
     def missed(self) -> int:
-        """Ticks for which `set` was called too late, or not called. The ticks were skipped, never sent later."""
+        """Ticks for which `set` was called too late, or not called. They were skipped, never sent later."""
         return self._pace.missed
 
     @property
@@ -139,18 +138,17 @@ class Stream:
             error.add_note(f"and the Stop at the end of the stream: {failed}")
 
     def set(self, angles: Setpoints, *, unit: Unit = "deg") -> None:
-        """Wait for the next tick, then send the legs' angles in one message. It waits also before it raises.
+        """Wait for the next tick, also before an error, then send the legs' angles in one message.
 
         `angles`: joints 1, 2, 3 by leg, `{3: (90, 45, 120)}`, or an array of all legs, (6, 3) or (18,). `unit`: `deg`
-        (0 to 180) or `rad`. The first setpoint of a leg starts it and is acknowledged; the others are fire and forget,
-        so a later call raises the error of an earlier one. A servo that another source commanded before, or that was
-        stopped within 2 s, goes to its setpoints at no more than `limits.takeover_deg_s` until it has arrived. If
-        `limits.start_stagger_ms` spreads starts over more than the watchdog's timeout, add one leg with each call.
-        Raises, without sending:
+        (0 to 180) or `rad` (0 to π). The first setpoint of a leg starts it and is acknowledged. The others are not, so
+        a later call raises their error. A servo that another source commanded before, or that was stopped within 2 s,
+        moves at no more than `limits.takeover_deg_s` until it has arrived. If `limits.start_stagger_ms` spreads starts
+        over more than the watchdog's timeout, add one leg with each call. Raises, without sending:
 
         - LeaseLostError: somebody else drives now.
-        - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent); or a leg
-          or angle does not exist.
+        - RejectedError: the gateway rejected an earlier setpoint, or this start (nothing more is then sent). As
+          OutOfRangeError: a leg or angle does not exist.
         - StoppedError: the watchdog (this program stalled, or left a leg out), another's Stop, an emergency stop, a bus
           fault or the gateway's end has stopped legs of this stream.
         - DisconnectedError: the link is lost, or the gateway does not answer.
@@ -169,10 +167,10 @@ class Stream:
     def recover(self, timeout_s: float = 60.0) -> None:
         """Wait until the cause of the error is over; the next `set` starts its legs anew, from wherever they are.
 
-        It waits for the link and the gateway, the bus, a stop button, the lease of somebody else, and for a person who
-        resets the emergency stop. It asks at most twice a second. Raises the error at once if no time ends its cause:
-        somebody's Stop, which a person undoes by `start_again`, a fall, or a command that is always rejected. Raises
-        after `timeout_s` what is still the cause. Without an error it does nothing.
+        It waits for the link, the gateway, the bus, a stop button, somebody else's lease, and a person who resets the
+        emergency stop. It asks at most twice a second. Raises the error at once if waiting does not end its cause: a
+        fall, a command that is always rejected, or somebody's Stop, which a person undoes by `start_again`. Raises the
+        remaining cause after `timeout_s`. Without an error it does nothing.
         """
         error, end_s = self._over, time.monotonic() + timeout_s
         if error is None:
@@ -195,14 +193,14 @@ class Stream:
         self._pace.pause()
 
     def go_on_without(self, legs: Iterable[int]) -> None:
-        """Go on after a StoppedError with the legs that still run. They are set, never started: no Stop is undone."""
+        """Go on after a StoppedError without `legs`. The others are set, never started: no Stop is undone."""
         self._over = None
         self._started -= frozenset(legs)
 
     def open(self) -> Self:
-        """Begin; moves nothing. Raises DisconnectedError, and ValueError for a rate below the watchdog's.
+        """Begin without moving a leg. Warns if the gateway takes fewer setpoints a second.
 
-        Warns if the gateway takes fewer setpoints.
+        Raises DisconnectedError without a gateway, ValueError if a period is as long as the watchdog's timeout.
         """
         client = self._client
         state = client.state()
@@ -218,7 +216,7 @@ class Stream:
         return self
 
     def close(self) -> None:
-        """Stop the started legs, acknowledged. Raises DisconnectedError, RejectedError."""
+        """Stop the started legs. Raises DisconnectedError without an answer, RejectedError if a Stop is rejected."""
         self._open = False
         if self in self._client.open_parts:
             self._client.open_parts.remove(self)
@@ -383,12 +381,12 @@ class Stream:
         return self._doubt.is_there(time.monotonic()) or not self._client.connected
 
     def _check(self) -> None:
-        """Raise what has happened since the latest call."""
+        """Raise the error of what has happened since the latest call."""
         fresh = self._fresh_events()
         if (error := self._reported_stop(fresh)) is not None:
             raise error
         if fresh:
-            self._ask()  # whose answer states better why legs do not run
+            self._ask()  # raises with a better reason if legs do not run
             rejected, _ = fresh[0]
             raise RejectedError(rejected.reason or "", rejected.detail)
         if self._in_doubt():
@@ -454,7 +452,7 @@ class Stream:
 
 
 def checked_hz(hz: float) -> float:
-    """Raises ValueError unless 0 < hz ≤ 1000."""
+    """Return `hz`. Raises ValueError unless 0 < hz ≤ 1000."""
     if not 0 < hz <= MAX_HZ:
         raise ValueError(f"{hz:g} Hz; a stream's rate is above 0 and at most {MAX_HZ}")
     return hz

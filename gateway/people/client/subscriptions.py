@@ -21,14 +21,14 @@ R = TypeVar("R", bound=BaseModel)
 KEPT_EVENTS: Final = 256
 """The events kept for a busy reader; the oldest are dropped first."""
 _ASK_AGAIN_S: Final = 0.2
-"""Between questions for the configuration: two states. A flood of made-up states asks no more often."""
+"""Between questions for the configuration: two states. A flood of forged states asks no more often."""
 _ANSWER_S: Final = 1.0
 
 
 class States:
     """Joins each state with the configuration that belongs to it, and asks for one that is not known yet.
 
-    Until that is answered, states of it are left out. For any thread: nothing waits.
+    Until the answer comes, states with that configuration are left out. For any thread: nothing waits.
     """
 
     def __init__(self, session: zenoh.Session) -> None:

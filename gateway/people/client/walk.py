@@ -79,16 +79,16 @@ class Walk:
     It drives under the client's lease, or acquires it for its own time. Each call raises what a stream's does
     (StoppedError, RejectedError, LeaseLostError, DisconnectedError), and WalkError for what these legs cannot do.
 
-    A velocity holds for `hold_s`; then the robot finishes its step and stands, so a program that hangs does not walk
-    on. After `rest_s` without a call it sits down, and its servos are stopped. At the end of the `with` it sits down
-    and is stopped; after an error it is stopped at once. Ctrl-C, or SIGTERM if the main thread has no handler for it,
-    is no error: it sits down, and a second one stops it at once. The end of the client, or of the program, closes an
-    open walk. If the process dies, the gateway's watchdog stops it.
+    A velocity holds for `hold_s`; then the robot finishes its step and stands, also if the program hangs. After
+    `rest_s` without a call the robot sits down, and its servos are stopped. The end of the `with` does the same; after
+    an error the servos are stopped at once. At Ctrl-C, or SIGTERM without a handler in the main thread, the robot sits
+    down; a second one stops it at once. The end of the client, or of the program, closes an open walk. If the process
+    dies, the gateway's watchdog stops the robot.
 
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
 
-    With `wait=False` a call returns at once, for programs that have a clock of their own and read `state`.
+    With `wait=False` a call returns at once, for programs that have their own clock and read `state`.
 
     >>> with Client(endpoint) as robot, robot.walk() as walk:
     ...     walk.stand()
@@ -133,7 +133,7 @@ class Walk:
         self._retries = Retries()
         self._ride: Ride | None = None
         self._thread: threading.Thread | None = None
-        self._changed = threading.Condition()  # notified after each change; its lock guards the ride
+        self._changed = threading.Condition()  # notified after each change; also the lock of the ride
         self._not_again: Exception | None = None  # why `start_again` failed
         self._closing = self._sits_at_sigterm = False
         self._newest = Newest()
@@ -146,9 +146,10 @@ class Walk:
     def go(
         self, forward_m_s: float = 0.0, left_m_s: float = 0.0, turn_rad_s: float = 0.0, *, wait: bool = True
     ) -> None:
-        """Walk at this velocity for `hold_s` from now on; waits for the next tick, so a loop needs no other clock.
+        """Walk at this velocity for `hold_s`. Waits for the next tick, so a loop needs no other clock.
 
-        A robot that does not stand yet stands up first. `state.scaled` is the velocity that the legs can reach.
+        A robot that does not stand yet stands up first. `turn_rad_s`: counter-clockwise above 0. `state.scaled` is the
+        velocity that the legs can reach. Raises WalkError above 10 m/s or rad/s.
         """
         velocity = Velocity.checked(forward_m_s, left_m_s, turn_rad_s)
         try:
@@ -157,25 +158,25 @@ class Walk:
             if wait:
                 self._wait_for(lambda: self._ticks > ticks)
         except GatewayError:
-            time.sleep(1 / self._rate_hz if wait else 0)  # a loop that goes on after errors keeps its ticks, too
+            time.sleep(1 / self._rate_hz if wait else 0)  # a loop that ignores errors keeps its rate
             raise
 
     def ahead(self, metres: float) -> None:
-        """Walk this far by `state.odometry` (below 0: backward); returns when the robot stands.
+        """Walk this far by `state.odometry` (below 0: backward, at most 20 m), and return when the robot stands.
 
-        Raises as `go`, and WalkError if it comes no nearer. After an exception, such as Ctrl-C, the robot stands within
-        `hold_s` and a stride.
+        Raises as `go`, and WalkError if the robot comes no nearer. After an exception, such as Ctrl-C, the robot stands
+        within `hold_s` and a stride.
         """
         self._cover(Distance(metres, turns=False))
 
     def turn(self, radians: float) -> None:
-        """Turn in place by this angle (above 0: counter-clockwise), and stand; as `ahead`."""
+        """Turn in place by this angle (above 0: counter-clockwise, at most 4π), and stand. Raises as `ahead`."""
         self._cover(Distance(radians, turns=True))
 
     def stand(
         self, height_m: float | None = None, roll_rad: float = 0.0, pitch_rad: float = 0.0, *, wait: bool = True
     ) -> None:
-        """Stand with the body this high above the ground (None: as before), leaning right and forward; waits for it."""
+        """Stand with the body this high (None: as before), leaning right and forward. Waits until the robot stands."""
 
         def stand(ride: Ride, now_s: float) -> None:
             height = ride.body.height_m if height_m is None else height_m
@@ -185,7 +186,7 @@ class Walk:
         self._reach(Posture.STANDING, stand, wait)
 
     def sit(self, *, wait: bool = True) -> None:
-        """Lie down on the belly; waits for it. The servos stay on until the `with` ends, or for `rest_s`."""
+        """Lie down on the belly, and wait until it lies. The servos stay on until the `with` ends, or for `rest_s`."""
         self._reach(Posture.SITTING, Ride.sit, wait)
 
     def walk_as(self, gait: str) -> None:
@@ -193,9 +194,10 @@ class Walk:
         self.use(lambda ride, now_s: ride.walk_as(gait, now_s))
 
     def start_again(self) -> None:
-        """Go on after an error, which a person decides. If the other legs carry the robot, lost legs start where they
-        were; else all are stopped, and the next call begins anew, from lying. Acquires a lost lease of its own again.
-        Raises LeaseError if somebody else drives, StoppedError while the gateway accepts no commands.
+        """Go on after an error, by a person's decision. Acquires a lost lease of its own again.
+
+        If the other legs carry the robot, lost legs start where they were. Else all are stopped, and the next call
+        begins from lying. Raises LeaseError if somebody else drives, StoppedError if the gateway accepts no commands.
         """
         time.sleep(max(0.0, self._retries.next_s - time.monotonic()))
         self._retries.asked(time.monotonic())
@@ -219,7 +221,7 @@ class Walk:
 
     @property
     def state(self) -> WalkState:
-        """Posture, commanded and scaled velocity, the reason for scaling, odometry, lost legs."""
+        """Posture, commanded and scaled velocity, the reason for scaling, odometry, lost legs; see `WalkState`."""
         with self._changed:
             return self._using().state
 
@@ -231,7 +233,7 @@ class Walk:
 
     @property
     def now(self) -> str:
-        """What the robot does by the newest state, in one sentence (`It walks`), which reports an old state."""
+        """What the robot does by the newest state, in one sentence (`It walks`). The sentence reports an old state."""
         with self._changed:
             ride = self._using()
             # Legs that it has not started yet were not stopped.
@@ -279,7 +281,7 @@ class Walk:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def open(self) -> Self:
-        """Acquire the lease, read limits and calibration; moves nothing. Raises as calls do, or LeaseError."""
+        """Acquire the lease, and read limits and calibration. Moves nothing. Raises as calls do, or LeaseError."""
         if self._thread is not None:
             raise RuntimeError("a walk is used once; make a new one with `walk()`")
         if any(isinstance(each, Walk) for each in self._client.open_parts):
@@ -312,7 +314,7 @@ class Walk:
         return self
 
     def close(self, *, sits: bool = True) -> None:
-        """Sit down, if it can and `sits`, and stop the legs. Raises the errors of both."""
+        """Sit down (`sits`, unless an error prevents it), and stop the legs. Raises the errors of both."""
         try:
             with self._changed:
                 sits = sits and not self._closing and self.error is None and self._stream is not None
@@ -381,7 +383,7 @@ class Walk:
         self._newest.take(state, time.monotonic())
 
     def _robot(self, state: GatewayState) -> Robot:
-        """The robot with its current limits and calibration; also sets a rate that they allow."""
+        """The robot with its current limits and calibration. Also sets a rate that the limits allow."""
         robot = robot_of(self._client, self._geometry, state)
         self._revision = state.calibration.revision
         most_hz = state.limits.leg_rate_hz
@@ -448,7 +450,7 @@ class Walk:
                         self._awaited = None
 
     def _find(self, ride: Ride) -> None:
-        """Ask which legs run, before it starts legs or goes on where it was."""
+        """Ask which legs run, before legs start or the walk resumes."""
         again, robot = ride.wants_again, ride.robot
         if again and self._lease is not None and self._lease.lost is not None:
             lease = Lease(self._client)
@@ -493,7 +495,7 @@ class Walk:
 
 
 def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Robot:
-    """The robot with its limits and calibration. Raises WalkError if geometry and calibration both mirror it."""
+    """Return the robot with its limits and calibration. Raises WalkError if geometry and calibration both mirror it."""
     calibration = None
     with suppress(UnansweredError):  # an older gateway has none
         calibration = client.calibration()
