@@ -1,7 +1,7 @@
 """What the sensors report about the ground: how the body leans, which feet carry, whether it has fallen. Pure.
 
-A foot is believed once it was seen with and without contact: one that is stuck from the beginning counts as unknown,
-and walks as it would without sensors. Forces have the robot's own unit, so they are compared with its weight.
+A foot's sensor counts once it has reported contact and no contact. A stuck sensor counts as unknown, and its foot walks
+as without sensors. Forces have the robot's own unit, so they are compared with its weight.
 """
 
 import math
@@ -14,46 +14,46 @@ from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
 TERRAINS: Final = ("level", "adapt")
-"""The floor is level, as far as the walk knows; or as the sensors report it, where there are some."""
+"""`level`: the walk assumes a level floor. `adapt`: the floor is as the sensors report it, if there are some."""
 FALLEN_DEG: Final = 45.0
-"""A body that leans further does not stand on its feet any more."""
+"""A body that leans further has fallen."""
 _FRESH_S: Final = 0.3
-"""An older measurement does not count: by default ten a second are published."""
+"""An older measurement does not count. By default ten a second are published."""
 _FALLEN_S: Final = 0.2
 _LIFTED_S: Final = 0.3
 """Longer than a walking robot's feet are ever unloaded together."""
 _LIFTED: Final = 0.2
 _CARRIES: Final = 0.05
-"""Of the weight: a foot that presses more touches the ground."""
+"""Of the weight. A foot that presses more touches the ground."""
 _WEIGHS_S: Final = 1.0
-"""The weight is the mean of the forces in this time, so that a hard step does not count as one."""
+"""The weight is the mean of the forces in this time: a hard step must not count as weight."""
 _LEVELS_1_S: Final = 1.5
-"""Of the remaining lean, corrected each second: slow against a stride, so that feet that swing do not excite it."""
+"""Of the remaining lean, corrected each second: slow against a stride, so that swinging feet do not excite it."""
 _LEVELS_RAD_S: Final = 0.2
 LEANS_RAD: Final = math.radians(15.0)
 """The most that the body leans against its feet to be level."""
 LEANS_MORE_RAD_S: Final = math.radians(1.5)
-"""After its legs had no stride, so that they were given less to lean: feet that step find more room."""
+"""How fast that limit grows again after legs had no room for a stride: feet that step find more room."""
 _RISES_1_S: Final = 1.0
 _RISES_M_S: Final = 0.03
 EARLY_M: Final = 0.010
-"""Servos give way under load: a foot that touches below this height goes on to the ground that was expected."""
+"""Servos give way under load. A foot that touches below this height goes on to the expected ground."""
 LATE_S: Final = 0.12
-"""How long a foot waits at most for its contact to be reported before it goes on down: sensors may be 0.1 s late."""
+"""The longest that a foot waits for its contact before it goes on down: sensors may be 0.1 s late."""
 WAIT_FORGOTTEN: Final = 0.8
 """How much of that time remains after each foot whose contact was reported at once."""
 _CERTAIN_S: Final = 0.07
-"""So late feet themselves may be on uneven ground: below it the sensors count as punctual."""
+"""Uneven ground alone makes contacts this late: below it the sensors count as punctual."""
 _LEARNS_S: Final = (0.02, 0.005)
-"""By so much the known lateness changes with each of the first contacts, and with each later one."""
+"""How much the lateness changes with each of the first contacts, and with each later one."""
 _FIRST: Final = 12
 SINKS_M_S: Final = 0.10
 DEEPEST_M: Final = 0.030
-"""So far below the expected ground a foot goes on down."""
+"""How far below the expected ground a foot goes down."""
 
 
 def terrain_named(name: str) -> str:
-    """`name`. Raises WalkError for an unknown terrain."""
+    """Return `name`. Raises WalkError for an unknown terrain."""
     if name not in TERRAINS:
         raise WalkError(f"there is no terrain {name!r}; there are {', '.join(TERRAINS)}")
     return name
@@ -70,19 +70,19 @@ class ReceivedTelemetry:
         self._newest = telemetry, now_s
 
     def fresh(self, now_s: float) -> Telemetry | None:
-        """The newest; None if none came lately, so that a walk does not go on by what was."""
+        """Return the newest telemetry; None if it is older than 0.3 s."""
         telemetry, came_s = self._newest
         return telemetry if telemetry is not None and now_s - came_s + telemetry.age_ms / 1000 < _FRESH_S else None
 
 
 class Felt(NamedTuple):
-    """What the sensors report now; without any this is all unknown, and the walk is as on level ground."""
+    """What the sensors report now. Without sensors all is unknown, and the walk is as on level ground."""
 
     roll_rad: float | None = None
     pitch_rad: float | None = None
     tilt_deg: float | None = None
     feet: Mapping[int, bool] = {}
-    """Whether a foot touches the ground, of those that can be believed."""
+    """Whether a foot touches the ground, by leg; only feet whose sensors count."""
     carrying: tuple[bool, ...] | None = None
     """Of legs 1 to 6, as measured."""
     fault: str = ""
@@ -101,7 +101,7 @@ class Senses:
         self._tilted_s = self._lifted_s = 0.0
 
     def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
-        """What this telemetry shows; None where none is fresh. `stands`: its feet alone carry it, not its belly."""
+        """Return what this telemetry (None: none is fresh) shows. `stands`: feet alone carry it, not the belly."""
         if telemetry is None:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
@@ -132,16 +132,16 @@ class Senses:
 
 
 class Lateness(NamedTuple):
-    """How late the sensors of the feet are, learned from contacts: the median of how late they were reported.
+    """How late the sensors of the feet are: the median over the contacts.
 
-    Ground that is higher than expected is as frequent as lower ground, since the walk's own ground follows the mean.
+    Higher ground than expected is as frequent as lower ground, since the walk's own ground follows the mean.
     """
 
     median_s: float = 0.0
     contacts: int = 0
 
     def after(self, late_s: float) -> "Lateness":
-        """After a contact that was reported this long after its foot had arrived (below 0: before)."""
+        """Return the lateness after a contact, reported this long after its foot arrived (below 0: before)."""
         step_s = _LEARNS_S[self.contacts >= _FIRST]
         median_s = self.median_s + math.copysign(step_s, late_s - self.median_s)
         return Lateness(max(0.0, min(LATE_S, median_s)), self.contacts + 1)
@@ -156,9 +156,9 @@ UNKNOWN_LATENESS: Final = Lateness()
 
 
 def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, most_rad: float, seconds: float) -> BodyPose:
-    """The body's next pose above its feet, with which it leans against the world as wanted; bounded in rate and angle.
+    """Return the body's next pose, towards the wanted lean against the world; `most_rad` and a rate limit it.
 
-    Without an orientation it stays as it is.
+    Without an orientation the pose stays.
     """
     if felt.roll_rad is None or felt.pitch_rad is None:
         return body
@@ -177,7 +177,7 @@ def levelled(body: BodyPose, wanted: BodyPose, felt: Felt, most_rad: float, seco
 
 
 def lowered_by(heights_m: list[float], seconds: float) -> float:
-    """By how much the frame of the ground rises to the mean of the feet that stand: so the body climbs with them."""
+    """Return by how much (m) the ground frame rises to the mean of the standing feet; the body climbs with them."""
     mean_m = sum(heights_m) / len(heights_m) if heights_m else 0.0
     most = _RISES_M_S * seconds
     return max(-most, min(most, _RISES_1_S * mean_m * seconds))

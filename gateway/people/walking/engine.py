@@ -3,10 +3,10 @@
 **Stance.** All feet that stand move as one rigid body against the robot's motion, so none scrapes.
 **Swing.** A foot leaves the ground with the ground's velocity, and lands with it where the middle of its next stance is
 the foot's resting place. So a stride needs no memory of the one before, and a change of velocity no special case.
-**Tempo.** Where strides would be too long for the discs, the same gait goes in a shorter time, with lower steps.
+**Tempo.** If strides would be too long for the discs, the same gait takes less time, with lower steps.
 **Limits.** Each foot stays in a disc around its resting place (robot.py). A velocity that would carry a standing foot
-out of it is scaled down, as a whole vector. Where a servo is too slow, time itself is slowed down for that tick: feet
-and body move the same way, only slower.
+out of its disc is scaled down, as a whole vector. If a servo is too slow, that tick counts less time: feet and body
+move the same way, only slower.
 """
 
 import math
@@ -58,13 +58,13 @@ from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
 _LATE_M: Final = 0.002
-"""A foot is lifted at a tick, so up to a tick too late."""
+"""A foot is lifted at a tick, up to a tick too late."""
 _LEAST_FEET: Final = 3
 _LEANS_LESS: Final = 0.97
 _ALMOST: Final = 1e-9
 _TRIES: Final = 8
 _LONGEST_S: Final = 0.1
-"""The longest time that one tick accounts for: after a late tick nothing moves further."""
+"""The longest time that one tick counts: a late tick must not move anything further."""
 
 
 class Engine:
@@ -96,7 +96,7 @@ class Engine:
         self.felt = NOTHING
         """What the sensors reported at the latest step."""
         self._leans_rad = LEANS_RAD
-        """How far the body leans at most; less once that has left its legs no stride."""
+        """How far the body may lean; less after a lean left its legs no stride."""
         self._barred = ""
         """Why no velocity has an effect, until a command to stand still."""
         self._stuck = False
@@ -111,9 +111,9 @@ class Engine:
     # ---- commands
 
     def step(self, velocity: Velocity, seconds: float, telemetry: Telemetry | None = None) -> Pose:
-        """The angles (degrees) of all legs after `seconds` (0.1 at most) towards this velocity.
+        """Return the angles (degrees) of all legs after `seconds` (0.1 at most) towards this velocity.
 
-        With fresh `telemetry` the body keeps level, and feet find the ground where it is (balance.py).
+        With fresh `telemetry` the body keeps level, and feet find uneven ground (balance.py).
         """
         seconds = max(0.0, min(seconds, _LONGEST_S))
         self.commanded = velocity
@@ -147,11 +147,11 @@ class Engine:
         return self.pose
 
     def stand(self, stance: Stance | None = None) -> None:
-        """Go to this stance (`Robot.stance`; None: the latest), from wherever it is: a walk ends before."""
+        """End the walk, and go to this stance (`Robot.stance`; None: the latest)."""
         self._wanted.append(stance or self._stance)
 
     def sit(self) -> None:
-        """End the walk and lie down: the body on the ground, so that the servos may be stopped."""
+        """End the walk and lie down, so that the servos may be stopped."""
         self._wanted.append(None)
 
     def walk_as(self, gait: str) -> None:
@@ -165,7 +165,7 @@ class Engine:
         self._state = State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
 
     def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
-        """Somebody else has stopped these legs: put the others down, and stand still until `resume`.
+        """Put down all legs but these, which somebody else has stopped, and stand still until `resume`.
 
         `sent`: their last angles, if they differ from the latest step's.
         """
@@ -195,9 +195,9 @@ class Engine:
 
     @property
     def carries(self) -> bool:
-        """Whether the other legs carry the body. If not, it has sunk, and the lost legs' former angles would lift it.
+        """Whether the other legs carry the body, or it lies. Else it has sunk, and the lost legs' angles would lift it.
 
-        A lowered foot counts; a lying body needs none.
+        A foot that is being lowered counts.
         """
         left = [leg for leg in LEGS if leg not in self.lost]
         return self.is_down or balanced(self.robot, self._state, left)
@@ -220,7 +220,7 @@ class Engine:
 
     @property
     def walks_at_once(self) -> bool:
-        """Whether a velocity has an effect now: it stands or walks, and no other command waits."""
+        """Whether a velocity has an effect now: the robot stands or walks, and no other command is pending."""
         state = self._state
         return not (state.sits or state.moves or self._wanted or self._next_gait or self.lost)
 
@@ -256,7 +256,7 @@ class Engine:
 
     @property
     def corrected_rad(self) -> float:
-        """How far the body leans against its feet, so as to be level."""
+        """How far the body leans against its feet to be level."""
         return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
 
     @property
@@ -282,7 +282,7 @@ class Engine:
             state.sits, state.part = wanted is None, 0.0
 
     def _step_within_reach(self) -> None:
-        """Step feet back that the former gait left outside this one's discs: no velocity would ever lift them."""
+        """Step feet back that the former gait left outside this gait's discs: no velocity would lift them."""
         state = self._state
         outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
         if outside and not state.sits:
@@ -379,7 +379,7 @@ class Engine:
         state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
 
     def _rest(self, leg: int) -> Vector:
-        """Where its foot is to rest: further out, the more the body leans against its feet."""
+        """Where the foot rests: further out, the more the body leans against its feet."""
         rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
         return between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
 
@@ -398,7 +398,7 @@ class Engine:
     # ---- velocities
 
     def _hurry(self, state: State, target: Velocity, seconds: float) -> None:
-        """Towards the tempo that this velocity and the present one need; a walk that ends keeps it: it ends soon."""
+        """Change the tempo towards what this velocity and the present one need. A walk that ends keeps its tempo."""
         now = state.velocity
         walks = now.moves or bool(state.swings)
         if target.moves or not walks:
@@ -430,11 +430,11 @@ class Engine:
         return self._stance.radius_m / outward(self._gait.swing_s, self._gait.stance_s)
 
     def _allowed(self, state: State, velocity: Velocity) -> float:
-        """The part of it with which every foot that stands stays in its disc until it is lifted."""
+        """The part of this velocity with which every standing foot stays in its disc until it is lifted."""
         return largest(lambda part: self._stays(state, velocity.times(part)))
 
     def _begun(self, state: State, velocity: Velocity) -> float:
-        """`_allowed` for a walk that begins: it lifts first the feet that would not let it go."""
+        """`_allowed` for a walk that begins: it first lifts the feet that would limit the velocity."""
         for state.clock in sorted({*self._quick.lifts}):
             if allowed := self._allowed(state, velocity):
                 return allowed

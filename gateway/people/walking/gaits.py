@@ -1,6 +1,6 @@
 """The gaits: when each leg swings. Pure.
 
-Another gait is a line in the table: the page, the keys of `walk`, its help and the bridge's numbers follow from it.
+Another gait is a line in the table. The page, the keys of `walk`, its help and the bridge's numbers follow the table.
 """
 
 from typing import Final, NamedTuple
@@ -36,17 +36,17 @@ GAITS: Final = {
     "ripple": Gait(1.80, 0.70, (4 / 6, 1 / 6, 2 / 6, 5 / 6, 0 / 6, 3 / 6)),
     "wave": Gait(3.20, 0.85, (2 / 6, 5 / 6, 1 / 6, 4 / 6, 0 / 6, 3 / 6)),
 }
-"""A duty slightly above 1/2, 2/3 or 5/6 leaves time for the load to pass from foot to foot."""
+"""A duty slightly above 1/2, 2/3 or 5/6 leaves time to shift the load from foot to foot."""
 
 NUMBERS: Final = dict(enumerate(dict.fromkeys(("wave", "ripple", "tripod", *GAITS))))
-"""The gaits' numbers on ROS 2: as the Elkapod's own stack has them, then those that it does not know."""
+"""The gaits' numbers on ROS 2: first those of the Elkapod's own stack, then the others."""
 
 TRIPODS: Final = ((1, 4, 5), (2, 3, 6))
 """The robot can stand on each: front and rear leg of one side, middle leg of the other."""
 
 
 def gait(name: str) -> Gait:
-    """The gait of this name. Raises WalkError if there is none."""
+    """Return the gait of this name. Raises WalkError if there is none."""
     try:
         return GAITS[name]
     except (KeyError, TypeError):
@@ -54,5 +54,5 @@ def gait(name: str) -> Gait:
 
 
 def phase(of: Gait, leg: int, clock: float) -> float:
-    """How far a leg is in its stride, 0 to 1; it lifts off at 0 and lands at 1 - duty."""
+    """Return how far a leg is in its stride, 0 to 1. It lifts off at 0 and lands at 1 - duty. `clock`: in strides."""
     return (clock - of.lifts[leg - LEGS.start]) % 1.0

@@ -1,8 +1,8 @@
 """Inverse kinematics: joint angles for a foot position, for the chain of the geometry file. Pure.
 
-A leg is a joint that turns about the mount's z axis, then two parallel joints across it. That shape has a solution in
-closed form. The file's numbers differ from it a little (`1.5708` for a right angle), so Newton's method on the exact
-chain finishes it.
+A leg is a joint that turns about the mount's z axis, then two parallel joints across it. This shape has a solution in
+closed form. The file's numbers differ a little from the shape (`1.5708` for a right angle), so Newton's method on the
+exact chain finishes the solution.
 """
 
 import cmath
@@ -30,7 +30,7 @@ from gateway.people.walking.motion import (
 )
 
 Angles = tuple[float, float, float]
-"""Of a leg's joints 1, 2 and 3; in radians here, in degrees where servos are meant."""
+"""Of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
 
 _OFF: Final = 0.02
 """Radians by which an axis may differ from the closed form's shape; Newton's method corrects it."""
@@ -66,7 +66,7 @@ class Limb:
         self._plan()
 
     def forward(self, joints_rad: Angles) -> Reach:
-        """The positions of its joints and its foot, in the body's frame."""
+        """Return the positions of the joints and the foot in the body's frame. `joints_rad`: in radians."""
         turn, at_m = self._mount_turn, self._mount_m
         joints_m, axes = [], []
         for origin_m, fixed, axis, angle in zip(self._origins_m, self._turns, self._axes, joints_rad, strict=True):
@@ -80,7 +80,7 @@ class Limb:
         return Reach((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))
 
     def inverse(self, foot_m: Vector) -> Angles:
-        """Joint angles (radians) that put the foot there. Raises WalkError where the leg does not reach."""
+        """Return the joint angles (radians) that put the foot there. Raises WalkError if the leg does not reach."""
         angles = self._guess(foot_m)
         for _ in range(_ITERATIONS):
             reach = self.forward(angles)

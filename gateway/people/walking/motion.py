@@ -1,7 +1,7 @@
 """Velocities over the ground, the body's pose above it, and the state of a walk. Pure.
 
-The ground frame lies on the ground below the body and goes with it: x forward, y left, z up. In it a foot that stands
-moves backward as the body moves forward.
+The ground frame lies on the ground below the body and moves with the body: x forward, y left, z up. In this frame a
+standing foot moves backward as the body moves forward.
 """
 
 import math
@@ -104,12 +104,12 @@ def wrapped(angle: float) -> float:
 
 
 ABSURD: Final = 10.0
-"""m/s or rad/s: no walking robot is so fast, so it is a mistake in units, which is rejected."""
+"""m/s or rad/s. No walking robot is so fast: a larger value is a mistake in units."""
 _STRAIGHT: Final = 1e-9
 
 
 class Velocity(NamedTuple):
-    """The body's velocity over the ground."""
+    """The body's velocity over the ground, in its own frame."""
 
     forward_m_s: float = 0.0
     left_m_s: float = 0.0
@@ -118,7 +118,7 @@ class Velocity(NamedTuple):
 
     @classmethod
     def checked(cls, forward_m_s: float, left_m_s: float, turn_rad_s: float) -> Self:
-        """A velocity from a program. Raises WalkError unless all are finite numbers up to ABSURD."""
+        """Return a program's velocity. Raises WalkError unless all are finite numbers up to ABSURD."""
         for name, value in (("forward_m_s", forward_m_s), ("left_m_s", left_m_s), ("turn_rad_s", turn_rad_s)):
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 raise WalkError(f"{name} is {value!r}; a velocity is a finite number")
@@ -140,7 +140,7 @@ STILL: Final = Velocity()
 
 
 def travelled(velocity: Velocity, seconds: float) -> tuple[float, float, float]:
-    """Where the body is after this time, in its first ground frame: x and y in metres, heading in radians."""
+    """Return where the body is after this time, in its first ground frame: x and y (m), heading (rad)."""
     forward, left, turn = velocity
     heading = turn * seconds
     if abs(heading) < _STRAIGHT:
@@ -150,7 +150,7 @@ def travelled(velocity: Velocity, seconds: float) -> tuple[float, float, float]:
 
 
 def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
-    """Where a point that rests on the ground is in the ground frame after this time (before it: seconds below 0)."""
+    """Return where a point on the ground is in the ground frame after this time (below 0: before)."""
     x, y, heading = travelled(velocity, seconds)
     cosine, sine = math.cos(heading), math.sin(heading)
     ahead, aside = point[0] - x, point[1] - y
@@ -158,7 +158,7 @@ def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
 
 
 class Odometry(NamedTuple):
-    """Where its steps have carried the body since the beginning; slipping feet are not noticed."""
+    """Where its steps have carried the body since the beginning. Slipping feet are not noticed."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -196,7 +196,7 @@ class BodyPose(NamedTuple):
         return matrix(from_rpy((self.roll_rad, self.pitch_rad, 0.0)))
 
     def seen(self, point: Vector, turn: Matrix) -> Vector:
-        """A point of the ground frame in the body's; `turn` is its own (computed once for many points)."""
+        """Return a point of the ground frame in the body's. `turn`: the pose's own, computed once for many points."""
         return back(turn, (point[0], point[1], point[2] - self.height_m))
 
     def grounded(self, point: Vector, turn: Matrix) -> Vector:
@@ -241,12 +241,12 @@ class WalkState(NamedTuple):
     lost: tuple[int, ...]
     """Legs that somebody else has stopped."""
     terrain: str = "level"
-    """`adapt`: it walks by its sensors, where there are some."""
+    """`adapt`: the robot walks by its sensors, if it has some."""
     tilt_deg: float | None = None
     """Of the body against the world's up, as measured; None: not measured."""
     carrying: tuple[bool, ...] | None = None
     """Which of legs 1 to 6 carry, as measured."""
     corrected_deg: float = 0.0
-    """How far the body leans against its feet, so as to be level."""
+    """How far the body leans against its feet to be level."""
     hanging: tuple[int, ...] = ()
     """Legs that found no ground."""

@@ -35,7 +35,7 @@ def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles
 
 
 def margin_m(point: Point, feet: Iterable[Point]) -> float:
-    """How far `point` is inside the polygon of the feet; below 0: outside; minus infinity with fewer than three."""
+    """Return how far `point` is inside the polygon of the feet (below 0: outside; minus infinity below three feet)."""
     hull = _hull(sorted(set(feet)))
     if len(hull) < 3:
         return -math.inf
@@ -63,11 +63,11 @@ def _left_of(begin: Point, end: Point, point: Point) -> float:
 
 
 RAISED_M: Final = 0.02
-"""The height of a lying robot's feet at the start of its legs, so that they push against nothing."""
+"""The height of a lying robot's feet when its legs start, so that they do not push against the ground."""
 _SAMPLES: Final = 8
 """The samples of a move in the check of a plan."""
 _SAME_DEG: Final = 2.0
-"""How far a plan's first pose may differ from the present one; beyond it the leg is bent the other way."""
+"""How far a plan's first pose may differ from the present pose. Beyond it the leg is bent the other way."""
 
 
 class Planner:
@@ -82,9 +82,9 @@ class Planner:
         self._rest.place(robot, LEGS)
 
     def found(self, pose: Pose) -> Figure:
-        """The figure of a robot whose running legs have this `pose`, with the moves that bring its legs in order.
+        """Return the figure of a robot whose running legs have this `pose`, with the moves that order its legs.
 
-        Its other legs are slack and may be anywhere. If its lowest feet carry it, they are on the ground; else it lies.
+        The other legs are slack and may be anywhere. If the lowest feet carry the robot, they stand; else it lies.
         """
         if not pose:
             return self._rest.copy()
@@ -103,7 +103,7 @@ class Planner:
         return Figure(body, feet, whole, tuple(self._folded(whole)), sits=True)
 
     def way(self, begin: Figure, stance: Stance | None) -> tuple[Move, ...]:
-        """The moves from `begin` to a stance; None: to the seat. Raises WalkError if there is no way."""
+        """Return the moves from `begin` to a stance (None: to the seat). Raises WalkError if there is no way."""
         goal = stance or self._seat
         for plan in self._plans(begin, goal):
             if self._works(begin, plan):
@@ -117,7 +117,7 @@ class Planner:
     # ---- the plans
 
     def _plans(self, figure: Figure, goal: Stance) -> Iterator[list[Move]]:
-        """Lower hanging feet; then go to a height at which all feet can step, step, and take the pose."""
+        """Lower hanging feet, go to a height at which all feet can step, step, and take the pose."""
         body, feet = figure.body, figure.feet
         hanging = [leg for leg in LEGS if feet[leg][2] > 0.0]
         begin = [lowered(feet, hanging)] if hanging else []
@@ -156,7 +156,7 @@ class Planner:
     # ---- whether one works
 
     def _works(self, begin: Figure, plan: Sequence[Move]) -> bool:
-        """Whether the legs can follow it, from the pose that they have, and the robot does not fall meanwhile."""
+        """Whether the legs can follow the plan from their pose, and the robot does not fall."""
         figure = begin.copy()
         try:
             for move in plan:
@@ -181,13 +181,13 @@ class Planner:
 
 
 def lying_deg(robot: Robot) -> dict[int, float]:
-    """The angle of each servo of a robot that lies, its feet just off the ground. Raises WalkError."""
+    """Return each servo's angle (degrees) when the robot lies, feet 2 cm up. Raises WalkError if it cannot."""
     pose = Planner(robot).found({}).pose
     return {10 * leg + joint: round(deg, 2) for leg, degs in pose.items() for joint, deg in enumerate(degs, start=1)}
 
 
 def balanced(robot: Robot, figure: Figure, stand: Iterable[int]) -> bool:
-    """Whether the centre of mass is well inside the polygon of the feet that stand."""
+    """Whether the centre of mass is at least MARGIN_M inside the polygon of the feet that stand."""
     joints_rad = {leg: robot.joints_rad(leg, angles) for leg, angles in figure.pose.items()}
     x, y, _ = centre_of_mass(robot, figure.body, joints_rad)
     return margin_m((x, y), [figure.feet[leg][:2] for leg in stand]) >= MARGIN_M

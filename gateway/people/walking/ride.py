@@ -40,7 +40,7 @@ HOLD_S: Final = 0.5
 REST_S: Final = 10.0
 """Servos that hold a robot up get hot."""
 START_PAUSE_S: Final = 0.015
-"""Least pause between the starts of two legs: a servo draws most then. A tick of 50 Hz, less what it may come early."""
+"""Least pause between the starts of two legs, when servos draw most: a tick of 50 Hz, less its jitter."""
 GIVES_UP_S: Final = 2.0
 """How long a fallen or lifted robot stands still; then nothing is sent, so the gateway stops it."""
 _ALL: Final = frozenset(LEGS)
@@ -54,9 +54,9 @@ class Silences(NamedTuple):
     rest_s: float = REST_S
     """After a command, while the robot stands: then it sits down and is stopped."""
     idle_s: float = math.inf
-    """After a press, or a wish that moves, although wishes continue: then it sits down as well."""
+    """After a press, or a wish that moves, although wishes continue: then the robot sits down as well."""
     halted_s: float = math.inf
-    """After a command, if it cannot sit because a leg is lost: then it is stopped as it stands."""
+    """After a command, if the robot cannot sit because a leg is lost: then it is stopped as it stands."""
 
 
 class Wish(NamedTuple):
@@ -124,7 +124,7 @@ class Ride:
     ) -> None:
         """`running`: legs that run already, in degrees; if all six do, they are held at once for their watchdog.
 
-        `once`: over permanently after it has sat down or failed. Raises WalkError.
+        `once`: over permanently after it has sat down or failed. Raises WalkError for an unknown gait or terrain.
         """
         self._once = once
         self._terrain = terrain_named(terrain)
@@ -145,14 +145,14 @@ class Ride:
         self._leaving = False
         self._wants_again = False
         self._takes_over = running is not None and running.keys() == _ALL
-        """Without a command so far it begins only if all six still run."""
+        """Without a command so far: begin only if all six still run."""
         self._found = False
         """Whether the gateway was asked who runs, since the legs were last at rest."""
         self._ours = False
         """Whether legs that it started may run."""
         self._running: frozenset[int] = frozenset()
         self._arrived = True
-        """Whether servos that were started are where they were sent."""
+        """Whether started servos have arrived."""
         self._sent: dict[int, Angles] = {}
         """Where each leg was sent last."""
         self._started_s = -math.inf
@@ -197,7 +197,7 @@ class Ride:
         self._said_s = now_s
 
     def wish(self, wish: Wish, now_s: float) -> None:
-        """Carry out what has changed. With a used press it only shows that the driver is there. Raises nothing."""
+        """Carry out what has changed. With a used press a wish only shows that the driver is there. Raises nothing."""
         self.look(now_s)
         self._said_s = now_s
         if wish.press > self._press:
@@ -249,7 +249,7 @@ class Ride:
         return RideStep(RideTask.SEND, pose)
 
     def look(self, now_s: float) -> None:
-        """Apply the silences. When the ride is over, its running legs are to be stopped."""
+        """Apply the silences. If the ride ends, its running legs are to be stopped."""
         if self._found and now_s - self._started_s > self.robot.limp_s > 0:
             self._run_if_started()
         silent_s = now_s - self._said_s
@@ -277,7 +277,7 @@ class Ride:
                 self.over = True
 
     def found(self, robot: Robot, running: Pose, now_s: float) -> None:
-        """By the gateway's newest state these legs run, at these angles; the answer to FIND. Raises WalkError."""
+        """Answer FIND: by the gateway's newest state these legs run, at these angles. Raises WalkError."""
         engine = self._engine
         if not self._wants_again:
             if running or engine.posture not in DOWN:
@@ -309,7 +309,7 @@ class Ride:
     def stopped(self, error: StoppedError, running: Iterable[int]) -> frozenset[int]:
         """Legs were stopped. `running`: those that run by the gateway's state, asked for after `error`.
 
-        Returns the legs that stand still from now on; none: the ride has failed.
+        Return the legs that stand still from now on; if none, the ride has failed.
         """
         engine = self._engine
         left = (self._running & frozenset(running)) - frozenset(error.legs)
@@ -338,7 +338,7 @@ class Ride:
         self._spend(error.lasting if isinstance(error, GatewayError) else str(error))
 
     def ended(self) -> None:
-        """Its legs are stopped. A command that came meanwhile starts it again."""
+        """The legs are stopped. A command that came meanwhile starts them again."""
         self._ours, self._found, self._running = False, False, frozenset()
         if self.phase is Phase.ENDS:
             self.phase = Phase.RESTS if self.over else Phase.STARTS
@@ -400,7 +400,7 @@ class Ride:
         self._prepare()
 
     def _prepare(self, stance: Stance | None = None) -> None:
-        """Find out now what takes longer than a tick."""
+        """Compute now what takes longer than a tick."""
         if self._terrain == "adapt":
             self.robot.widened((stance or self._engine.stance).body)
 
@@ -418,7 +418,7 @@ class Ride:
         return self._engine.step(self._velocity, elapsed_s, telemetry if self._terrain == "adapt" else None)
 
     def _is_silent(self, now_s: float) -> bool:
-        """A way to another posture is no silence, however long it takes: the time counts from its end."""
+        """A way to another posture is no silence: the time counts from its end."""
         return now_s - max(self._said_s, self._busy_s) > self.silences.rest_s
 
     def _check(self) -> None:

@@ -40,12 +40,12 @@ class Stance(NamedTuple):
     feet: Mapping[int, Vector]
     """Where they rest, in the ground frame."""
     radius_m: float
-    """Of the disc around its resting place in which each foot stays, on the ground and lifted."""
+    """Of the disc around its resting place. Each foot stays in its disc, on the ground and lifted."""
     why: str = ""
     """The limit that keeps the discs from being larger."""
 
     def check_walks(self) -> None:
-        """Raises WalkError if its feet have no room for a stride."""
+        """Raise WalkError if the feet have no room for a stride."""
         if self.radius_m < LEAST_RADIUS_M:
             raise WalkError(f"its limits leave it no stride {_pose(self.body)}: {self.why}")
 
@@ -59,9 +59,9 @@ LIFT_M: Final = 0.035
 STRIDE_RADIUS_M: Final = 0.055
 """How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""
 LEAST_RADIUS_M: Final = 0.008
-"""With less it would only shuffle."""
+"""A smaller disc leaves no stride."""
 WIDE_RAD: Final = math.radians(12.0)
-"""A body that leans so far needs its feet further out: short legs below it would leave them no stride."""
+"""A body that leans this far needs its feet further out: legs right below it would have no stride."""
 _WIDE_RADIUS_M: Final = 0.030
 _SPARE_DEG: Final = 0.5
 """Of a joint's limits, kept free in the disc."""
@@ -84,15 +84,15 @@ class Robot:
         starts_whole: bool = False,
         fed_singly: bool = False,
     ) -> None:
-        """`ranges`: of servos whose range is smaller than 0 to 180, or whose speed is limited. Raises WalkError.
+        """`ranges`: of servos whose range is smaller than 0 to 180, or whose speed is limited.
 
-        `starts_whole`: its controller starts and stops all six legs at once, and no single one. `fed_singly`: a power
-        board feeds each servo from its start on, one after the other.
+        `starts_whole`: the controller starts and stops only all six legs. `fed_singly`: a power board feeds the servos
+        one after the other, each from its start. Raises WalkError if limits leave a servo no angle.
         """
         self.geometry = geometry
         self.starts_whole = starts_whole
         self.limp_s = FEED_S if fed_singly else 0.0
-        """For this long behind the last start a servo may not be fed yet."""
+        """For this time after the last start a servo may not be fed yet."""
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
         heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]
@@ -102,15 +102,15 @@ class Robot:
         coxa_m, femur_m, tibia_m = parts_m
         steps = int((femur_m + tibia_m) / _REACH_STEP_M)
         self._reaches_m = tuple(coxa_m + femur_m + _REACH_STEP_M * step for step in range(-2, steps))
-        """How far from its mount a foot may rest: below the knee or further out. A short one needs the least force."""
+        """How far from its mount a foot may rest: below the knee or further out. The shortest needs the least force."""
         shoulder_m = (max(heights_m) + min(heights_m)) / 2 + geometry.joints[0].origin_xyz_m[2]
         self.usual_m = round(max(_HEIGHT * (tibia_m - shoulder_m), self.lying_m), 3)
-        """The height at which it stands by default."""
+        """The height at which the robot stands by default."""
         self.stance = lru_cache(maxsize=16)(self._stance)
         self.widened = lru_cache(maxsize=16)(self._widened)
 
     def angles_deg(self, leg: int, foot_m: Vector, spare_deg: float = 0.0) -> Angles:
-        """The servos' angles for this foot position (body's frame). Raises WalkError, which names the limit."""
+        """Return the servos' angles for this foot position (body's frame). Raises WalkError with the limit."""
         joints_rad = self.limbs[leg].inverse(foot_m)
         first, second, third = (
             self._angle_deg(10 * leg + joint, angle_rad, spare_deg)
@@ -130,9 +130,9 @@ class Robot:
         return self.limbs[leg].forward(self.joints_rad(leg, angles_deg)).foot_m
 
     def _stance(self, body: BodyPose, *, walks: bool = True) -> Stance:
-        """Where its feet rest at this pose with the largest discs. Raises WalkError if they cannot.
+        """The stance at this pose with the largest discs. Raises WalkError if there is none.
 
-        With `walks` they need room for a stride; without, they only stand.
+        `walks`: the feet need room for a stride; without it they only stand.
         """
         if not all(map(math.isfinite, body)):
             raise WalkError("a height and a leaning are finite numbers")
@@ -157,7 +157,7 @@ class Robot:
         return Stance(body, MappingProxyType(feet), radius_m, str(why))
 
     def _widened(self, body: BodyPose) -> Mapping[int, Vector]:
-        """Where feet rest that keep `_WIDE_RADIUS_M` however the body leans by WIDE_RAD; as ever, where none do."""
+        """Where feet keep `_WIDE_RADIUS_M` in each lean by WIDE_RAD; the stance's places if there are none."""
         height_m, roll_rad, pitch_rad = body
         leaning = [
             BodyPose(height_m, roll_rad + WIDE_RAD * across, pitch_rad + WIDE_RAD * along)
@@ -238,12 +238,12 @@ _FULL_DEG = 180.0
 
 
 def ranges(limits: LimitsReport, calibration: Calibration | None) -> dict[int, Range]:
-    """The range of each servo, in the degrees of commands; without a limit the speed is that of a usual servo."""
+    """Return each servo's range, in the degrees of commands. Without a limit the speed is a usual servo's."""
     return {servo_id: _range(str(servo_id), limits, calibration) for servo_id in SERVO_IDS}
 
 
 def check_mirrored_once(geometry: Geometry, calibration: Calibration | None) -> None:
-    """Raises WalkError if both invert the same joint of some legs, which would then move the wrong way.
+    """Raise WalkError if both invert the same joint of some legs, which would then move the wrong way.
 
     A wrong zero cannot be noticed: only the file states it.
     """
@@ -262,7 +262,7 @@ def check_mirrored_once(geometry: Geometry, calibration: Calibration | None) -> 
 
 
 def running_deg(state: GatewayState) -> dict[int, Angles]:
-    """The legs with all servos running, and their commanded angles in degrees."""
+    """Return the legs with all servos running, and their commanded angles in degrees."""
     found: dict[int, Angles] = {}
     for leg in state.legs:
         angles = [servo.angle_deg for servo in leg.servos if servo.running and servo.angle_deg is not None]
@@ -272,7 +272,7 @@ def running_deg(state: GatewayState) -> dict[int, Angles]:
 
 
 def arrived(state: GatewayState) -> bool:
-    """Whether no running servo is still on its way to where it was commanded; an older gateway lacks it."""
+    """Whether all running servos have reached their commanded angles; an older gateway reports no targets."""
     running = (servo for leg in state.legs for servo in leg.servos if servo.running)
     return all(servo.target_deg in (None, servo.angle_deg) for servo in running)
 

@@ -18,7 +18,7 @@ from gateway.people.walking.ways import Figure
 
 _ALMOST: Final = 1e-9
 _PRESSED_M: Final = 0.004
-"""So far below the ground a foot that carries is commanded at least: servos give way."""
+"""A foot that carries is commanded at least this far below the ground: servos give way."""
 
 
 class Swing(NamedTuple):
@@ -40,8 +40,8 @@ class Swing(NamedTuple):
     ) -> "Descent":
         """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown.
 
-        It waits for its contact for `waits_s` before it goes on down, and longer at the lowest point. A contact is
-        reported `lag_s` late: the ground is where the foot was then.
+        The foot waits `waits_s` for its contact before it goes on down, and longer at the lowest point. A contact is
+        reported `lag_s` late: the ground is where the foot was at contact.
         """
         met_m = self._height_m(lag_s, now_m)
         if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > EARLY_M)):
@@ -81,7 +81,7 @@ class Descent(NamedTuple):
     hangs: bool = False
     """It found no ground as far down as it may go."""
     rises_m: float = 0.0
-    """By how much it went too deep before its contact was reported."""
+    """How far (metres) it went too deep before its contact was reported."""
 
 
 @dataclass(slots=True)
@@ -96,16 +96,16 @@ class State(Figure):
     """The time in strides."""
     odometry: Odometry = ORIGIN
     part: float = 0.0
-    """How much of the first of its moves is done, 0 to 1."""
+    """The part of its first move that is done, 0 to 1."""
     rests: dict[int, Vector] = field(default_factory=dict)
-    """Where the feet rest that were set down further out than their stance has them, since the body leans."""
+    """Where feet rest that were set down further out than in their stance, since the body leans."""
     rises: dict[int, float] = field(default_factory=dict)
-    """How much higher (metres) the ground is under feet that went too deep, since their contact was reported late."""
+    """How far (metres) feet went too deep, since their contact was reported late."""
     waits_s: float = LATE_S
     """How long a foot waits for its contact where the ground was expected."""
     lateness: Lateness = UNKNOWN_LATENESS
     paused_s: float = 0.0
-    """How long feet wait in a stride: its stances last longer by that."""
+    """How long (seconds) feet wait in a stride; its stances last longer by this time."""
     hanging: frozenset[int] = frozenset()
     """Legs whose feet found no ground, when the walk went `over`."""
     over: Velocity = STILL
@@ -118,7 +118,7 @@ class State(Figure):
         return new
 
     def touched(self, late_s: float) -> None:
-        """Take a contact, this long after its foot arrived where the ground was expected (before: below 0)."""
+        """Take a contact, this long after its foot arrived at the expected ground (below 0: before)."""
         self.lateness = self.lateness.after(late_s)
 
     def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:
@@ -132,7 +132,7 @@ class State(Figure):
             self.hanging, self.over = self.hanging | {leg}, over if over.moves else self.over
 
     def goes_over(self, velocity: Velocity) -> bool:
-        """Whether this velocity leads on over an edge; back from there it may go."""
+        """Whether this velocity leads further over an edge. The way back is allowed."""
         return bool(self.hanging) and sum(a * b for a, b in zip(velocity, self.over, strict=True)) > 0
 
     def rise(self, seconds: float) -> None:

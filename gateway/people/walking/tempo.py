@@ -1,7 +1,7 @@
 """How fast a gait goes: its tempo, the slew of its velocity, and the servos' speed. Pure.
 
-A stride that is too long for the feet's discs goes in a shorter time, with lower steps; a servo that is too slow slows
-everything down.
+A stride that is too long for the feet's discs takes less time, with lower steps. A servo that is too slow slows all
+motion down.
 """
 
 import math
@@ -21,33 +21,33 @@ SLEW_M_S2: Final = 0.25
 SLEW_RAD_S2: Final = 1.2
 """The angular acceleration."""
 _LEAST_TEMPO: Final = 0.37
-"""Of a gait's period, with usual servos. With a shorter one they lose more by their speed than the strides win."""
+"""Of a gait's period, with usual servos. A shorter period loses more by their speed than its strides gain."""
 TEMPO_SPARE: Final = 0.93
-"""Of a disc: feet are lifted at ticks, so a little late."""
+"""Of a disc: feet are lifted at ticks, up to a tick late."""
 _TEMPO_S: Final = 1.0
-"""A change of the tempo by 1 takes this long: it moves the feet that swing."""
+"""A change of the tempo by 1 takes this long, since the change moves swinging feet."""
 _QUICK_LIFT_M: Final = 0.020
 """How high feet are lifted at the least tempo."""
 _QUICK_CLIMB: Final = 0.3
-"""In which part of a swing, then: a foot below 10 mm, which may touch, moves straight up and down."""
+"""The part of a swing for that climb: a foot below 10 mm, which may touch, moves straight up and down."""
 SPEED_SPARE: Final = 0.95
-"""Of a servo's speed: the gateway measures from its own last frame, which may be a little early or late."""
+"""Of a servo's speed: the gateway measures from its own last frame, whose time varies a little."""
 _HALVINGS: Final = 7
 STOPS_WITHIN: Final = 0.35
-"""Of a stride: the velocity is 0 by then, so that the last swing ends within the stride."""
+"""Of a stride. The velocity is then 0, so that the last swing ends within the stride."""
 HALT_S: Final = 0.15
-"""The time in which it stops after the loss of a leg."""
+"""The time to stop after the loss of a leg."""
 _ALMOST: Final = 1e-9
 
 
 def least(robot: Robot) -> float:
-    """The least tempo of this robot: with slower servos it is nearer to 1."""
+    """Return the least tempo of this robot, in parts of the gait's period. Slower servos bring it nearer to 1."""
     slowest_deg_s = min(each.max_speed_deg_s for each in robot.ranges.values())
     return min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, _ALMOST)))
 
 
 def wanted(stride: float, least_tempo: float) -> float:
-    """The tempo for this stride, which is in parts of its disc at the gait's usual tempo."""
+    """Return the tempo for this stride, given in parts of its disc at the gait's usual tempo."""
     return max(least_tempo, min(1.0, TEMPO_SPARE / stride if stride else 1.0))
 
 
@@ -58,14 +58,14 @@ def nearer(now: float, then: float, seconds: float) -> float:
 
 
 def at_tempo(gait: Gait, tempo: float) -> tuple[Gait, float, float]:
-    """The gait at this tempo; how high a foot is lifted (metres), and in which part of its swing."""
+    """Return the gait at this tempo, the height of a lifted foot (m), and the part of a swing in which it climbs."""
     haste = (1.0 - tempo) / (1.0 - _LEAST_TEMPO)
     lift_m = LIFT_M + (_QUICK_LIFT_M - LIFT_M) * haste
     return gait._replace(period_s=gait.period_s * tempo), lift_m, CLIMB + (_QUICK_CLIMB - CLIMB) * haste
 
 
 def fastest(robot: Robot, before: Pose, after: Pose, seconds: float) -> tuple[float, int]:
-    """The speed that comes nearest to its servo's limit, as a part of that, and the servo."""
+    """Return the speed nearest to its servo's limit, as a part of that limit, and the servo."""
     most = 0.0, 0
     for leg, angles in after.items():
         for joint, (old, new) in enumerate(zip(before[leg], angles, strict=True), start=1):
@@ -81,7 +81,7 @@ def needs_s(change: Velocity) -> float:
 
 
 def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Velocity:
-    """The next velocity on the way to `target`; a walk that ends brakes evenly, within `stops_s`."""
+    """Return the next velocity on the way to `target`. A walk that ends brakes evenly, within `stops_s`."""
     now = state.velocity
     if target.moves:
         state.brake_s = 0.0
@@ -98,7 +98,7 @@ def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Ve
 
 
 def largest(fits: Callable[[float], bool]) -> float:
-    """The largest part from 0 to 1 that fits, where smaller ones do."""
+    """Return the largest part from 0 to 1 that fits; all smaller parts must fit, too."""
     if fits(1.0):
         return 1.0
     low, high = 0.0, 1.0
@@ -116,16 +116,16 @@ _M_S: Final = 0.08
 _RAD_S: Final = 0.25
 """The speeds that tests/walking judges for a tripod gait; the engine scales them down for shorter strides."""
 _GENTLY: Final = 0.5
-"""Of the engine's own deceleration: a velocity has an effect a tick or two after it was computed."""
+"""Of the engine's own deceleration: a velocity takes effect one or two ticks after its computation."""
 _NEAR: Final = 0.0005
-"""Metres or radians at which it has arrived."""
+"""Metres or radians that count as arrived."""
 
 
 class Distance:
     """A distance or a turn, which begins with the first call of `next`."""
 
     def __init__(self, amount: float, *, turns: bool) -> None:
-        """Metres, forward above 0; `turns`: radians, counter-clockwise above 0. Raises WalkError."""
+        """Metres, forward above 0; `turns`: radians, counter-clockwise above 0. Raises WalkError above 20 m or 4π."""
         name, most, meant = ("radians", MOST_RAD, "degrees") if turns else ("metres", MOST_M, "millimetres")
         if isinstance(amount, bool) or not isinstance(amount, int | float) or not math.isfinite(amount):
             raise WalkError(f"{name} is {amount!r}; a distance is a finite number")
@@ -137,7 +137,7 @@ class Distance:
         self._nearest, self._nearer_s = math.inf, 0.0
 
     def next(self, state: WalkState, now_s: float) -> Velocity | None:
-        """The velocity now; None: it has arrived. Raises WalkError if the robot comes no nearer."""
+        """Return the velocity now; None at the goal. Raises WalkError if the robot comes no nearer for 30 s."""
         if self._begin is None:
             self._begin, self._nearer_s = state.odometry, now_s
         left = math.copysign(1.0, self._amount) * (self._amount - self._gone(state.odometry))

@@ -24,7 +24,7 @@ _BEND_DEG_S: Final = 90.0
 _LEAST_S: Final = 0.2
 _UPRIGHT: Final = 0.15
 CLIMB: Final = 0.4
-"""Of a stride's swing: in so much of it a foot goes up, and down again at its end."""
+"""The part of a swing in which a foot goes up, and in which it comes down again."""
 _TURNING: Final = 0.05
 ON_GROUND_M: Final = 0.004
 """A foot below this height stands."""
@@ -89,7 +89,7 @@ class Figure:
     moves: tuple[Move, ...] = ()
     """The rest of the way to another posture."""
     sits: bool = False
-    """Whether it sits or lies, at the end of its way if it is on one."""
+    """Whether it sits or lies, after its moves."""
 
     def copy(self) -> Self:
         new = copy(self)
@@ -113,14 +113,14 @@ class Figure:
                 self.feet[leg] = self.body.grounded(robot.foot_m(leg, angles), turn)
 
     def place(self, robot: Robot, legs: Iterable[int]) -> None:
-        """Set the joints for the positions of these feet. Raises WalkError."""
+        """Set the joints for the positions of these feet. Raises WalkError if a leg does not reach."""
         turn = self.body.turn
         for leg in legs:
             self.pose[leg] = robot.angles_deg(leg, self.body.seen(self.feet[leg], turn))
 
 
 def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[Footsteps]:
-    """Three feet at a time to their places; those that are there already stay."""
+    """Yield the steps of three feet at a time to their places. Feet that are there already stay."""
     for tripod in TRIPODS:
         paths = {
             leg: (feet[leg], places[leg])
@@ -132,7 +132,7 @@ def steps(feet: Mapping[int, Vector], places: Mapping[int, Vector]) -> Iterator[
 
 
 def shift(begin: BodyPose, end: BodyPose) -> Iterator[Shift]:
-    """The shift of the body; none if it is there already."""
+    """Yield the shift of the body, if it is not there already."""
     if begin != end:
         yield Shift(begin, end)
 
@@ -148,9 +148,9 @@ def smooth(part: float) -> float:
 def across(part: float) -> float:
     """How far a swing is from its lift-off to its landing, 0 to 1.
 
-    At both ends it stays above one place of the ground: servos give way under load, and a low foot that moves would
-    push the robot back. With 15 % of the swing at each end the simulated robot (tests/walking) goes as far as its
-    steps, without them 7 to 13 % less.
+    At both ends the foot stays above one place: servos give way under load, and a low foot that moves would push the
+    robot back. With 15 % of the swing at each end the simulated robot (tests/walking) goes as far as its steps; without
+    these parts 7 to 13 % less.
     """
     return ease((part - _UPRIGHT) / (1.0 - 2.0 * _UPRIGHT))
 
@@ -172,7 +172,7 @@ def bump(part: float) -> float:
 
 
 def outward(swing_s: float, stance_s: float) -> float:
-    """By which factor a swing is wider than a stance: at its ends the foot moves with the ground."""
+    """Return by which factor a swing is wider than a stance: at its ends the foot moves with the ground."""
     return 1.0 + 2.0 * _UPRIGHT * swing_s / stance_s + _TURNING
 
 

@@ -1,8 +1,7 @@
 """What the robot does now, in sentences for people. Pure.
 
-What holds now comes from the gateway's newest state alone: a driver (a `Ride`) knows only what it wanted, and adds no
-more than the posture. What has ended a drive is an error's sentence, in the past tense: it stays true however long it
-is shown.
+Only the gateway's newest state shows what is true now. A driver (a `Ride`) knows only what it wanted, and adds the
+posture. An error's sentence states what has ended a drive, in the past tense, so it stays true on a screen.
 """
 
 from typing import Final
@@ -30,10 +29,10 @@ _POSTURES: Final = {
 
 
 def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | None = None) -> str:
-    """What the robot does, in one sentence without its full stop.
+    """Return what the robot does, in one sentence without its full stop.
 
-    `age_s`: how long ago the state was received. `walk`: of a walk that has not ended; a leg that is stopped in the
-    state outweighs its posture.
+    `age_s`: how long ago the state was received. `walk`: the state of a walk that has not ended. A leg that is stopped
+    in `state` outweighs its posture.
     """
     if state is None:
         return "What it does is not known: the gateway has published no state yet"
@@ -43,7 +42,7 @@ def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | 
 
 
 def ground_now(walk: WalkState) -> str:
-    """What a walk by sensors feels of the ground, and how far it has levelled itself; empty for any other walk."""
+    """Return what a walk by sensors feels of the ground, and how far it has levelled itself; "" for other walks."""
     if walk.terrain != "adapt":
         return ""
     if walk.tilt_deg is None and walk.carrying is None:
@@ -68,10 +67,10 @@ class Newest:
         """The state and when it was received: one object, since reports arrive on another thread."""
 
     def take(self, state: GatewayState, now_s: float) -> None:
-        """Reports and answers may overtake each other: an older state may come later, by less than `NEWS_S`."""
+        """Take a state. Reports and answers may overtake each other: an older state comes less than `NEWS_S` later."""
         newest, _ = self._newest
         late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s
-        if not 0 < late_s < NEWS_S:  # by more than that: the gateway was started anew
+        if not 0 < late_s < NEWS_S:  # otherwise the gateway was restarted
             self._newest = state, now_s
 
     @property
@@ -87,7 +86,7 @@ class Newest:
 
 
 def _of_mode(state: GatewayState) -> str:
-    """Empty while the legs may run."""
+    """The sentence of the mode; "" if the legs may run."""
     if state.mode == Mode.ESTOPPED:
         by = "" if state.estop_source is None else f" by {state.estop_source}"
         return f"Emergency stop{by}: nothing runs until a reset"
