@@ -53,9 +53,12 @@ class PluginDevice(SpiDevice):
         self._listener = None if self._lock is None else Listener(self._lock)
         try:
             wire.open()
-        except OSError as error:
+        except (Exception, SystemExit) as error:  # of somebody else's code, whose exit code would be the gateway's
+            if not isinstance(error, OSError):
+                with suppress(Exception, SystemExit):
+                    wire.apply(_STOP_ALL)
             self.close()
-            raise SpiError(f"{name}: {_words(error)}") from error
+            raise self._fault(error) from error
 
     def transfer(self, batch: Batch) -> None:
         """Write the batch's frames in one call. Raises SpiError."""
@@ -70,12 +73,16 @@ class PluginDevice(SpiDevice):
             changes = _STOP_ALL
         try:
             self._wire.apply(changes)
-        except (Exception, SystemExit) as error:  # of somebody else's code, whose exit code would be the gateway's
+        except (Exception, SystemExit) as error:
             if stops and len(changes) < len(SERVO_IDS):
                 self._stop_singly(changes)
-            if isinstance(error, OSError):
-                raise SpiError(f"{self._name}: {_words(error)}") from error
-            raise RuntimeError(f"{self._name}: {type(error).__name__}: {error}") from error
+            raise self._fault(error) from error
+
+    def _fault(self, error: BaseException) -> Exception:
+        """A fault of the bus, or a bug, which ends the gateway."""
+        if isinstance(error, OSError):
+            return SpiError(f"{self._name}: {_words(error)}")
+        return RuntimeError(f"{self._name}: {type(error).__name__}: {error}")
 
     def _stop_singly(self, changes: Sequence[tuple[int, float | None]]) -> None:
         """One servo's electronics may be gone, and those behind it in the same call still run."""

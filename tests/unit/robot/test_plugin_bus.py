@@ -51,6 +51,14 @@ def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped() -> None
     assert Exits.stopped == {11, 13}, "a mistake with one servo keeps no Stop from the others"
 
 
+def test_one_that_cannot_be_opened_for_a_bug_gets_stops_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Exits, "stopped", set())
+    monkeypatch.setattr(Exits, "open", lambda _self: sys.exit(2))
+    with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
+        PluginBus(WireSettings("exits", {})).open()
+    assert Exits.stopped == {11}, "up to the servo for which it exits"
+
+
 def test_one_that_exits_where_it_is_made_is_a_sentence() -> None:
     with pytest.raises(ValueError, match='"early" takes no such options: SystemExit'):
         _ = WireSettings("early", {}).plugin
