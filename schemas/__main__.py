@@ -19,7 +19,7 @@ FOLDER = Path(__file__).with_name("json")
 
 
 def documents() -> dict[str, str]:
-    """File name → text of each payload's JSON Schema."""
+    """Return the text of each payload's JSON Schema, by file name."""
     commands: dict[str, TypeAdapter[Any]] = {
         "ServoCommand": SERVO_COMMAND,
         **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand)},

@@ -31,7 +31,7 @@ class Alive(Closed):
 
 
 class Leave(Closed):
-    """Ends the registration on purpose."""
+    """Ends the registration."""
 
     do: Literal["leave"]
     button: Annotated[ButtonToken, Field(repr=False)]
@@ -55,5 +55,5 @@ class ButtonAck(Answer):
 
 
 def signed_text(do: str, source: str, nonce: str) -> bytes:
-    """What the proof of a registration signs: ECDSA or RSA (PKCS #1 v1.5) with SHA-256."""
+    """Return what the proof of a registration signs: ECDSA or RSA (PKCS #1 v1.5) with SHA-256."""
     return f"hexapod-button-1\n{do}\n{source}\n{nonce}".encode()

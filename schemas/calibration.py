@@ -13,7 +13,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Count, Report
 
 MAX_TRIM_DEG: Final = 90.0
-"""A horn further off is mounted a quarter of a turn wrong, and should be moved by hand."""
+"""A horn that is further off is mounted a quarter of a turn wrong; move it by hand."""
 
 TrimDeg = Annotated[
     float,
@@ -35,7 +35,7 @@ if get_args(ServoName) != tuple(map(str, SERVO_IDS)):  # a type cannot be comput
 
 
 class ServoCalibration(Report):
-    """One servo: `wire = (180 - angle if inverted else angle) + trim_deg`; the limits are users' angles."""
+    """One servo: `wire = (180 - angle if inverted else angle) + trim_deg`. The limits are angles of commands."""
 
     trim_deg: Annotated[float, Field(description="added to the angle on the wire")] = 0.0
     inverted: Annotated[bool, Field(description="180 - angle on the wire")] = False
@@ -44,7 +44,7 @@ class ServoCalibration(Report):
 
 
 class Calibration(Report):
-    """The payload of `hexapod/calibration`: what is in force. An unnamed servo has no trim and the full range."""
+    """The payload of `hexapod/calibration`, in force now. An unnamed servo has no trim and the full range."""
 
     revision: Annotated[Count, Field(description="counts the changes; 0: the default")]
     servos: Annotated[dict[str, ServoCalibration], Field(description="by id")]
@@ -63,9 +63,9 @@ class ServoChange(Closed):
 class CalibrationCommand(Sender):
     """The payload of `hexapod/calibration/cmd`: a whole Calibration, or the part of it that changes.
 
-    `revision`: of the calibration that it changes; another one in force means that it was changed meanwhile. Without
-    it, nothing is compared. A landing angle of null removes the servo from the landing pose. `accept_default` accepts
-    the calibration without any trim as this robot's, if its own file cannot be read.
+    `revision`: of the calibration that it changes; if another is in force, the command is rejected. Without it, nothing
+    is compared. A landing angle of null removes the servo from the landing pose. `accept_default` accepts a calibration
+    without any trim if the robot's own file cannot be read.
     """
 
     revision: Annotated[Count | None, Field(description="of the calibration that it changes; another: `stale`")] = None

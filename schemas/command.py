@@ -11,7 +11,7 @@ MAX_PAYLOAD_BYTES: Final = 4096
 """A LegsCommand with all optional fields at full length has some 1200 bytes; a longer payload is rejected unread."""
 
 MAX_SENT_MS: Final = 2**53
-"""285 000 years; above it a double cannot hold whole milliseconds. A larger value is a clock in other units."""
+"""285 000 years. Above it a double cannot hold whole milliseconds; a larger value has other units."""
 
 MAX_NUMBER: Final = 2**53
 """Larger whole numbers are not exact in every JSON reader."""
@@ -32,7 +32,7 @@ SentMs = Annotated[
 
 
 def hex_digits(what: str) -> FieldInfo:
-    """For 128 random bits that the gateway made."""
+    """Return the field of 128 random bits from the gateway; `what` is its description."""
     field: FieldInfo = Field(min_length=32, max_length=32, pattern="^[0-9a-f]{32}$", description=what)
     return field
 
@@ -84,7 +84,7 @@ ServoSetpoint = Annotated[Move | Stop, Field(discriminator="op")]
 
 
 class LegSetpoint(Closed):
-    """What the three servos of one leg should do: joints 1, 2, 3, counted from the body outward."""
+    """The setpoints of one leg's three servos: joints 1, 2, 3, from the body outward."""
 
     servos: Annotated[tuple[ServoSetpoint, ServoSetpoint, ServoSetpoint], Field(description="joints 1, 2, 3")]
 
@@ -116,6 +116,6 @@ SERVO_COMMAND: Final[TypeAdapter[MoveCommand | StopCommand]] = TypeAdapter(
 
 
 class ResetCommand(Sender):
-    """The payload of `hexapod/reset/cmd`; without `estop` (or empty) it is rejected until 2 s after the latest one."""
+    """The payload of `hexapod/reset/cmd`. Without `estop` it is rejected until 2 s after the latest emergency stop."""
 
     estop: EstopNumber | None = None

@@ -26,7 +26,7 @@ GET_ONLY: Final = {
     REVOCATION: "its sender needs the result",
     BUTTON: "a check-in without an answer does not count",
 }
-"""Keys that take `get` only, and why. They move nothing, so COMMAND_KEYS has none of them."""
+"""Keys that take `get` only, and why. They move nothing, so they are not in COMMAND_KEYS."""
 STATE: Final = f"{ROOT}/state"
 CONFIG: Final = f"{ROOT}/config"
 EVENT: Final = f"{ROOT}/event"
@@ -72,14 +72,14 @@ def _no_servo(text: object) -> ValueError:
 
 
 def leg_command(leg: int) -> str:
-    """The command key of `leg`, 1 to 6. Raises ValueError for any other."""
+    """Return the command key of `leg`, 1 to 6. Raises ValueError for any other."""
     if leg not in LEGS:
         raise _no_leg(leg)
     return f"{ROOT}/leg/{leg}/cmd"
 
 
 def servo_command(servo_id: int) -> str:
-    """The command key of a servo: leg 1-6, then joint 1-3, so 11 to 63. Raises ValueError for any other."""
+    """Return the command key of a servo: leg 1-6, then joint 1-3, so 11 to 63. Raises ValueError for any other."""
     if servo_id not in SERVO_IDS:
         raise _no_servo(servo_id)
     return f"{ROOT}/servo/{servo_id}/cmd"

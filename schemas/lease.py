@@ -65,5 +65,5 @@ class LeaseAck(Answer):
 
 
 def signed_text(do: str, source: str, nonce: str) -> bytes:
-    """What a proof signs: ECDSA or RSA (PKCS #1 v1.5) with SHA-256."""
+    """Return what a proof signs: ECDSA or RSA (PKCS #1 v1.5) with SHA-256."""
     return f"hexapod-lease-1\n{do}\n{source}\n{nonce}".encode()

@@ -8,12 +8,11 @@ from schemas.command import Closed
 from schemas.telemetry import Answer
 
 MAX_REVOCATION_BYTES: Final = 16_000
-"""Some 125 revoked certificates. The Zenoh files of `certs` allow 16 384 bytes; a longer list goes to the robot as a
-file."""
+"""Some 125 revoked certificates. The Zenoh files of `certs` allow 16 384 bytes. Copy a longer list as a file."""
 
 
 class RevocationRequest(Closed):
-    """Puts a newer list in force; without a list, it queries the one in force."""
+    """Puts a newer list in force; without a list, queries the list in force."""
 
     revoked: Annotated[str | None, Field(description="newer X.509 CRL (PEM); without it: which is in force?")] = None
 

@@ -8,4 +8,4 @@ JOINTS: Final = range(1, 4)
 SERVO_IDS: Final[tuple[int, ...]] = tuple(10 * leg + joint for leg in LEGS for joint in JOINTS)
 """Leg, then joint: 11 to 63."""
 MAX_DEG: Final = 180.0
-"""A servo's angles are 0 to this."""
+"""A servo's greatest angle; the least is 0."""

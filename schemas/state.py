@@ -1,7 +1,7 @@
-"""The payload of `hexapod/state`, and how it becomes a GatewayState with that of `hexapod/config`.
+"""The payload of `hexapod/state`, which makes a GatewayState together with `hexapod/config`.
 
-A reader with little memory (zenoh-pico with its defaults received nothing of 4 074 bytes) receives each state: what
-seldom changes is on `hexapod/config`, legs are columns, and texts are cut if they are too long together.
+A state must be short for a reader with little memory: zenoh-pico with its defaults received nothing of 4 074 bytes. So
+rare changes are on `hexapod/config`, legs are columns, and texts are cut if they are too long together.
 """
 
 import zlib
@@ -27,7 +27,7 @@ MAX_STATE_BYTES: Final = 2048
 MOST_BUTTONS: Final = 16
 """Names of stop buttons; `buttons.alive` counts all."""
 _CUTS: Final = ((400, 64), (200, 64), (100, 64), (48, 64), (24, 64), (16, 32), (12, 16), (8, 8), (4, 4), (1, 1))
-"""Most characters of a text, and of a name of who commands. The first that fits is used; the last always fits."""
+"""Most characters of a text, and of a sender's name. The first pair that fits is used; the last always fits."""
 
 _IN_BOTH: Final = ("spi", "watchdog", "buttons")
 """Parts that have settings and counters."""
@@ -67,7 +67,7 @@ class StateReport(ChangingState):
     sources: Annotated[tuple[str, ...], Field(max_length=len(LEGS), description="whose commands are in force")] = ()
 
     def cut(self, most: int, most_source: int) -> "StateReport":
-        """The same with at most `most` characters in each text, and `most_source` in each name of who commands."""
+        """Return the report with at most `most` characters in each text, and `most_source` in each sender's name."""
         lease, buttons, power = self.lease, self.buttons, self.power
         names = {"holder": _cut(lease.holder, most_source), "asked_by": _cut(lease.asked_by, most_source)}
         buttons_names = tuple(_cut(each, most) for each in buttons.names[:MOST_BUTTONS])
@@ -89,10 +89,10 @@ class Payloads:
 
     def __init__(self) -> None:
         self._newest: tuple[ConfigReport, ConfigReport] | None = None
-        """Without and with its checksum, which takes as long as the rest."""
+        """The configuration without and with its checksum, which takes as long as all the rest."""
 
     def of(self, state: GatewayState) -> tuple[StateReport, ConfigReport]:
-        """The payloads of this state."""
+        """Return the payloads of `state`."""
         values = {name: getattr(state, name) for name in ConfigReport.model_fields} | {"config": ""}
         settings = {name: dict(getattr(state, name)) for name in _IN_BOTH}  # without the counters
         plain = ConfigReport.model_validate(values | settings)
@@ -126,7 +126,7 @@ def _fits(report: StateReport) -> bool:
 
 
 def joined(state: StateReport, config: ConfigReport) -> GatewayState:
-    """What both are, for programs."""
+    """Return the state and its configuration as one report, for programs."""
     both = {name: {**dict(getattr(config, name)), **dict(getattr(state, name))} for name in _IN_BOTH}
     return GatewayState.model_validate({**dict(config), **dict(state), **both, "legs": tuple(_legs(state))})
 

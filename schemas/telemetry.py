@@ -15,8 +15,8 @@ CUT = "…"
 class Report(BaseModel):
     """Frozen and open: fields are only ever added, and readers ignore unknown ones.
 
-    An older reader that rejected them would show NOT STOPPED after a successful stop. A report's validator is made when
-    it is first used: the service writes its first Stops before.
+    A reader that rejected unknown fields would show NOT STOPPED after a successful stop. A report's validator is made
+    at its first use, so the service writes its first Stops before.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore", defer_build=True)
@@ -128,7 +128,7 @@ class Cause(Value):
 
 
 class WatchdogState(Value):
-    """State of a leg's watchdog: no servo runs, it is armed, or it has stopped the leg."""
+    """State of a leg's watchdog."""
 
     IDLE = "idle", "no servo runs or waits to start"
     ARMED = "armed", "silence will stop the leg"
@@ -145,7 +145,7 @@ AnyWatchdogState = Annotated[WatchdogState | str, OrText]
 
 
 class Sparse(Report):
-    """One whose null fields are left out of its JSON and its repr."""
+    """A report whose null fields are left out of its JSON and its repr."""
 
     @model_serializer(mode="wrap")
     def _without_nulls(self, handler: SerializerFunctionWrapHandler) -> dict[str, object]:
@@ -163,7 +163,7 @@ class Answer(Sparse):
     detail: Annotated[str | None, Field(description="one sentence")] = None
 
     def or_raise(self) -> Self:
-        """Return itself. Raises gateway.errors.RejectedError with the gateway's reason if the command was rejected."""
+        """Return itself. Raises RejectedError with the gateway's reason if the request was rejected."""
         if not self.accepted:
             from gateway.errors import RejectedError  # noqa: PLC0415  # schemas alone need no gateway
 
@@ -206,9 +206,9 @@ class ServoReport(Report):
 
 
 class LegReport(Report):
-    """One leg; `age_ms`: since an accepted command started or set one of its servos, null before the first.
+    """One leg. `age_ms`: since an accepted command started or set one of its servos; null before the first.
 
-    `source`: of the command in force; null if it has none, and once the gateway itself has stopped the leg.
+    `source`: of the command in force; null if it has none, or if the gateway has stopped the leg.
     """
 
     leg: int
@@ -218,7 +218,7 @@ class LegReport(Report):
     source: str | None = None
 
     def is_of(self, source: str) -> bool:
-        """Whether `source`'s command is in force; a long name may be cut, and then ends with `CUT`."""
+        """Whether `source`'s command is in force. A long name may be cut in the report."""
         shown = self.source or ""
         begin = shown.removesuffix(CUT)
         return shown == source or (begin not in ("", shown) and source.startswith(begin))
@@ -241,7 +241,7 @@ class LegReport(Report):
 
 
 class CommandCounts(Report):
-    """Commands since the start; a coalesced one was accepted, then replaced by a newer one before it was written."""
+    """Commands since the start. A coalesced command was accepted, then replaced by a newer one before its frame."""
 
     accepted: Annotated[Count, Field(description="since the start")]
     rejected: Annotated[Count, Field(description="since the start")]
@@ -303,12 +303,12 @@ class WatchdogReport(WatchdogCounts, WatchdogConfig):
 
     @property
     def stops_after_ms(self) -> float:
-        """Longest time from a leg's last command to its Stop."""
+        """Longest time (ms) from a leg's last command to its Stop."""
         return self.timeout_ms + self.landing_ms
 
 
 class LeaseReport(Report):
-    """The lease. While it is handed over, `holder` is who may acquire it, and `held_s` is null."""
+    """The lease. During a hand-over `holder` is who may acquire it, and `held_s` is null."""
 
     holder: Annotated[str | None, Field(description="who drives; while the lease is handed over, to whom")] = None
     verified: Annotated[bool, Field(description="whether a certificate proved that name")] = False
@@ -335,7 +335,7 @@ class ButtonsReport(ButtonsAlive, ButtonsConfig):
 
 
 class CalibrationReport(Report):
-    """The calibration in force, without its numbers; those are on `hexapod/calibration`."""
+    """The calibration in force. Its numbers are on `hexapod/calibration`."""
 
     revision: Annotated[Count, Field(description="of the calibration in force")] = 0
     fault: Annotated[str | None, Field(description="why the file cannot be used; nothing can start then")] = None
@@ -378,7 +378,7 @@ class Battery(Report):
 
 
 class Imu(Report):
-    """The body's inertial sensor: how it stands, turns and is accelerated, in its own frame."""
+    """The body's inertial sensor: orientation, angular velocity and acceleration."""
 
     orientation_wxyz: Annotated[tuple[float, float, float, float], Field(description="of the body, not normalised")]
     angular_velocity_rad_s: Annotated[tuple[float, float, float], Field(description="x, y, z in the sensor's frame")]
@@ -400,7 +400,7 @@ class Supply(Report):
 
 
 class Telemetry(Sparse):
-    """The payload of `hexapod/telemetry`: what the robot measures; what it does not measure is left out."""
+    """The payload of `hexapod/telemetry`: what the robot measures. Missing measurements are left out."""
 
     time: Annotated[AwareDatetime, Field(description="when it was published")]
     age_ms: Annotated[float, Field(ge=0, description="of the oldest of these values")]
@@ -429,7 +429,7 @@ class WireReport(Report):
 
 
 class ControllerReport(Report):
-    """The controller. One that sends nothing may be dead or alive: null."""
+    """The controller. If it sends nothing, `alive` is null."""
 
     alive: Annotated[bool | None, Field(description="whether it answers; null: this wire has no answers")] = None
     age_ms: Annotated[float | None, Field(description="since its last well-formed answer; null: none")] = None
@@ -497,7 +497,7 @@ class ChangingState(Report):
 
 
 class GatewayState(ChangingState, ConfigReport):
-    """A StateReport and its ConfigReport, joined: what programs get, and what recordings contain."""
+    """A StateReport and its ConfigReport, joined, for programs and recordings."""
 
     legs: tuple[LegReport, ...]
     spi: SpiReport
@@ -505,11 +505,11 @@ class GatewayState(ChangingState, ConfigReport):
     buttons: ButtonsReport = ButtonsReport()
 
     def leg(self, number: int) -> LegReport:
-        """The report of one leg, 1 to 6. Raises KeyError for a leg that the state has not."""
+        """Return the report of one leg, 1 to 6. Raises KeyError if the state has no such leg."""
         return {each.leg: each for each in self.legs}[number]
 
     def angles(self, unit: Literal["deg", "rad"] = "deg") -> Any:
-        """The commanded angles, 6×3: a numpy array (NaN for a stopped servo); tuples where numpy is missing."""
+        """Return the commanded angles, 6×3, NaN for a stopped servo: a numpy array, or tuples without numpy."""
         turn = math.radians if unit == "rad" else float
         rows = tuple(tuple(turn(math.nan if a is None else a) for a in leg.angles_deg) for leg in self.legs)
         try:
@@ -540,7 +540,7 @@ class Event(Report):
 
 
 class FrameRecord(Report):
-    """The payload of `hexapod/frame`: one frame written to SPI, in hex, framing left out."""
+    """The payload of `hexapod/frame`: one frame written to SPI."""
 
     time: Annotated[AwareDatetime, Field(description="when")]
     monotonic_ns: Annotated[int, Field(description="when, by the gateway's monotonic clock")]

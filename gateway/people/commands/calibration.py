@@ -1,4 +1,4 @@
-"""What the commands of `calibrate` do: one change of the calibration each, or a look at it."""
+"""The commands of `calibrate`: each shows the calibration, or changes it once."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -41,7 +41,7 @@ def show(connect: Connection) -> int:
 
 
 def set_servo(connect: Connection, servo_id: int, wanted: Mapping[str, float | bool | None]) -> int:
-    """Change what is not None of one servo. Returns the exit code; raises ConfigError."""
+    """Change one servo's values that are not None. Returns the exit code. Raises ConfigError for a bad value."""
     if servo_id not in SERVO_IDS:
         raise ConfigError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
     named = {name: value for name, value in wanted.items() if value is not None}
@@ -56,14 +56,14 @@ def set_servo(connect: Connection, servo_id: int, wanted: Mapping[str, float | b
 
 
 def export(connect: Connection) -> int:
-    """Print all of it as JSON. Returns the exit code."""
+    """Print the whole calibration as JSON. Returns the exit code."""
     with connect() as client:
         sys.stdout.write(f"{client.calibration().model_dump_json(indent=2)}\n")
     return 0
 
 
 def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
-    """Make a file's calibration the robot's, whole. Returns the exit code; raises ConfigError."""
+    """Send a file's whole calibration; ask first unless `agreed`. Returns the exit code. Raises ConfigError."""
     text = _read(file)
     try:
         found = wire.Calibration.model_validate_json(text)
@@ -89,7 +89,7 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
 
 
 def _read(file: Path) -> str:
-    """A file, or stdin, of no more than the robot's own may have. Raises ConfigError."""
+    """The text of a file, or of stdin (`-`). Raises ConfigError if it is unreadable or too long."""
     try:
         with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
             text = stream.read(_MOST_BYTES + 1)
@@ -101,12 +101,12 @@ def _read(file: Path) -> str:
 
 
 def change_of(servo: ServoMapping) -> wire.ServoChange:
-    """The change that makes a servo's calibration this one."""
+    """Return the change that gives a servo this calibration."""
     return wire.ServoChange(**servo.report.model_dump())
 
 
 def _faults(error: ValidationError) -> str:
-    """Where and what, without the input: whose file that is may not be known."""
+    """Where and what, without the input, which may be somebody else's file."""
     faults = error.errors(include_url=False, include_context=False, include_input=False)
     return "; ".join(": ".join((*map(str, each["loc"]), each["msg"])) for each in faults)
 
@@ -119,7 +119,7 @@ def _row(servo: ServoMapping) -> str:
 
 
 def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
-    """Record where the running servos stand as their angles of the landing pose. Returns the exit code."""
+    """Make the running servos' angles their landing pose. `legs`: empty for all. Returns the exit code."""
     with connect() as client:
         state, calibration = client.state(), calibration_of(client.calibration())
         if state.calibration.fault is not None:
@@ -150,7 +150,7 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
 
 
 def accept_default(connect: Connection, *, agreed: bool) -> int:
-    """Go on with the default where the kept calibration cannot be used. Returns the exit code."""
+    """Use the default if the kept calibration cannot be used. Returns the exit code."""
     with connect() as client:
         state = client.state()
         fault = state.calibration.fault
@@ -169,15 +169,15 @@ def accept_default(connect: Connection, *, agreed: bool) -> int:
 
 
 class NotKeptYetError(GatewayError):
-    """The gateway is there, and has not answered a change: its disk takes long, or hangs."""
+    """The gateway runs, but has not answered a change: its disk is slow, or hangs."""
 
 
 def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
-    """The answer to a change. Raises NotKeptYetError where only that is missing, and what `change` raises."""
+    """Return the answer to `change`. Raises NotKeptYetError if only this answer is missing, else as `change`."""
     try:
         return change()
     except UnansweredError as error:
-        client.state()  # raises where nobody answers at all
+        client.state()  # raises if nobody answers
         raise NotKeptYetError(
             "the gateway runs, and its disk has not taken the change yet: look in some seconds whether it is in force "
             f"({command('calibrate show')}); if the disk hangs, trying again reports this"
@@ -185,7 +185,7 @@ def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
 
 
 def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
-    """Where the running servos of these legs, or of all, are commanded to be, in degrees."""
+    """Return the commanded angles (degrees) of the running servos of these legs (empty: of all), by id."""
     return {
         servo.id: centidegrees(servo.angle_deg) / 100
         for leg in state.legs
@@ -198,10 +198,9 @@ def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
 
 
 def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str, Any]) -> int:
-    """Change the calibration, at once where nobody else drives, else once the lease is free.
+    """Change the calibration, at once if nobody else drives, else once the lease is free.
 
-    Without a lease where that will do: acquiring it would end what somebody holds up without one, and the robot would
-    fall.
+    First without a lease: acquiring one would stop legs that somebody drives without one, and the robot would fall.
     """
     try:
         ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
@@ -219,7 +218,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
 
 
 def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
-    """Wait until the driver has handed over, or ended. Raises LeaseError."""
+    """Change it once the driver has handed over or ended. Raises LeaseError after WAIT_S."""
     holder = client.state().lease.holder
     if holder is not None:
         hint(f"{holder} drives, and is asked for the lease: it is written as soon as that is free, and the")

@@ -21,11 +21,11 @@ _FRAME_HEADERS = frozenset((bytes((ONE_LEG_LEN, ONE_LEG_TYPE)), bytes((ONE_SERVO
 """FRAME LEN and FRAME TYPE of the two kinds of frames."""
 
 _MAX_ECHO = 40
-"""How many of the typed characters a message repeats."""
+"""Most typed characters that a message repeats."""
 
 
 def decode(hex_bytes: Sequence[str], *, as_json: bool = False) -> int:
-    """Explain frames, one line each; for programs a JSON object each."""
+    """Print what frames mean, a line or a JSON object each. Returns the exit code: 1 if one is faulty."""
     try:
         data = b"".join(map(_bytes, " ".join(hex_bytes).replace(",", " ").split()))
     except ValueError as error:
@@ -59,7 +59,7 @@ def _short(word: str) -> str:
 
 
 def _frames(data: bytes) -> Iterator[bytes]:
-    """Split off whole frames from the front; the rest is one piece, explained whole."""
+    """Split off whole frames from the front. The rest is one piece."""
     while data[:2] in _FRAME_HEADERS and len(data) > data[0]:
         yield data[: data[0]]
         data = data[data[0] :]

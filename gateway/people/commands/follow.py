@@ -1,4 +1,4 @@
-"""`hexapod-gateway status --follow`: a line for each change, rejection and event, until it is ended."""
+"""`hexapod-gateway status --follow`: a line for each change, rejection and event, until a signal."""
 
 import json
 import os
@@ -26,8 +26,8 @@ from schemas import keys
 from schemas.telemetry import Event, GatewayState
 
 SILENT_AFTER_NS: Final = 2 * NS_PER_S
-"""Long enough for a gateway that publishes no state, which is asked for it, and for one lost answer (live.py: 0.4 s,
-0.6 s, 0.4 s). The end of its process is noticed at once, by its liveliness token."""
+"""Time for a question to a gateway that publishes no state, and for one lost answer (live.py: 0.4 s, 0.6 s, 0.4 s).
+The liveliness token shows the end of its process at once."""
 _LOOK_S: Final = 0.1
 _OTHERS_S: Final = 0.2
 """How long to wait for replies of other programs than the gateway."""
@@ -43,12 +43,12 @@ class NewsLine(NamedTuple):
 
     @property
     def plain(self) -> str:
-        """For people, with the time of this place."""
+        """For people, with the local time."""
         return f"{self.time.astimezone():%H:%M:%S} {visible(self.kind):18} {visible(self.text)}"
 
 
 class StatusChanges:
-    """What is worth a line, in states and events. Pure: `now_ns` is monotonic, `wall` is for people."""
+    """The changes in states and events. Pure: `now_ns` is monotonic, `wall` is for people."""
 
     def __init__(self) -> None:
         self._known: dict[str, str] = {}
@@ -57,7 +57,7 @@ class StatusChanges:
         self._received_ns: int | None = None
         self._silent = False
         self._said: set[str] = set()
-        """The line for the time of a silence, printed once in it."""
+        """The lines that were printed in the present silence."""
 
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
         """Yield a line for each sentence that differs from the state before."""
@@ -121,13 +121,13 @@ class StatusChanges:
 
 
 def change(wall: datetime, what: str, sentence: str) -> NewsLine:
-    """A line that no event stands for."""
+    """Return the line of a change without an event. `what` names its subject."""
     report = {"time": wall.isoformat(), "kind": "change", "what": what, "detail": sentence}
     return NewsLine(wall, what, sentence, json.dumps(report, ensure_ascii=False))
 
 
 class _Follower(Receiver):
-    """Prints what is received, on the threads that receive: a reader that is slow delays only this program."""
+    """Prints what is received, on the receiving threads: a slow reader delays only this program."""
 
     def __init__(self, show: Callable[[NewsLine], None]) -> None:
         self._show = show
@@ -144,7 +144,7 @@ class _Follower(Receiver):
         self.say(self.changes.received_state(state, received_ns, _wall()))
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        del left_out  # none: events are taken as they come
+        del left_out  # always 0: no event is dropped
         self.say(self.changes.received_event(event, time.monotonic_ns(), _wall()))
 
     def received_token(self, alive: bool) -> None:
@@ -161,9 +161,9 @@ class _Follower(Receiver):
 
 
 def follow(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> NoReturn:
-    """Print lines until Ctrl-C, SIGTERM, or the end of who reads them, then end the process.
+    """Print lines until Ctrl-C, SIGTERM, or the end of their reader, then end the process.
 
-    Waits for a gateway that is not there yet. Raises ConfigError before it begins.
+    Waits for a gateway that does not run yet. Raises ConfigError, before the first line, for a faulty file.
     """
     config = client_config(connect, zenoh_config)  # a faulty file is reported at once
     ended = threading.Event()
@@ -172,13 +172,13 @@ def follow(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
         try:
             sys.stdout.write(f"{line.as_json if as_json else line.plain}\n")
             sys.stdout.flush()
-        except OSError:  # who reads has gone
+        except OSError:  # the reader has gone
             ended.set()
 
     source = "hexapod-gateway status"
     client = partial(Client, connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False)
     follower = _Follower(show)
-    # With a link, the gateway at its end is frozen, or none is behind the router.
+    # With a link, the gateway is frozen, or there is none behind the router.
     unreached = partial(why.unreached, connect, zenoh_config)
     link = Live(client, follower, lambda found: [] if found is not None and found.connected else unreached())
     if (expiring := diagnosis.own_expiry(config)) is not None:
@@ -188,7 +188,7 @@ def follow(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
         while not ended.wait(_LOOK_S):
             follower.say(follower.changes.look(time.monotonic_ns(), _wall()))
         link.close()
-    # Not by the interpreter's own end: it aborts while a thread is inside Zenoh, and one may be for ten seconds.
+    # The interpreter's own end aborts while a thread is inside Zenoh, which may take ten seconds.
     os._exit(0)
 
 

@@ -1,7 +1,7 @@
 """Moving one servo by a few degrees, with consent: what `check --move` and `check --stops` have in common.
 
-People stand next to the robot. Nothing moves unless it is at rest and nobody else drives; a person agrees to which
-servo goes where; and however it ends, a sentence reports whether all is stopped.
+People stand next to the robot. Nothing moves unless the robot is at rest, nobody else drives, and a person agrees to
+the servo and its angles. After each end, also by an error, a sentence reports whether all is stopped.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -31,9 +31,9 @@ class ServoMotion(NamedTuple):
 
     servo_id: int
     start_deg: float
-    """0 to 180. A start sends a servo there at once, wherever it stands."""
+    """0 to 180. A start moves the servo there at once, from any angle."""
     holding: Mapping[int, float] = MappingProxyType({})
-    """The angles of all servos where only the whole robot starts; those that do not move hold them."""
+    """The angles of all servos if only the whole robot starts. The others hold their angle."""
 
     @property
     def end_deg(self) -> float:
@@ -50,11 +50,11 @@ class ServoMotion(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Where commands for the servo go."""
+        """The key of the servo's commands."""
         return keys.LEGS_COMMAND if self.holding else keys.servo_command(self.servo_id)
 
     def payload(self, op: str, angle_deg: float) -> dict[str, Any]:
-        """A start or a set of the servo, and of those that hold."""
+        """Return the payload that starts or sets (`op`) the servo, and those that hold."""
         if not self.holding:
             return {"op": op, "angle_deg": angle_deg}
         angles_deg = {**self.holding, self.servo_id: angle_deg}
@@ -67,12 +67,12 @@ class ServoMotion(NamedTuple):
 
 
 def lying(client: Client, state: GatewayState) -> dict[int, float]:
-    """The angle of each servo of this robot when it lies. Raises WalkError."""
+    """Return each servo's angle (degrees) when this robot lies. Raises WalkError if it cannot lie."""
     return lying_deg(Robot(geometry.load(), ranges(state.limits, client.calibration())))
 
 
 def ready(client: Client) -> GatewayState:
-    """The state of a robot that may be moved now. Raises ConfigError where it may not, ZenohError."""
+    """Return the state of a robot that may be moved. Raises ConfigError if it may not, ZenohError without an answer."""
     state = client.state()
     check_at_rest(state)
     holder = state.lease.holder
@@ -85,7 +85,7 @@ def ready(client: Client) -> GatewayState:
 
 
 def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
-    """Announce the motion. Returns whether a person agrees, here or beforehand."""
+    """Announce the motion. Returns whether a person agrees, now or beforehand (`agreed`)."""
     if motion.holding:
         hint(
             "This robot starts and stops as a whole: all 18 servos will go at once to where it lies, wherever they "
@@ -104,7 +104,7 @@ def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
 
 @contextmanager
 def stopped_after(which: str, stop: Callable[[], str]) -> Iterator[None]:
-    """However it ends, `stop` stops it and returns the sentence that reports it. `which`: `servo 61 is`."""
+    """Call `stop` at the end of a `with`, and print the sentence that it returns. `which`: `servo 61 is`."""
     try:
         yield
     finally:

@@ -12,7 +12,7 @@ T = TypeVar("T", str, Path)
 
 
 def _reach_by(name: str) -> Callable[[T | None], T | None]:
-    """A callback: commands in messages have this option, too."""
+    """A callback that adds the option to commands in messages."""
 
     def take(value: T | None) -> T | None:
         own_command.reach_by(**{name: value})
@@ -26,7 +26,7 @@ ConfigOption = Annotated[
     typer.Option(
         "--config",
         metavar="PATH",
-        readable=False,  # what cannot be read is reported with a remedy
+        readable=False,  # an unreadable file is reported later, with a remedy
         help="Settings (TOML). Default: /etc/hexapod-gateway/gateway.toml, if it exists.",
     ),
 ]

@@ -1,7 +1,7 @@
-"""Reaching the gateway from a command: where nobody answers, which step of the way fails; whether it is at rest; and
-the lease of commands that drive.
+"""Reaching the gateway from a command: the step that fails if nobody answers, whether the robot is at rest, and the
+lease of commands that drive.
 
-A program's own `Client` raises at once when a question is not answered; a command ends then, so it has time to look.
+A program's own `Client` raises at once without an answer. A command ends then, so it has time to find the cause.
 """
 
 import getpass
@@ -28,7 +28,7 @@ Connection = Callable[[], AbstractContextManager[Client]]
 
 
 def me() -> str:
-    """Return `user@host`, 64 characters at most: the driver's name where no certificate has one."""
+    """Return `user@host`, 64 characters at most: the driver's name without a certificate."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError, ImportError):  # a container's user without a name; Windows
@@ -37,9 +37,9 @@ def me() -> str:
 
 
 def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, source: str) -> Connection:
-    """How to reach the gateway: the endpoint given, or the file's, or this machine's.
+    """Return a connection to the given endpoint, or the file's, or this machine's gateway, for a `with`.
 
-    Where that fails, also for a question inside it, the ZenohError has a line for each endpoint, with the step.
+    If it or a question inside it fails, the ZenohError has a line for each endpoint, with the failing step.
     """
     return partial(_connected, connect, zenoh_config, timeout_s, source)
 
@@ -50,13 +50,13 @@ def _connected(connect: str | None, zenoh_config: Path | None, timeout_s: float,
         try:
             yield client
         except UnansweredError as error:
-            from gateway.people.commands import why  # only now: no emergency stop should wait for what it loads
+            from gateway.people.commands import why  # an emergency stop must not wait for this import
 
             raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error
 
 
 def why_not_at_rest(state: GatewayState) -> str | None:
-    """One sentence with what to do; None: it is."""
+    """Return one sentence with what to do, or None if the robot is at rest."""
     if state.mode == Mode.IDLE:
         return None
     remedies = {
@@ -67,14 +67,14 @@ def why_not_at_rest(state: GatewayState) -> str | None:
 
 
 def check_at_rest(state: GatewayState) -> None:
-    """Raises ConfigError unless it is."""
+    """Raise ConfigError unless the robot is at rest."""
     why_not = why_not_at_rest(state)
     if why_not is not None:
         raise ConfigError(why_not)
 
 
 def show_differences(config: Path | None = None) -> None:
-    """Print where the file does not state what the service of this machine uses; nothing where none runs."""
+    """Print how the file differs from what this machine's service uses; nothing if none runs."""
     for each in effective.differs_here(config or CONFIGURATION):
         hint(each)
 
@@ -83,7 +83,7 @@ def show_differences(config: Path | None = None) -> None:
 def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
     """Hold the lease for the time of a `with`, if something moves for `hold_s`.
 
-    Raises LeaseError where somebody else holds it.
+    Raises LeaseError if somebody else holds it.
     """
     if not moves or not hold_s:
         yield
@@ -96,7 +96,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
     except LeaseError as error:
         if error.reason == Reason.LEASE_HELD:
             raise
-        if error.reason == Reason.LEASE_DENIED:  # and not by an older gateway, which does not know the request
+        if error.reason == Reason.LEASE_DENIED:  # an older gateway does not know the request
             hint(f"It is sent without the lease: {error.detail}")
     try:
         yield
@@ -105,7 +105,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
 
 
 def rejected(error: LeaseError | Ack) -> int:
-    """Print why it was rejected, and what can be done. Returns the exit code."""
+    """Print why a command was rejected, and what to do. Returns the exit code, 1."""
     say(f"rejected: {error.reason}: {error.detail}")
     if error.reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
         hint(

@@ -24,7 +24,7 @@ HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
 
 _OTHERS_S = 0.2
-"""How long a command waits for other replies, only where somebody has yet to reply or decline."""
+"""How long a command waits for programs that have neither replied nor declined."""
 
 _MOST_PERSON: Final = 40
 """Of the 64 characters that a source may have."""
@@ -33,13 +33,13 @@ _MOST_PERSON: Final = 40
 def connection(
     connect: str | None, zenoh_config: Path | None, timeout_s: float, *, command: str = "send"
 ) -> Connection:
-    """How to reach the gateway; in events and states its commands are those of the person who sends them."""
+    """Return a connection whose commands have the sender's name in events and states."""
     person = person_of(connect, zenoh_config)[:_MOST_PERSON]
     return reach.connection(connect, zenoh_config, timeout_s, source=f"{person} (hexapod-gateway {command})")
 
 
 def person_of(connect: str | None, zenoh_config: Path | None) -> str:
-    """The certificate's person; without one, the user of this machine."""
+    """Return the certificate's person; without one, this machine's user."""
     if zenoh_config is not None:
         identity = Identity.of(client_config(connect, zenoh_config))
         if identity.proves:
@@ -49,7 +49,7 @@ def person_of(connect: str | None, zenoh_config: Path | None) -> str:
 
 
 def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
-    """Send a leg's command; see `_send`."""
+    """Start, set or stop (`op`) a leg. Returns the exit code. Raises ConfigError for another number of angles."""
     wanted = 0 if op == "stop" else len(JOINTS)
     if len(angles_deg) != wanted:
         raise ConfigError(
@@ -60,7 +60,7 @@ def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float]
 
 
 def send_legs(connect: Connection, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
-    """Send all six legs' command: three angles for each of them, or 18; see `_send`."""
+    """Start, set or stop all six legs, with three angles for each leg or all 18. Returns and raises as `send_leg`."""
     if len(angles_deg) not in ((0,) if op == "stop" else (len(JOINTS), len(SERVO_IDS))):
         raise ConfigError(
             f"{op} takes {'no angles' if op == 'stop' else '3 angles, or 18'}, and there are {len(angles_deg)}; "
@@ -71,7 +71,7 @@ def send_legs(connect: Connection, op: str, angles_deg: Sequence[float], *, hold
 
 
 def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
-    """Send a servo's command; see `_send`."""
+    """Start, set or stop a servo. Returns and raises as `send_leg`, also for an id that does not exist."""
     if (angle_deg is None) != (op == "stop"):
         wanted, angle = ("no", "") if op == "stop" else ("one", " 90")
         raise ConfigError(f"{op} takes {wanted} angle; for example: {command(f'send servo {servo_id} {op}{angle}')}")
@@ -133,7 +133,7 @@ def _set_instead_of_start(payload: Any) -> Any:
 
 
 def estop(connect: Connection) -> int:
-    """Engage the emergency stop. Returns 0 if all six Stops were written, and a power board has confirmed it."""
+    """Engage the emergency stop. Returns 0 if all six Stops were written and a power board, if any, confirmed."""
     with connect() as client:
         code = estop_report(client.estop(), client.state)
         _warn_of_others(client, keys.ESTOP)
@@ -157,9 +157,9 @@ def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
 
 
 def _alarm(ack: Ack, look: Callable[[], GatewayState]) -> str:
-    """The sentence about a Stop that the power board does not confirm; empty where the supply is to stay on.
+    """The sentence about a Stop that the power board does not confirm; "" if the supply is to stay on.
 
-    The answer to a Stop that leaves it on has no confirmation either: the state shows whether anything is to be off.
+    The answer to a Stop that leaves the supply on has no confirmation either: the state shows what is to be off.
     """
     alarm = PowerAlarm()
     alarm.answered(ack)
@@ -179,14 +179,14 @@ def reset(connect: Connection) -> int:
 
 
 def _warn_of_others(client: Client, key: str) -> None:
-    """Warn where other programs answer, too; after the result, which must not wait for it."""
+    """Warn if other programs answer, too. Call it after the result, which must not wait."""
     count = len(client.answerers(key, _OTHERS_S))
     if count > 1:
         hint(several_answer(count, key))
 
 
 def command_report(ack: Ack, accepted: str, look: Callable[[], GatewayState]) -> int:
-    """Print what became of a command. Returns the exit code."""
+    """Print the result of a command: `accepted` if it was. Returns the exit code. `look`: as in `estop_report`."""
     if ack.accepted:
         replaced = " (a newer command replaced it while it waited)" if ack.coalesced else ""
         say(f"{accepted}{replaced}{confirmed_off(ack)}")

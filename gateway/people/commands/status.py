@@ -12,7 +12,7 @@ from schemas.telemetry import GatewayState, LegReport
 
 
 def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> None:
-    """Print it. Raises ZenohError where no gateway answers."""
+    """Print the state, as sentences or JSON. Raises ZenohError if no gateway answers."""
     with connection(connect, zenoh_config, timeout_s, source="status")() as client:
         state = client.state()
     if as_json:
@@ -23,7 +23,7 @@ def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
 
 
 def topics(state: GatewayState) -> dict[str, str]:
-    """What a person asks of a robot that moves, a sentence each; "": there is nothing to advise."""
+    """Return what a person asks of a moving robot, a sentence for each topic; "": nothing to report."""
     lease, buttons, certificate = state.lease, state.buttons, state.certificate
     drives = "drives" if lease.held_s is not None else "is handed the lease"
     soon = None if certificate is None else certs.expires_soon(certificate.file, certificate.expires, state.time)
@@ -42,7 +42,7 @@ def topics(state: GatewayState) -> dict[str, str]:
 
 
 def sentences(state: GatewayState) -> list[str]:
-    """What a person asks first, a line each: may it move, what runs, who drives, what has gone wrong."""
+    """Return what a person asks first, a line each: may it move, what runs, who drives, what is wrong."""
     asked, spi, watchdog, battery = topics(state), state.spi, state.watchdog, state.battery
     found = [f"{asked['robot']} Gateway {state.version}, up {state.uptime_s:.0f} s."]
     found += (_leg(leg) for leg in state.legs if any(servo.running for servo in leg.servos))

@@ -24,10 +24,10 @@ _PAUSE_S: Final = 0.01
 
 
 def unreached(connect: str | None, zenoh_config: Path | None) -> list[str]:
-    """One line for each endpoint; takes _DIAGNOSIS_S at most."""
+    """Return why each endpoint is not reached, a line each, after 1 s at most."""
     try:
         return diagnosis.why(client_config(connect, zenoh_config), _DIAGNOSIS_S)
-    except ConfigError as error:  # the certificate has run out meanwhile
+    except ConfigError as error:  # the certificate has expired meanwhile
         return str(error).splitlines()
 
 
@@ -43,7 +43,7 @@ def unanswered(client: Client | None, connect: str | None, zenoh_config: Path | 
 
 
 def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, list[Finding]]:
-    """The state, if it came, and the diagnosis of role and gateway in an open session. Takes 1 s at most."""
+    """Return the state (None without an answer), and the findings about role and gateway, after 1 s at most."""
     role = "" if identity.certificate is None else diagnosis.role(identity.certificate)
     try:
         state = client.state(_ANSWER_S)
@@ -61,7 +61,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
 
 
 def _ended(client: Client) -> bool:
-    """Whether the connection has ended, also where Zenoh, which tries again each second, has just opened another."""
+    """Whether the connection has ended, also if Zenoh, which retries each second, has opened another."""
     first, end_s = _links(client), time.monotonic() + _MATCHING_S
     while (now := _links(client)) == first != set() and time.monotonic() < end_s:
         time.sleep(_PAUSE_S)
@@ -91,7 +91,7 @@ def _nobody(role: str, *, ended: bool) -> Finding:
 
 
 def _may_command(client: Client) -> bool:
-    """Whether the gateway takes this session's commands; nothing is sent. Access control hides its keys from others."""
+    """Whether the gateway takes this session's commands, by matching alone: access control hides its keys."""
     with client.session.declare_publisher(keys.LEGS_COMMAND) as publisher:
         end_s = time.monotonic() + _MATCHING_S
         while not _matching(publisher):

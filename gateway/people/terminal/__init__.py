@@ -1,4 +1,4 @@
-"""What a command prints (results on stdout, remarks on stderr), what it asks, and how it is asked to end."""
+"""A command's output (results on stdout, remarks on stderr), its questions, and its end by signals."""
 
 import shutil
 import signal
@@ -14,15 +14,15 @@ NOBODY: Final = "this is no terminal, so nobody can be asked; --yes agrees"
 
 
 def say(text: str) -> None:
-    """A line of result, on stdout. It may contain foreign text."""
+    """Print a line of result on stdout. `text` may contain foreign text."""
     sys.stdout.write(f"{visible(text)}\n")
     sys.stdout.flush()
 
 
 def show_line(text: str) -> None:
-    """Replace the line of progress; do nothing where stderr is no terminal."""
+    """Replace the line of progress, if stderr is a terminal."""
     if sys.stderr.isatty():
-        columns = shutil.get_terminal_size().columns  # a line that wraps would be written below itself each time
+        columns = shutil.get_terminal_size().columns  # a wrapped line would not be replaced
         sys.stderr.write(f"\r\x1b[K{text[: columns - 1]}")
         sys.stderr.flush()
 
@@ -33,13 +33,13 @@ def clear_line() -> None:
 
 
 def hint(text: str) -> None:
-    """A line for the person, on stderr, so that pipes carry results only. It may contain foreign text."""
+    """Print a line for the person on stderr: pipes carry results only. `text` may contain foreign text."""
     sys.stderr.write(f"{visible(text)}\n")
     sys.stderr.flush()
 
 
 def ask(question: str) -> str:
-    """One typed line, in lower case; "" at the end of the input."""
+    """Print `question`, and return one typed line in lower case; "" at the end of the input."""
     sys.stderr.write(question)
     sys.stderr.flush()
     return sys.stdin.readline().strip().lower()
@@ -47,7 +47,7 @@ def ask(question: str) -> str:
 
 @contextmanager
 def on_end_signals(end: Callable[[], object]) -> Iterator[None]:
-    """Call `end`, which must not wait, on Ctrl-C, SIGTERM and the end of the terminal."""
+    """Call `end`, which must not wait, at Ctrl-C, SIGTERM and the end of the terminal, during a `with`."""
 
     def handle(_number: int, _frame: FrameType | None) -> None:
         end()

@@ -9,15 +9,15 @@ from gateway.people.terminal import on_end_signals
 
 _ESCAPE: Final = 0x1B
 _REST_S: Final = 0.05
-"""How soon the rest of an arrow key follows its first byte, where the two come apart (a slow SSH)."""
+"""How soon the rest of an arrow key follows its first byte, if they arrive apart (a slow SSH)."""
 _NAMES: Final = {0x1B: "escape", 0x0D: "enter", 0x0A: "enter", 0x7F: "backspace", 0x08: "backspace", 0x03: "ctrl-c"}
 _ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 
 
 @contextlib.contextmanager
 def keys_at_once(terminal: int) -> Iterator[None]:
-    """Keys arrive one by one without echo, Ctrl-C as a key, and Ctrl-S has no effect. Restores the terminal."""
-    import termios  # only where there is a terminal: a module that can draw one loads on Windows, too
+    """Deliver keys one by one without echo, Ctrl-C as a key; Ctrl-S has no effect. Restores the terminal."""
+    import termios  # the module also loads on Windows, which lacks this
 
     before = termios.tcgetattr(terminal)
     during = termios.tcgetattr(terminal)
@@ -33,7 +33,7 @@ def keys_at_once(terminal: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def wake_on_signals() -> Iterator[tuple[int, int]]:
-    """A descriptor that becomes readable when a signal asks for the end, and the one to write to for the same."""
+    """Yield a descriptor that becomes readable at an end signal, and one to write to for the same effect."""
     readable, writable = os.pipe()
     try:
         with on_end_signals(lambda: os.write(writable, b".")):
@@ -55,7 +55,7 @@ class Keyboard:
         """When the bytes ended in an escape."""
 
     def keys(self, data: bytes, now_s: float) -> list[str]:
-        """The keys in what one reading gave."""
+        """Return the keys in the bytes of one read. `now_s`: monotonic."""
         rest = self._escaped_s is not None and now_s - self._escaped_s < _REST_S and data[:1] in (b"[", b"O")
         self._escaped_s = now_s if data[-1:] == b"\x1b" else None
         found: list[str] = []
@@ -77,7 +77,7 @@ class Keyboard:
 
 
 def _sequence_end(data: bytes, place: int) -> int:
-    """Behind a control sequence whose `[` or `O` is at `place`: numbers, then a letter or `~`. A space is in none."""
+    """The place after a control sequence whose `[` or `O` is at `place`: numbers, then a letter or `~`, no space."""
     place += 1
     while place < len(data) and data[place] in b"0123456789;<?":
         place += 1

@@ -1,4 +1,4 @@
-"""What a person is shown of the emergency stop that a key has requested. Pure: `now_ns` is monotonic."""
+"""What a terminal shows of the emergency stop that a key has requested. Pure: `now_ns` is monotonic."""
 
 from typing import Final, NamedTuple
 
@@ -18,7 +18,7 @@ class Remark(NamedTuple):
 
     text: str
     is_bad: bool
-    """Not a success: it stays until it is over, or another key is pressed."""
+    """Not a success: it is shown until its cause is over, or another key is pressed."""
     since_ns: int = 0
 
     @property
@@ -36,11 +36,11 @@ class StopStatus:
 
     def __init__(self) -> None:
         self.wanted_ns: int | None = None
-        """Since when a Stop is requested and not confirmed; None: there is none."""
+        """Since when a Stop is requested and not confirmed, or None."""
         self.outcome: Remark | None = None
-        """What became of the latest confirmed request."""
+        """The result of the latest confirmed request."""
         self.power = PowerAlarm()
-        """Whether the power board confirms it; its shell hands over states and events."""
+        """Whether the power board confirms it. The shell passes states and events to it."""
         self._pressed_ns = 0
         self._tries = 0
 
@@ -85,7 +85,7 @@ class StopStatus:
         return f"NOT STOPPED, NO ANSWER for {waited_s:.0f} s: switch the servos' power off; trying again"
 
     def remark(self, now_ns: int) -> Remark | None:
-        """The sentence to show: a Stop that is not confirmed, or what became of the last one."""
+        """Return the sentence to show: an unconfirmed Stop, or the result of the last one; None: nothing."""
         if (alarm := self.alarm(now_ns)) is not None:
             return Remark(alarm, True)
         if self.wanted_ns is not None:
