@@ -17,7 +17,7 @@ Angle = SupportsFloat | SupportsIndex
 Unit = Literal["deg", "rad"]
 """Of angles: degrees (0 to 180), or radians (0 to π)."""
 ROUNDING_DEG: Final = 0.005
-"""Half of the protocol's hundredth: an angle so close outside 0 to 180 is the limit, after inexact arithmetic."""
+"""Half of the protocol's hundredth. An angle this close outside 0 to 180 counts as the limit: rounding errors."""
 
 LegAngles = dict[int, tuple[float, ...]]
 """The three angles of each leg in degrees, by its number."""
@@ -35,9 +35,9 @@ Setpoints = Mapping[int, Sequence[Angle] | Array] | Array
 
 
 def leg_payload(op: str, angles: Sequence[Angle] | Array = (), unit: Unit = "deg") -> dict[str, Any]:
-    """The payload of a leg's command: one operation for its three servos, with three angles unless it stops.
+    """Return the payload of a leg's command: one operation for three servos, and three angles unless it stops.
 
-    Raises OutOfRangeError for other than three, and for an angle outside 0 to 180 degrees; TypeError if an angle is no
+    Raises OutOfRangeError for other than three angles or an angle outside 0 to 180 degrees; TypeError if an angle is no
     number, or if they have no order.
 
     >>> leg_payload("set", (90, 45.5, 120))["servos"][1]
@@ -95,7 +95,7 @@ def legs_payload(op: str, angles: Setpoints, unit: Unit = "deg") -> dict[str, An
 
 
 def legs_angles(angles: Setpoints, unit: Unit = "deg") -> LegAngles:
-    """The degrees of several legs (1 to 6). Raises as `leg_payload` and `leg_number`.
+    """Return the degrees of several legs (1 to 6). Raises as `leg_payload` and `leg_number`.
 
     >>> legs_angles([90, 45, 120] * 6) == legs_angles([(90, 45, 120)] * 6)
     True
@@ -118,12 +118,12 @@ def _rows(angles: object) -> Sequence[Any]:
 
 
 def setpoints(op: str, angles: LegAngles) -> dict[str, Any]:
-    """The legs of a payload, from the numbers of `legs_angles`: a stream reads each angle once."""
+    """Return the legs of a payload, from the result of `legs_angles`: a stream reads each angle once."""
     return {str(leg): _setpoint(op, each) for leg, each in angles.items()}
 
 
 def servo_payload(op: str, angle: Angle | None = None, unit: Unit = "deg") -> dict[str, Any]:
-    """The payload of a servo's command. Raises as `number`."""
+    """Return the payload of a servo's command. Raises as `number`."""
     return {"op": op} if angle is None else {"op": op, "angle_deg": number(angle, unit)}
 
 
@@ -134,7 +134,7 @@ def calibration_payload(
     revision: int | None = None,
     accept_default: bool = False,
 ) -> dict[str, Any]:
-    """The payload that changes the calibration; see `Client.calibrate`. Raises as `number`."""
+    """Return the payload that changes the calibration; see `Client.calibrate`. Raises as `number`."""
     payload: dict[str, Any] = {
         "servos": {str(name): change.model_dump(exclude_none=True) for name, change in servos.items()},
         "landing": {str(name): None if angle is None else number(angle) for name, angle in landing.items()},
@@ -147,12 +147,12 @@ def calibration_payload(
 
 
 def leg_number(leg: object) -> int:
-    """A leg's number, 1 to 6. Raises TypeError for no whole number, such as "3", OutOfRangeError for another one."""
+    """Return a leg's number, 1 to 6. Raises TypeError for no whole number, as "3", OutOfRangeError for another."""
     return _named("leg", leg, LEGS, "legs are 1 to 6")
 
 
 def servo_number(servo_id: object) -> int:
-    """A servo's id, 11 to 63. Raises TypeError for no whole number, OutOfRangeError for an id that does not exist."""
+    """Return a servo's id, 11 to 63. Raises TypeError for no whole number, OutOfRangeError for an unknown id."""
     return _named("servo", servo_id, SERVO_IDS, "an id is the leg (1 to 6) and the joint (1 to 3), such as 32")
 
 
@@ -166,10 +166,10 @@ def _named(what: str, name: object, known: Collection[int], which: str) -> int:
 
 
 def number(angle: object, unit: Unit = "deg", which: str = "") -> float:
-    """An angle in degrees, for JSON. Raises TypeError for a bool, a string, and all else that is no number.
+    """Return an angle in degrees, for JSON. Raises TypeError for a bool, a string, and all else that is no number.
 
-    An angle that is outside 0 to 180 degrees by no more than ROUNDING_DEG becomes that limit; one that is farther
-    outside raises OutOfRangeError. `which` begins its sentence: `joint 3: `.
+    An angle outside 0 to 180 degrees by at most ROUNDING_DEG becomes that limit. Raises OutOfRangeError for one farther
+    outside; `which` begins the sentence: `joint 3: `.
 
     >>> number(180.0000000000001), number(-1e-15), number(1.5707963267948966, "rad")
     (180.0, 0.0, 90.0)
