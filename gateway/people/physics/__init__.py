@@ -1,1 +1,1 @@
-"""The robot's body in MuJoCo: what becomes of it when its servos go where they are sent, or go slack."""
+"""The robot's body in MuJoCo: how it moves while its servos follow their targets or are off."""

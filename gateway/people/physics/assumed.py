@@ -1,4 +1,4 @@
-"""What is simulated: what nobody has measured on the robot, and the ground under it. Pure."""
+"""Assumed values of the simulated body that were never measured on the robot, and the ground. Pure."""
 
 import math
 from typing import Final, NamedTuple, Self
@@ -22,15 +22,15 @@ class Terrain(NamedTuple):
 
     slope_deg: float = 0.0
     rough_m: float = 0.0
-    """How high its bumps are at most."""
+    """The greatest height of its bumps."""
     seed: int = 0
-    """Which bumps; a terrain that is `parsed` has the first."""
+    """Selects the bumps; `parsed` always uses 0."""
     step_m: float = 0.0
-    """How high a step is that it has ahead of the robot; below 0: an edge."""
+    """The height of a step ahead of the robot; below 0 the ground drops there."""
 
     @classmethod
     def parsed(cls, text: str) -> Self:
-        """`flat`, `slope:DEGREES`, `rough:METRES` or `step:METRES`. Raises ConfigError."""
+        """Read `flat`, `slope:DEGREES`, `rough:METRES` or `step:METRES`. Raises ConfigError for any other text."""
         kind, colon, number = text.partition(":")
         try:
             amount = float(number) if colon else 0.0
@@ -61,7 +61,7 @@ FLAT: Final = Terrain()
 
 
 class Assumed(NamedTuple):
-    """What nobody has measured on the robot, and the ground."""
+    """Values that were never measured on the robot, and the ground."""
 
     mass_kg: float = MASS_KG
     """Of the whole robot; its parts keep their shares."""
@@ -74,7 +74,7 @@ USUAL: Final = Assumed()
 
 
 def assumed(mass_kg: float | None, torque_nm: float | None, friction: float | None, terrain: str | None) -> Assumed:
-    """From what a command line names; None: the default. Raises ConfigError."""
+    """Return these values; None means the default. Raises ConfigError if `terrain` cannot be read."""
     return Assumed(
         USUAL.mass_kg if mass_kg is None else mass_kg,
         USUAL.torque_nm if torque_nm is None else torque_nm,

@@ -17,7 +17,7 @@ from gateway.people.physics.assumed import TORQUE_NM, Assumed, Terrain
 from schemas.robot import SERVO_IDS
 
 _FRICTION_RATIO: Final = 10.0
-"""How much harder a contact is along the ground than across it; models of walking robots have 10 to 100."""
+"""MuJoCo's impratio: frictional against normal impedance of a contact. Walking robots' models have 10 to 100."""
 TIMESTEP_S: Final = 0.002
 _STIFFNESS_NM_RAD: Final = 50.0
 """The usual servo gives way by 2.3 degrees under its full load. A stronger one is as much stiffer; a weaker one is no
@@ -29,13 +29,13 @@ _ROUGH_HALF_M: Final = 5.0
 _ROUGH_CELLS: Final = 101
 """Bumps 10 cm apart, of each seed always the same ones; beyond these ten metres the ground is flat."""
 _STEP_AT_M: Final = 0.45
-"""A little ahead of the feet of a robot that stands where it begins."""
+"""A little ahead of the front feet at the start."""
 _FLOOR, _ROBOT = 1, 2
 """MuJoCo's collision bits: each meets the other, and not itself."""
 
 
 def built(geometry: Geometry, assumed: Assumed) -> Any:
-    """The model, of type MjModel. Raises ConfigError where MuJoCo cannot simulate such a robot."""
+    """Return the robot on its ground as an MjModel. Raises ConfigError if MuJoCo cannot simulate this geometry."""
     try:
         spec = mujoco.MjSpec.from_string(urdf(geometry))
         spec.compiler.fusestatic = False
@@ -54,7 +54,9 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # With the default cone a foot that is loaded creeps over the ground, far below its limit of friction.
     model.opt.cone, model.opt.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _FRICTION_RATIO
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what explodes is reported first
+    model.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )  # a diverged simulation is reported before it is reset
     return model
 
 

@@ -34,25 +34,25 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, BodyReport, SimulatedServo
 
 TURN_S: Final = 0.01
-"""How often the servos' targets are read."""
+"""The period in which the servos' targets are read."""
 PUBLISH_S: Final = 1 / 30
 SAME_S: Final = 5.0
-"""A simulation that explodes again and again is reported so often."""
+"""The shortest time between two reports of a diverged simulation."""
 NICE: Final = 10
-"""Whatever else runs on this machine, above all the gateway, comes first."""
+"""All other processes, above all the gateway, have priority."""
 MOST_BEHIND_S: Final = 0.1
-"""What is missing beyond this is left out: the body is slower then, and does not leap afterwards."""
+"""Time behind real time beyond this is skipped: the body slows down and does not jump afterwards."""
 WINDOW_S: Final = 2.0
-"""Over this long the factor is measured."""
+"""The real-time factor is measured over this time."""
 SLOW: Final = 0.95
-"""Below this factor a person is informed, and again above `KEEPS_UP`."""
+"""Below this factor the machine is reported as slow; from `KEEPS_UP` on, as fast enough again."""
 KEEPS_UP: Final = 0.99
 
 T = TypeVar("T", bound=tuple[float, ...])
 
 
 class Pace:
-    """How many steps are due, and how far behind a machine is that cannot keep up. Pure.
+    """Count the steps that are due, and measure how far a slow machine falls behind. Pure.
 
     Times are seconds of one monotonic clock.
     """
@@ -67,7 +67,7 @@ class Pace:
         """Simulated seconds in a second of the latest window."""
 
     def due(self, now_s: float) -> int:
-        """How many steps to simulate now."""
+        """Return the number of steps to simulate now."""
         self._next_s = max(self._next_s, now_s - MOST_BEHIND_S)
         steps = max(0, int((now_s - self._next_s) / self._timestep_s))
         self._next_s += steps * self._timestep_s
@@ -75,7 +75,7 @@ class Pace:
         return steps
 
     def report(self, now_s: float) -> str | None:
-        """At the end of a window in which the machine became too slow, or fast enough again: a sentence."""
+        """Return a sentence if, over the last window, the machine became too slow or fast enough again."""
         length_s = now_s - self._begun_s
         if length_s < WINDOW_S:
             return None
@@ -94,10 +94,10 @@ class Pace:
 
 
 class Simulated:
-    """The world, driven by what the servos are sent to on the wire, and reported in angles as commands name them."""
+    """The world: driven by wire angles, reported in users' angles."""
 
     def __init__(self, geometry: Geometry, assumed: Assumed) -> None:
-        """Raises ConfigError where MuJoCo cannot simulate it."""
+        """Raises ConfigError if MuJoCo cannot simulate this geometry."""
         self.world = World(geometry, assumed)
         self._geometry = geometry
         self._terrain = str(assumed.terrain)
@@ -105,13 +105,13 @@ class Simulated:
         self._driven: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
 
     def calibrate(self, calibration: RobotCalibration) -> None:
-        """By this one, users' angles follow from the wire's."""
+        """Convert wire angles to users' angles by this calibration from now on."""
         self._calibration = calibration
         for servo_id, wire_deg in self._driven.items():
             self._drive(servo_id, wire_deg)
 
     def drive(self, wire_deg: Mapping[int, float | None]) -> None:
-        """Where the servos are sent now; None: off."""
+        """Set each servo's target in wire degrees; None: off."""
         for servo_id, angle_deg in wire_deg.items():
             if angle_deg != self._driven[servo_id]:
                 self._drive(servo_id, angle_deg)
@@ -125,7 +125,7 @@ class Simulated:
         self.world.drive(servo_id, self._geometry.joint_rad(servo_id, user_deg))
 
     def report(self, real_time_factor: float) -> BodyReport:
-        """The body's pose, as it is published."""
+        """Return the body's pose, feet and servos for publication."""
         body = self.world.body()
         servos = {
             str(servo_id): SimulatedServo(
@@ -149,7 +149,7 @@ class Simulated:
 
 
 class Link:
-    """The session with the gateway: Zenoh's threads fill queues, into which the simulation looks."""
+    """The session with the gateway: Zenoh's threads fill queues, and the simulation polls them."""
 
     def __init__(self) -> None:
         self.ended = threading.Event()
@@ -163,7 +163,7 @@ class Link:
         threading.Thread(target=self._run, name="lifeline", daemon=True).start()
 
     def publish(self, report: BodyReport) -> None:
-        """Publish it. Zenoh drops it where a link is full."""
+        """Publish a report. Zenoh drops it if a link is congested."""
         self._number += 1
         info = zenoh.SourceInfo(self._publisher.id, self._number)
         with suppress(zenoh.ZError):

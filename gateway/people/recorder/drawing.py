@@ -65,32 +65,32 @@ DRAWN: Final[Mapping[str, type[Message]]] = {
 WORLD: Final = "world"
 COMMANDED: Final = "commanded/"
 BODY_NS: Final = 1_000_000_000
-"""A simulated body that is older than this is not drawn: its process has ended."""
+"""A simulated body older than this is not drawn: its process has ended."""
 
 PICTURE_PERIOD_NS: Final = 50_000_000
 """Twenty pictures a second: all 24 frames take 4 kB, which at 50 Hz would be most of the file."""
 
 DIAGNOSTICS_PERIOD_NS: Final = 1_000_000_000
 MARKS_PERIOD_NS: Final = 1_000_000_000
-"""And at each change: a viewer that connects later waits no longer for them."""
+"""The longest wait of a viewer that connects later. Marks are also drawn at each change."""
 
 Drawn = tuple[str, Message]
 """A topic and a message for it."""
 
 
 class Drawing:
-    """Follows the robot's reports, and draws it from them."""
+    """Follow the robot's reports, and return the messages that draw it."""
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
         self.joints = CommandedJoints(geometry)
         self._drawn: dict[str, tuple[int, object]] = {}
-        """Of each topic that is not drawn on all the time: when it was drawn last, and what showed a change."""
+        """By topic with a period: when it was drawn last (ns), and the value that was shown."""
         self._body: BodyReport | None = None
         self._body_ns = 0
 
     def take(self, topic: str, report: Mapping[str, Any], time_ns: int) -> Iterator[Drawn]:
-        """What to draw after a report (as its JSON, on a key of ours) that came at `time_ns`."""
+        """Return what to draw after a report (parsed JSON, on one of the gateway's keys) received at `time_ns`."""
         shows_joints = self.joints.take(topic, report)
         if topic == EVENT:
             yield LOG, _log(report, time_ns)
@@ -113,7 +113,7 @@ class Drawing:
             yield from self._marks_if_due(time_ns)
 
     def _due(self, topic: str, time_ns: int, period_ns: int, shown: object = None) -> bool:
-        """Whether it is to be drawn again: after its period, and when `shown` has changed."""
+        """Return whether to draw the topic again: its period has passed, or `shown` has changed."""
         before = self._drawn.get(topic)
         if before is not None and time_ns - before[0] < period_ns and shown == before[1]:
             return False
@@ -131,7 +131,7 @@ class Drawing:
         return robot.joint_state(at_rad, time_ns)
 
     def picture(self, time_ns: int) -> Iterator[Drawn]:
-        """The robot as it was commanded last."""
+        """Return the robot as last commanded, and its simulated body if that is recent."""
         self._drawn[FRAMES] = time_ns, None
         body = self._body if time_ns - self._body_ns < BODY_NS else None
         commanded_rad = robot.all_at(self._geometry, robot.UNKNOWN_DEG) | self.joints.rad
@@ -156,7 +156,7 @@ class Drawing:
         yield FRAMES, robot.transform_message(steps, time_ns)
 
     def description(self) -> Drawn:
-        """The URDF, in the one message that viewers look for."""
+        """Return the URDF as the message that viewers read."""
         return DESCRIPTION, robot.description(self._geometry)
 
 
@@ -179,7 +179,7 @@ _LEVELS: Final = {
 
 
 def warning(sentence: str, time_ns: int) -> Message:
-    """A line of the log that is no event of the gateway's."""
+    """Return a warning for the viewers' log that is not an event of the gateway."""
     return _line(LOG_WARN, sentence, time_ns)
 
 

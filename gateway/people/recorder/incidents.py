@@ -22,13 +22,13 @@ from schemas import keys
 from schemas.telemetry import Cause, Kind
 
 BEFORE_NS: Final = 10_000_000_000
-"""How far back an incident reaches."""
+"""An incident includes this time before its zero."""
 CRASH: Final = "crash"
 _ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
-"""What an id looks like: it is the name of a file, too."""
+"""The form of an id, which is also a file's name."""
 JUST_BEFORE_NS: Final = 1_000_000_000
 NEAR_RECORDS: Final = 200
-"""What led to an incident is looked for in this time before it was noted, and among so many records on both sides."""
+"""The cause of an incident is searched this long before it was noted, and this many records on both sides."""
 MOST: Final = 100
 """The newest of a ring: as many as are kept. A gateway notes one in 5 s at most."""
 LAST_RECORDS: Final = 20
@@ -47,21 +47,21 @@ class Incident:
     begin_ns: int
     end_ns: int
     wall_offset_ns: int
-    """Add it for the time that people read, ns since 1970."""
+    """Add it to a monotonic time to get ns since 1970."""
     killed_ns: int | None = None
-    """When the gateway's last record was written, if it ended within this time without a word."""
+    """When the gateway wrote its last record, if it ended during the incident without recording its end."""
 
     @property
     def zero_wall_ns(self) -> int:
         return self.wall_ns(self.zero_ns)
 
     def wall_ns(self, ns: int) -> int:
-        """The time that people read at `ns`, since 1970: a machine without a clock begins there, and files with it."""
+        """Return ns since 1970 at monotonic time `ns`, at least 0: a machine without a clock begins in 1970."""
         return max(0, ns + self.wall_offset_ns)
 
 
 def is_id(name: str) -> bool:
-    """Whether this is an incident's id, and as such safe as a file's name."""
+    """Return whether this is an incident's id. An id is safe as a file's name."""
     if not _ID.fullmatch(name):
         return False
     try:
@@ -72,17 +72,17 @@ def is_id(name: str) -> bool:
 
 
 def time_of(name: str) -> datetime:
-    """The time in an incident's id, without its milliseconds. Raises ValueError."""
+    """Return the UTC time in an incident's id, in whole seconds. Raises ValueError if `name` begins with no time."""
     return datetime.strptime(name[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
 
 
 def kind_of(name: str) -> str:
-    """The last part of an incident's id: 20261122-001233-123-watchdog is a watchdog."""
+    """Return the last part of an incident's id: `watchdog` of 20261122-001233-123-watchdog."""
     return name.split("-", 3)[-1]
 
 
 def find(records: Records, *, written: bool) -> list[Incident]:
-    """The newest incidents in a ring, oldest first. `written`: a gateway writes to it now."""
+    """Return the newest incidents of a ring (at most MOST), oldest first. `written`: a gateway writes to it now."""
     if not len(records):
         return []
     starts = (index for index, kind in enumerate(records.kinds) if kind == form.START and index)
@@ -97,7 +97,7 @@ def find(records: Records, *, written: bool) -> list[Incident]:
 
 
 def _of_one_run(records: Records, run: range, *, alive: bool) -> Iterator[Incident]:
-    """The incidents of one gateway, newest first. `run` are the places of its records."""
+    """Return the incidents of one gateway, newest first. `run`: the places of its records."""
     noted = _noted(records, run)
     latest = next(noted, None)
     last = run[-LAST_RECORDS:]
@@ -144,7 +144,7 @@ def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[
 
 
 def _end(records: Records, triggers: Iterable[tuple[int, int]], begun_ns: int, kind: str) -> int:
-    """What happens within the time that an incident takes in prolongs it, as the gateway counts it."""
+    """Return the end (ns): each trigger before the end prolongs the incident, as in the gateway."""
     end_ns = begun_ns + follow_ns(kind)
     for index, more_ns in triggers:
         if records.times_ns[index] > end_ns:

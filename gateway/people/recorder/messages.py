@@ -18,12 +18,12 @@ from schemas import keys
 from schemas.telemetry import Event, FrameRecord, Report
 
 RECORDER: Final = f"{keys.ROOT}/recorder"
-"""The channel of what no key of ours carries."""
+"""The channel of notes, which no key of the gateway carries."""
 INCIDENT: Final = "incident"
 
 
 class RecordedMessage(NamedTuple):
-    """A message of the gateway's: its key, its JSON, and when it was recorded (ns since 1970)."""
+    """A message of the gateway: its key, its parsed JSON, and when it was recorded (ns since 1970)."""
 
     topic: str
     content: dict[str, Any]
@@ -39,7 +39,7 @@ class TargetInBox(Report):
 
 
 class CommandInBox(Report):
-    """A command as the gateway decoded it, and what became of it."""
+    """A command as the gateway decoded it, and the verdict."""
 
     time: Annotated[AwareDatetime, Field(description="its arrival")]
     number: int
@@ -52,7 +52,7 @@ class CommandInBox(Report):
 
 
 class FrameInBox(FrameRecord):
-    """A FrameRecord with what the black box knows besides."""
+    """A FrameRecord with the black box's further fields."""
 
     transfer_us: float
     late_us: Annotated[float | None, Field(description="of a watchdog's Stop: written this long after its deadline")]
@@ -76,7 +76,7 @@ COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
 
 
 def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
-    """The incident itself, and what it takes in, oldest first.
+    """Return a note of the incident and the messages within its time, oldest first.
 
     What became of a command is found before its message is made. So each record is decoded twice rather than kept.
     """
@@ -142,11 +142,11 @@ class _Decisions:
                     self._by[waiting.pop(number)] = index + 1
 
     def of(self, place: int) -> form.Record | None:
-        """What became of the command at this place of those that are taken in; None: it is not known."""
+        """Return the frame or Decision of the command at this place; None: unknown."""
         return self._records[self._by[place] - 1] if self._by[place] else None
 
     def is_told(self, place: int) -> bool:
-        """Whether what is at this place is part of a command's message."""
+        """Return whether the record at this place is included in a command's message."""
         return bool(self._told[place])
 
 

@@ -87,7 +87,7 @@ class Recording(ServerListener):
         self.flush()
 
     def serve(self, port: int) -> int:
-        """Let viewers on this machine look, and return the port. Raises AddressTakenError."""
+        """Serve viewers on this machine, and return the port. Raises AddressTakenError if `port` is in use."""
         try:  # no capabilities: what a viewer publishes, calls or sets is answered with an error and goes nowhere
             self._server = foxglove.start_server(
                 name="hexapod-gateway",
@@ -102,13 +102,13 @@ class Recording(ServerListener):
         return self._server.port
 
     def add(self, key: str, report: Mapping[str, Any], time_ns: int) -> None:
-        """A report (as its JSON, on one of `REPORTS`), and what is drawn for it."""
+        """Record a report (parsed JSON, on a key of `REPORTS`), and what is drawn for it."""
         data = json.dumps(report, separators=(",", ":"), ensure_ascii=False).encode()
         self._channels[key].log(data, log_time=time_ns)
         self._draw(self.drawing.take(key, report, time_ns), time_ns)
 
     def warn(self, sentence: str, time_ns: int) -> None:
-        """A line of the viewers' log."""
+        """Add a warning to the viewers' log."""
         self._draw([(LOG, warning(sentence, time_ns))], time_ns)
 
     def _draw(self, drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
@@ -122,7 +122,7 @@ class Recording(ServerListener):
             self._asked = True
 
     def flush(self) -> None:
-        """Hand all to the kernel: a killed recorder loses only what comes later. Raises OSError."""
+        """Hand all data to the kernel: a killed recorder loses only later data. Raises OSError."""
         if self._asked:
             self._asked = False
             self._draw([self.drawing.description()], time.time_ns())
@@ -133,7 +133,7 @@ class Recording(ServerListener):
                 raise OSError(str(error)) from error
 
     def close(self) -> None:
-        """Write the file's index, so that readers find their way, and end the server. Raises OSError."""
+        """Write the file's index and end the server. Raises OSError if the file cannot be written."""
         if self._server is not None:
             self._server.stop()
         if self._file is not None:
@@ -144,12 +144,12 @@ class Recording(ServerListener):
 
 
 def about(state: GatewayState) -> dict[str, Any]:
-    """Versions, and the settings that the state shows."""
+    """Return the versions and settings in a state, for the file's metadata."""
     return state.model_dump(mode="json", include={"version", "protocol", "simulated", "spi", "watchdog", "limits"})
 
 
 FLUSH_S: Final = 0.1
-"""A killed recorder loses what came in this time."""
+"""A killed recorder loses at most the reports of this time."""
 _PROGRESS_S: Final = 0.5
 _SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
@@ -185,18 +185,18 @@ class ReportQueue:
     """A queue from Zenoh's threads to the recorder. At most MOST_WAITING reports wait, which limits memory."""
 
     def __init__(self, physics: str | None = None) -> None:
-        """`physics`: that of the newest state; later states replace it."""
+        """`physics`: Zenoh id of the body's publisher in the newest state; later states replace it."""
         self._physics = physics
         self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
         self.dropped = 0
-        """The count of reports for which there was no place."""
+        """The count of reports dropped because the queue was full."""
         self.invalid = 0
         """The count of invalid reports."""
 
     @contextmanager
     def receives(self, session: zenoh.Session, states: States) -> Iterator[None]:
-        """Subscribe, and put in what is received; `states` joins states with their configuration."""
+        """Subscribe, and queue what is received. `states` joins states with their configuration."""
 
         def receive(key: str, sample: zenoh.Sample) -> None:
             if key == SIM_BODY and not is_of_physics(sample, self._physics):
@@ -216,7 +216,7 @@ class ReportQueue:
             yield
 
     def put(self, key: str, payload: bytes) -> None:
-        """Put in an entry, received now. For any thread."""
+        """Queue an entry that is received now, or count it as dropped. For any thread."""
         if self._waiting.qsize() >= MOST_WAITING:
             self.dropped += 1
         else:
@@ -227,9 +227,9 @@ class ReportQueue:
         self._waiting.put(None)
 
     def get(self, timeout_s: float) -> tuple[str, dict[str, Any], int] | None:
-        """The next entry's key, report, and when it came (ns since 1970); None: the queue has ended.
+        """Return the next entry's key, report and arrival (ns since 1970); None: the queue has ended.
 
-        Raises queue.Empty if none comes in time, or an invalid one.
+        Raises queue.Empty if no entry arrives within `timeout_s`, or if the entry is invalid.
         """
         found = self._waiting.get(timeout=max(0.0, timeout_s))
         if found is None:
@@ -246,7 +246,7 @@ class ReportQueue:
         return key, report, time_ns
 
     def now_ns(self) -> int:
-        """Nanoseconds since 1970, by a clock that is not set meanwhile."""
+        """Return ns since 1970, by a clock that never jumps."""
         return time.monotonic_ns() + self._since_1970_ns
 
 
@@ -382,4 +382,4 @@ class _Recorder:
 
 
 class _DiskError(GatewayError):
-    """The recording ends since the disk does not take it."""
+    """The recording ended because the disk rejected a write."""

@@ -34,10 +34,10 @@ from schemas.telemetry import Cause
 
 _MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
 MOST_CHANGES: Final = 100
-"""Of the calibration that a ring shows. A person makes one in half a minute."""
+"""The most calibration changes read from a ring. A person needs half a minute for one."""
 _KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
 _EMPTY: Final = bytes(form.SLOT)
-"""A slot that nobody has written yet: in a new file, nearly all of them."""
+"""A slot that was never written: most slots of a new file."""
 
 
 class NoRingError(GatewayError):
@@ -73,7 +73,7 @@ class Records:
         return self._read(range(len(self.times_ns))[index])
 
     def calibration_at(self, ns: int) -> Calibration | None:
-        """What was in force then, as far as known."""
+        """Return the calibration in force at `ns`; None: unknown."""
         found = None
         for since_ns, calibration in self._calibrations:
             if found is None or since_ns <= ns:
@@ -81,7 +81,7 @@ class Records:
         return found
 
     def about_at(self, ns: int) -> dict[str, Any]:
-        """Versions and settings of the gateway that ran then; empty where they are not known."""
+        """Return versions and settings of the gateway that ran at `ns`; empty if unknown."""
         found: dict[str, Any] = {}
         for index, kind in enumerate(self.kinds):
             if kind == form.START and self.times_ns[index] > ns:
@@ -111,7 +111,7 @@ class Content:
 
     records: Records
     damaged: int
-    """Slots that hold no whole record, or one of a wrong place."""
+    """Slots with an incomplete record, or with a record of another slot."""
     missing: int
     """Sequence numbers that no slot has, between the oldest and the newest."""
     written: bool
@@ -119,7 +119,7 @@ class Content:
 
 
 def read(path: Path) -> Content:
-    """All whole records of a ring, with those that only its copies still have. Raises NoRingError."""
+    """Return all whole records of a ring and its copies. Raises NoRingError if `path` is no readable ring."""
     data, written = _read_file(path, path)
     try:
         ring = _Slots(data)
@@ -292,7 +292,7 @@ class _Slots:
 
 
 def decode(kind: int, ns: int, rest: bytes) -> form.Content | form.CarriedOut | None:
-    """What a record of this type and time states; None: a type of a later version. Raises form.DamagedError."""
+    """Return a record's content; None: a type of a later version. Raises form.DamagedRingError if `rest` is damaged."""
     reader = _READERS.get(kind)
     try:
         if kind == form.CARRIED_OUT:

@@ -18,11 +18,11 @@ class UserAngles:
 
     def __init__(self) -> None:
         self.consistent = True
-        """Whether the calibration that was published last is the one that is in force."""
+        """Whether the last published calibration is the one in force."""
         self._calibration = RobotCalibration()
 
     def take(self, topic: str, content: Mapping[str, Any]) -> None:
-        """Take a message, in their order: what it states of calibration holds for all frames after it."""
+        """Take the next message in order. A calibration in it applies to all later frames."""
         if topic == STATE:
             # An older gateway publishes no calibration, and had none.
             found = content.get("calibration")
@@ -38,7 +38,7 @@ class UserAngles:
     def frame(self, record: Mapping[str, Any]) -> Frame | None:
         """Return a FrameRecord's frame in users' angles, as far as known.
 
-        As on the wire where no user could have meant it; None if it is of a later protocol, or none.
+        Wire angles are kept if no user's angle matches them. None: no frame, or one of a later protocol.
         """
         try:
             frame = decode(bytes.fromhex(record["bytes"]))
@@ -51,7 +51,7 @@ class UserAngles:
 
 
 class CommandedJoints:
-    """Follows states, and frames where they are published."""
+    """Track each servo's last command from states and, if published, frames."""
 
     def __init__(self, geometry: Geometry) -> None:
         self._geometry = geometry
@@ -61,10 +61,10 @@ class CommandedJoints:
         self.rad: dict[int, float] = {}
         """The same as angles of the robot's joints."""
         self.running: dict[int, bool] = {}
-        """Of each servo whether it runs, as far as a report has shown it."""
+        """Whether each servo runs; only servos that a report contained."""
 
     def take(self, topic: str, report: Mapping[str, Any]) -> bool:
-        """Take notice of a report (as its JSON, on a key of ours); whether it shows where joints are."""
+        """Take a report (parsed JSON, on one of the gateway's keys). Return whether it contains joint angles."""
         self._angles.take(topic, report)
         if topic == STATE:
             for leg in report["legs"]:

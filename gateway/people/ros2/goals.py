@@ -1,4 +1,4 @@
-"""A goal of FollowJointTrajectory: how far it is, and how it ends. Pure.
+"""A goal of FollowJointTrajectory: its progress and its result. Pure.
 
 As joint_trajectory_controller has it: a cancelled one holds where it is. Nothing comes back from the servos, so
 `actual` is what was sent, and a tolerance is exceeded where sending falls behind.
@@ -18,7 +18,7 @@ OLD_HEADER_TIMESTAMP, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = -3, -4,
 
 
 class GoalResult(NamedTuple):
-    """Of a goal that has ended, as FollowJointTrajectory has it."""
+    """Result of a goal that has ended, with FollowJointTrajectory's fields."""
 
     error_code: int
     error_string: str
@@ -29,21 +29,21 @@ CANCELLED: Final = GoalResult(SUCCESSFUL, "cancelled on request; it holds where 
 
 
 class GoalProgress(NamedTuple):
-    """How far a trajectory is."""
+    """Progress of a trajectory: angles in radians by servo."""
 
     desired_rad: Mapping[int, float]
     """By its plan, now."""
     sent_rad: Mapping[int, float]
     """Of the joints that run."""
     ended: str = ""
-    """Why it is not followed any more; one sentence."""
+    """Why the trajectory is no longer followed, in one sentence; empty while followed."""
 
 
 class Followed:
     """One goal that is followed."""
 
     def __init__(self, goal: Any, names: JointNames, plan: Trajectory) -> None:
-        """Raises JointsError where a tolerance cannot be kept, or is for a joint that the goal does not move."""
+        """Raises JointsError if a tolerance is invalid, or names a joint that the goal does not move."""
         if goal.multi_dof_trajectory.points:
             raise JointsError("it has a multi_dof_trajectory; a joint here has one degree of freedom")
         self.plan = plan
@@ -55,14 +55,14 @@ class Followed:
         self._late_s = seconds(goal.goal_time_tolerance)
 
     def positions(self, progress: GoalProgress) -> tuple[list[float], list[float]] | None:
-        """Desired and sent, in the goal's order. None until all joints run: their angles are unknown."""
+        """Return desired and sent radians in the goal's order; None until all joints run."""
         desired, sent = progress.desired_rad, progress.sent_rad
         if not all(servo_id in desired and servo_id in sent for servo_id in self._servos):
             return None
         return [desired[servo_id] for servo_id in self._servos], [sent[servo_id] for servo_id in self._servos]
 
     def judge(self, progress: GoalProgress, now_s: float) -> GoalResult | None:
-        """Its result, or None while it goes on."""
+        """Return the goal's result, or None while the goal continues. `now_s`: by the plan's clock."""
         if progress.ended:
             return GoalResult(INVALID_GOAL, progress.ended)
         if now_s < self.plan.ends_s:
@@ -87,7 +87,7 @@ class Followed:
 
 
 def error_code(error: Exception) -> int:
-    """Which result states why a goal cannot be followed."""
+    """Return the result code for a goal that cannot be followed."""
     if isinstance(error, NamesError):
         return INVALID_JOINTS
     return OLD_HEADER_TIMESTAMP if isinstance(error, OverError) else INVALID_GOAL

@@ -25,7 +25,7 @@ class JointNames:
     """The joints' names in ROS messages, from a pattern: `leg{leg}_J{joint}` names the Elkapod's leg1_J1 to leg6_J3."""
 
     def __init__(self, pattern: str = "joint_{leg}{joint}") -> None:
-        """By default as in the URDF. Raises JointsError where the pattern does not give each joint its own name."""
+        """The default names are the URDF's. Raises JointsError if the pattern does not give each joint its own name."""
         if not _PATTERN.fullmatch(pattern):
             raise JointsError(f"{pattern[:80]!r} is no pattern of joint names, such as leg{{leg}}_J{{joint}}")
         self._names = {
@@ -37,11 +37,11 @@ class JointNames:
             raise JointsError(f"{pattern!r} gives two joints one name: it needs {{leg}} and {{joint}}")
 
     def of(self, servo_id: int) -> str:
-        """The name of a servo's joint."""
+        """Return the name of a servo's joint."""
         return self._names[servo_id]
 
     def servos(self, names: Sequence[str]) -> tuple[int, ...]:
-        """The servos of these joints, in any order, but of whole legs. Raises NamesError."""
+        """Return the joints' servos in order. Raises NamesError if a name is unknown or a leg is incomplete."""
         servos = []
         for name in names:
             if name not in self._servos:
@@ -62,12 +62,12 @@ class JointNames:
 
 
 def positions(servos: Sequence[int], positions_rad: Sequence[float]) -> dict[int, float]:
-    """Servo → radians. Raises JointsError."""
+    """Return servo → radians. Raises JointsError as `of_joints`."""
     return of_joints("position", servos, positions_rad)
 
 
 def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
-    """Servo → its value; `what` names one, for a person. Raises JointsError."""
+    """Return servo → value; `what` names a value in errors. Raises JointsError if one is missing or not finite."""
     if len(values) != len(servos):
         raise JointsError(f"there must be one {what} for each of {len(servos)} joints, not {len(values)}")
     for servo_id, value in zip(servos, values, strict=True):
@@ -77,7 +77,7 @@ def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict
 
 
 def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
-    """Raises JointsError where a servo does not turn so far."""
+    """Raises JointsError if a servo would leave 0 to 180°."""
     for servo_id, position in at_rad.items():
         angle_deg = geometry.servos[servo_id].servo_deg(position)
         if not 0.0 <= angle_deg <= MAX_DEG:
@@ -87,7 +87,7 @@ def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
 
 
 def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degrees]:
-    """Leg → degrees of its servos, which turn from 0 to 180 and no further."""
+    """Return leg → degrees of its servos, clamped to 0 to 180."""
 
     def deg(servo_id: int) -> float:
         return min(max(geometry.servos[servo_id].servo_deg(at_rad[servo_id]), 0.0), MAX_DEG)

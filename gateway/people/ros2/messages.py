@@ -17,7 +17,7 @@ class Message(SimpleNamespace):
     """Field → its default, in their order."""
 
     def __init__(self, *values: Any, **fields: Any) -> None:
-        """Raises TypeError for a field that the type has not."""
+        """Raises TypeError for a field that the type does not have."""
         given = dict(zip(self.FIELDS, values, strict=False)) | fields
         if len(values) > len(self.FIELDS) or not given.keys() <= self.FIELDS.keys():
             raise TypeError(f"{self.TYPE} has the fields {', '.join(self.FIELDS)}")
@@ -25,7 +25,7 @@ class Message(SimpleNamespace):
 
 
 def message_type(type_name: str, module: str = __name__, **fields: Any) -> type[Message]:
-    """A type of messages: its fields with their defaults. `module` has it, by its own name."""
+    """Return a message type with these fields and defaults. `module` must hold it under its own name."""
     return type(type_name.rpartition("/")[2], (Message,), {"__module__": module, "TYPE": type_name, "FIELDS": fields})
 
 

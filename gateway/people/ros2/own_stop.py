@@ -22,20 +22,20 @@ class OwnStop:
         self._began_s = 0.0
 
     def drives(self, state: GatewayState, now_s: float) -> None:
-        """The bridge begins to drive in this state, in which no emergency stop is engaged."""
+        """Record that the bridge begins to drive in this state, while no emergency stop is engaged."""
         self._latest, self._number, self._began_s = state.estop, None, now_s - state.uptime_s
 
     def engaged(self, number: int | None, *, drove: bool) -> None:
-        """The gateway has given a request of ROS this number; `drove`: the bridge drove when it was sent."""
+        """Record the number of an emergency stop that ROS requested; `drove`: the bridge drove at that time."""
         before = self._latest if drove else self._number
         own = number if before is not None and number == before + 1 else None
         self._latest = self._number = own
 
     def forget(self) -> None:
-        """The bridge was released, or somebody else drives."""
+        """Record that the bridge was released, or that somebody else drives."""
         self._latest = self._number = None
 
     def may_leave(self, state: GatewayState, now_s: float) -> int | None:
-        """The number of the emergency stop that a reset may name; None: it must not be left from here."""
+        """Return the number that a reset may name; None: ROS must not leave this emergency stop."""
         same_run = abs(now_s - state.uptime_s - self._began_s) <= SAME_RUN_S
         return self._number if same_run and state.estop == self._number else None

@@ -28,7 +28,7 @@ Present = Callable[[], Set[bytes]]
 
 
 def presence(sender: bytes, present: Present) -> Callable[[], bool]:
-    """Returns whether this sender is still there; of one whose GID is not shown, whether all others are."""
+    """Return a check whether this sender is still there. For an unknown GID it checks all senders present now."""
     before = frozenset(present())
     if sender in before:
         return lambda: sender in present()
@@ -43,16 +43,16 @@ class Rivals:
         self._latest_s = float("-inf")
 
     def may_send(self, sender: bytes, now_s: float) -> bool:
-        """Whether its message is followed. A graph that reports no senders has one, with an empty GID."""
+        """Return whether to follow this sender's message. An unreported sender has an empty GID."""
         return sender == self._sender or now_s - self._latest_s > SILENT_S
 
     def sent(self, sender: bytes, now_s: float) -> None:
-        """Its message was followed."""
+        """Record that the sender's message was followed."""
         self._sender, self._latest_s = sender, now_s
 
 
 def read_each(received: Iterable[Any], take: Callable[[Any], object]) -> None:
-    """Until `received` ends. An error in one message is logged and does not end the topic, least of all a Stop's."""
+    """Call `take` for each message until `received` ends. An error in one is logged and does not end the topic."""
     for each in received:
         try:
             take(each)

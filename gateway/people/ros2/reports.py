@@ -103,11 +103,11 @@ class Reports:
         node.publisher("robot_description", ros.String, latched=True)(text)
 
     def begin(self, calibration: Calibration) -> None:
-        """The calibration that is in force; changes of it are published."""
+        """Set the calibration in force at the start; later changes are received."""
         self._joints.take(keys.CALIBRATION, calibration.model_dump(mode="json"))
 
     def tick(self, now_s: float) -> None:
-        """Publish what has come since the last time."""
+        """Publish what was received since the last call. `now_s`: monotonic."""
         self._take(keys.CALIBRATION, Calibration)
         state = self._take(keys.STATE, GatewayState, self._states.join)
         if state is not None:
@@ -134,7 +134,7 @@ class Reports:
             self._diagnostics(robot.diagnostic_array(statuses, time_ns, self._hardware_id))
 
     def _walked(self, time_ns: int, base: str) -> None:
-        """Odometry, and its frame, while the robot walks by the bridge."""
+        """Publish odometry and its frame while the bridge walks the robot."""
         if (walked := self._driving.odometry) is None:
             return
         at, velocity = walked

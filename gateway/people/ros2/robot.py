@@ -14,7 +14,7 @@ from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogState
 
 UNKNOWN_DEG: Final = 90.0
-"""Where a servo that was never commanded is drawn."""
+"""The angle at which a never commanded servo is drawn."""
 _HEXAPOD: Final = "hexapod"
 _MARK_M: Final = 0.035
 """A little thicker than a leg is drawn."""
@@ -44,26 +44,26 @@ _LEVELS: Final[dict[str, int]] = {Mode.IDLE: OK, Mode.ACTIVE: OK, Mode.ESTOPPED:
 
 
 def stamp(time_ns: int) -> Message:
-    """A time since 1970; ROS 2's end in 2038, and whatever is later has that last second."""
+    """Return ns since 1970 as a Time; ROS 2's seconds end in 2038, and later times have that last second."""
     sec, nanosec = divmod(time_ns, 1_000_000_000)
     return ros.Time(min(sec, 2**31 - 1), nanosec)
 
 
 def joint_state(joints_rad: Mapping[int, float], time_ns: int, name_of: Callable[[int], str] = joint_name) -> Message:
-    """The joints that are known, by their servos' numbers."""
+    """Return a JointState of the known joints, in the order of their servos' numbers."""
     known = [servo_id for servo_id in SERVO_IDS if servo_id in joints_rad]
     names, at_rad = tuple(map(name_of, known)), tuple(joints_rad[servo_id] for servo_id in known)
     return ros.JointState(Header(stamp(time_ns)), names, at_rad)
 
 
 def frames(geometry: Geometry, joints_rad: Mapping[int, float], time_ns: int, base: str = BASE) -> Message:
-    """Where each part of each leg is, in its parent's frame. A joint that is not known is drawn at 90° of its servo."""
+    """Return each leg part's transform in its parent's frame; unknown joints are at 90° of their servo."""
     steps = transforms(geometry, all_at(geometry, UNKNOWN_DEG) | dict(joints_rad))
     return transform_message((step._replace(parent=base) if step.parent == BASE else step for step in steps), time_ns)
 
 
 def odometry(at: Odometry, velocity: Velocity, way_m: float, time_ns: int, base: str = BASE) -> Message:
-    """Where its steps have carried the robot, on a way of so many metres. Height and lean are not measured."""
+    """Return the robot's odometry after `way_m` metres, by its steps. Height and lean are not measured."""
     aside_m, turned_rad = _START_M + _OFF_COURSE * way_m, _START_RAD + _TURNED_RAD_M * way_m
     pose = ros.Pose(ros.Point(at.x_m, at.y_m), _heading(at.heading_rad))
     twist = ros.Twist(Vector3(velocity.forward_m_s, velocity.left_m_s), Vector3(z=velocity.turn_rad_s))
@@ -77,7 +77,7 @@ def odometry(at: Odometry, velocity: Velocity, way_m: float, time_ns: int, base:
 
 
 def odometry_frame(at: Odometry, time_ns: int, base: str = BASE) -> Message:
-    """The same, as a frame."""
+    """Return odometry as the transform from `odom` to `base`."""
     turned = _heading(at.heading_rad)
     return transform_message(
         [Step(ODOM, base, (at.x_m, at.y_m, 0.0), (turned.x, turned.y, turned.z, turned.w))], time_ns
@@ -95,12 +95,12 @@ def _planar(moved: float, turned: float) -> tuple[float, ...]:
 
 
 def all_at(geometry: Geometry, angle_deg: float) -> dict[int, float]:
-    """The joints with each servo at this angle."""
+    """Return servo → joint radians with each servo at this angle."""
     return {servo_id: geometry.joint_rad(servo_id, angle_deg) for servo_id in SERVO_IDS}
 
 
 def transform_message(steps: Iterable[Step], time_ns: int) -> Message:
-    """These frames, each in its parent's."""
+    """Return these transforms as one TFMessage."""
     header_stamp = stamp(time_ns)
     moved = ((step, ros.Transform(Vector3(*step.translation_m), Quaternion(*step.rotation))) for step in steps)
     return ros.TFMessage(
@@ -126,7 +126,7 @@ def servos_off(servos: Collection[int], time_ns: int) -> Message:
 
 
 def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, base: str = BASE) -> Message:
-    """The URDF, whose joints are those of `joint_state`, and whose root is `base`."""
+    """Return the URDF with the joint names of `joint_state` and the root `base`."""
     text = urdf(geometry)
     for place in ("link name", "parent link"):
         text = text.replace(f'{place}="{BASE}"', f'{place}="{base}"')
@@ -136,7 +136,7 @@ def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, 
 
 
 def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = BASE) -> Iterator[tuple[str, Message]]:
-    """The topics and messages of what the robot measures; `time_ns` is when it was received.
+    """Return topics and messages of the robot's measurements, received at `time_ns`.
 
     The robot reports neither its sensors' accuracy, nor where they are: they count as the body's own.
     """
@@ -174,7 +174,7 @@ def _battery(battery: Battery, header: Message) -> Message:
 
 
 def diagnostics(state: GatewayState) -> tuple[Message, ...]:
-    """What the gateway publishes of itself, a status for each part."""
+    """Return a DiagnosticStatus for each part of the gateway."""
     expired = [leg.leg for leg in state.legs if leg.watchdog == WatchdogState.EXPIRED]
     latency, lease, estopped = state.watchdog.stop_latency_us, state.lease, state.mode == Mode.ESTOPPED
     return (
@@ -226,13 +226,13 @@ def diagnostics(state: GatewayState) -> tuple[Message, ...]:
 
 
 def status(part: str, level: int, message: str, **values: object) -> Message:
-    """One part's; a value that is None is left out."""
+    """Return the DiagnosticStatus of one part. Values that are None are omitted."""
     shown = tuple(ros.KeyValue(key, _text(value)) for key, value in values.items() if value is not None)
     return ros.DiagnosticStatus(level, f"{_HEXAPOD}: {part}", _text(message), _HEXAPOD, shown)
 
 
 def diagnostic_array(statuses: tuple[Message, ...], time_ns: int, hardware_id: str = _HEXAPOD) -> Message:
-    """The robot's diagnostics as one message of `/diagnostics`; `hardware_id` distinguishes it from others."""
+    """Return the statuses as one message of `/diagnostics`; `hardware_id` names this robot."""
     for each in statuses:
         each.hardware_id = hardware_id
     return ros.DiagnosticArray(Header(stamp(time_ns)), statuses)

@@ -34,7 +34,7 @@ _MOST_SHOWN: Final = 200
 
 
 class Topics:
-    """The topics that come in, and how many of their messages were taken, or were not."""
+    """The subscribed topics, with counts of taken and rejected messages."""
 
     def __init__(
         self, node: Node, driving: Driving, geometry: Geometry, joints: JointNames, show: Callable[[str], None]
@@ -73,12 +73,12 @@ class Topics:
             self._node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
 
     def turned(self) -> None:
-        """Ten times a second and more: else what comes after a pause of this process is held for old."""
+        """Record that the process is alive. Call it at least ten times a second: else messages count as old."""
         with self._lock:
             self._ages.record_alive(time.monotonic_ns())
 
     def plan(self, message: Any) -> Trajectory:
-        """A JointTrajectory that begins now, or at its stamp. Raises JointsError."""
+        """Read a JointTrajectory that begins now, or at its stamp. Raises JointsError if it cannot be followed."""
         return Trajectory.read(message, self.joints, self._geometry, time.monotonic(), time.time_ns())
 
     # ---- one for each topic
@@ -139,7 +139,7 @@ class Topics:
             raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
 
     def reject(self, topic: str, why: str) -> None:
-        """Count what is not taken, and explain it."""
+        """Count a rejected message, and show each reason once."""
         self.rejected[topic] += 1
         self.latest_rejection = f"{topic}: {why}"
         sign = self.latest_rejection.translate(_WITHOUT_DIGITS)

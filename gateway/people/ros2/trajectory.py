@@ -83,17 +83,17 @@ class Trajectory:
 
     @property
     def ends_s(self) -> float:
-        """When its last point is reached."""
+        """When the last point is due, by the clock of `at`."""
         return self._begins_s + self._points[-1].at_s
 
     def elapsed_s(self, now_s: float) -> float:
-        """Seconds from its start."""
+        """Return the seconds since the trajectory's start."""
         return now_s - self._begins_s
 
     def begin(self, present_rad: Mapping[int, float], now_s: float) -> None:
-        """Go on from where the joints are now. One that is not in `present_rad` begins at the next point.
+        """Start from the present angles. A joint that is not in `present_rad` begins at the next point.
 
-        Raises JointsError where the next point is too near in time.
+        Raises JointsError if a servo would have to turn too fast to the next point.
         """
         after = self._points[self._next(now_s)]
         at_rad = {servo_id: present_rad.get(servo_id, at) for servo_id, at in after.positions_rad.items()}
@@ -104,11 +104,11 @@ class Trajectory:
         self._from = before
 
     def postpone(self, by_s: float) -> None:
-        """Reach each point so much later: the joints wait where they are."""
+        """Delay each point by `by_s` seconds: the joints wait."""
         self._begins_s += by_s
 
     def at(self, now_s: float) -> dict[int, float]:
-        """Servo → radians, after `begin`."""
+        """Return servo → radians at `now_s`. Call `begin` first."""
         index = self._next(now_s)
         before, after = self._from, self._points[index]
         if index > 0 and self._points[index - 1].at_s > before.at_s:
@@ -206,10 +206,10 @@ def _elapsed_s(message: Any, length_s: float, since_1970_ns: int) -> float:
 
 
 def seconds(duration: Any) -> float:
-    """A Duration as one number."""
+    """Return a Duration in seconds."""
     return float(duration.sec + duration.nanosec / 1e9)
 
 
 def stamp_ns(header: Any) -> int:
-    """A Header's stamp since 1970; 0 is none."""
+    """Return a Header's stamp in ns since 1970; 0: no stamp."""
     return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
