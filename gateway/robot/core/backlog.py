@@ -4,12 +4,13 @@ A link that stalls keeps what a program sends, and delivers all of it at once, p
 command with `sent_ms` shows its delay (`model/staleness.py`). One without shows it only by what comes with it. So a leg
 that does not run takes no start from a burst of messages without `sent_ms` on one key:
 
-- A start waits for `Rules.start_wait_ns` before its leg's first frame. What waited behind it on the link has come then.
+- A start waits for `Rules.start_wait_ns` before its leg's first frame. Messages that the link kept behind it arrive
+  within that time.
 - More messages of one key within `Rules.window_ns` than its rate allows are a burst. The starts of this key that wait
   are dropped, and further ones are rejected, until the watchdog's time has passed without a burst on the key: a link
   that loses packets delivers a backlog in pieces.
 
-Legs that run are not concerned: they take what comes, and a Stop is a Stop.
+Legs that run take every command, and a Stop is always carried out.
 """
 
 from typing import Final
@@ -27,7 +28,7 @@ START_WAIT_NS: Final = 15 * NS_PER_MS
 
 
 class Backlog:
-    """The latest messages without a time of each key, and which keys have a burst."""
+    """The latest messages without `sent_ms` of each key, and the keys that have a burst."""
 
     def __init__(self, rules: Rules, legs: Legs) -> None:
         self._rules = rules
@@ -37,10 +38,10 @@ class Backlog:
         self._came_ns: dict[str, tuple[int, ...]] = {}
         self._until_ns: dict[str, int] = {}
         self.held: dict[int, str] = {}
-        """The legs that wait to be started without a time: the key of that start."""
+        """Legs that wait for a start without `sent_ms`, each with the key of that start."""
 
     def note(self, command: Command, now_ns: int) -> list[Effect]:
-        """Take a command without a time, whatever becomes of it. Drop the starts that wait, if it is of a burst."""
+        """Count a command without `sent_ms`. If the command is of a burst, drop the starts of its key that wait."""
         if not self._rules.start_wait_ns or not command.moves:
             return []
         key = command.key
@@ -54,16 +55,13 @@ class Backlog:
         return self._legs.drop(waiting, Reason.STALE, _why(key))
 
     def rejection(self, command: Command, now_ns: int) -> tuple[Reason, str] | None:
-        """Return why a command without a time is rejected: it is of a burst, and starts a leg that does not run."""
+        """Return why a command without `sent_ms` is rejected (a burst would start a stopped leg), or None."""
         if now_ns >= self._until_ns.get(command.key, now_ns):
             return None
         return (Reason.STALE, _why(command.key)) if self._starting(command) else None
 
     def hold(self, command: Command, now_ns: int) -> None:
-        """Take an accepted command: one without a time, or any while legs wait.
-
-        Legs that it starts without a time wait for what may come behind it.
-        """
+        """Delay the legs that an accepted command starts without `sent_ms`. With `sent_ms`, end their delay."""
         if not self._rules.start_wait_ns:
             return
         self.held = {number: key for number, key in self.held.items() if not _runs(self._legs.by_number[number])}
@@ -75,7 +73,7 @@ class Backlog:
                 leg.slots.wait_until(now_ns + self._rules.start_wait_ns)
 
     def _starting(self, command: Command) -> list[Leg]:
-        """The legs that do not run, and that it starts."""
+        """Return the stopped legs that the command starts."""
         numbers = dict.fromkeys(servo_id // 10 for servo_id, op in command.moves if op.op is OP_START)
         return [leg for leg in map(self._legs.by_number.__getitem__, numbers) if not _runs(leg)]
 

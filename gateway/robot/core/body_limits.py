@@ -1,12 +1,12 @@
-"""What the robot's own measurements forbid: starts on an empty battery, and anything on a body that has fallen. Pure.
+"""Starts are forbidden on an empty battery, and all motion on a body that has fallen. Pure.
 
-- The battery is low from the first measurement below `min_battery_mv` on, until one is `RECOVERS` above it: then
-  nothing that stands still is started. What runs goes on, since a Stop would let the robot fall.
+- The battery is low from the first measurement below `min_battery_mv` until one is `RECOVERS` above it. Meanwhile
+  no stopped servo starts. Running servos go on, since a Stop would let the robot fall.
 - The body has fallen once it has been tilted beyond `max_tilt_cdeg` for `tilt_ns`: it fell, or was lifted. Nothing
-  starts or moves until a measurement is within the limit. A tilt that is unknown neither begins nor ends
-  that time, and is no sign that the body stands.
+  starts or moves until a measurement is within the limit. An unknown tilt neither begins nor ends that time, and does
+  not show that the body stands.
 
-Only measurements bring time here. That they stop coming is a fault of the link, which the bus reports (`BusFailed`).
+Time passes here only with measurements. The bus reports missing measurements as a fault of the link (`BusFailed`).
 """
 
 from typing import Any, Final
@@ -26,7 +26,7 @@ _ALL: Final = tuple(LEGS)
 
 
 class BodyLimits(Interlock[BodyMeasured]):
-    """What the latest measurements allow."""
+    """Reject commands, and bring the robot down, by the latest measurements of battery and tilt."""
 
     takes = (BodyMeasured,)
 
@@ -42,7 +42,7 @@ class BodyLimits(Interlock[BodyMeasured]):
 
     @property
     def fell_ns(self) -> int:
-        """When the body that has fallen had been tilted for long enough."""
+        """When the tilt has lasted for `tilt_ns` (ns, monotonic)."""
         return (self.beyond_ns or 0) + self._rules.tilt_ns
 
     def why_not(self, request: Any, legs: Legs) -> Why | None:

@@ -33,21 +33,21 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
 MOST_OF_ONE: Final = 4
-"""Registrations of one certificate: a person's phone, tablet and laptop. For one more, the oldest of that certificate
-that is not alive is forgotten."""
+"""Registrations of one certificate: a person's phone, tablet and laptop. A further one replaces the
+certificate's oldest registration that is not alive."""
 MOST_UNPROVED: Final = 16
 """Registrations without a certificate: twice as many as can be required."""
 DRIFT_PPM: Final = 200
 """How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
 RISE: Final = 4
-"""A registration's clock may fall behind by the timeout divided by this, and no more: somebody on the way who delays
-check-ins a little longer each second looks like a slow clock. That one registers anew before."""
+"""A registration's clock may fall behind by at most the timeout divided by this: an attacker who delays check-ins a
+little longer each second looks like a slow clock. A button that is slower must register again."""
 _ALL: Final = tuple(LEGS)
 
 
 @dataclass(slots=True)
 class Registration:
-    """One registration."""
+    """One registered button, and the clock of its messages."""
 
     name: str
     holder: str | None
@@ -66,9 +66,9 @@ class Registration:
     """The smallest `offset_ns` of this registration."""
 
     def sent_ns(self, sent_ms: float | None, received_ns: int, rise_ns: int) -> int:
-        """When a message of it was sent, by the gateway's clock: never later than it came.
+        """Return when a message of this button was sent (ns, the gateway's clock), at the latest when it was received.
 
-        `rise_ns`: how far its clock may fall behind in all.
+        `rise_ns` is how far the button's clock may fall behind in all.
         """
         if sent_ms is None:
             return received_ns
@@ -84,7 +84,7 @@ class Registration:
 
 
 class Buttons(Interlock[ButtonRequest]):
-    """The buttons of one robot."""
+    """The buttons of one robot: registrations, check-ins and deadlines."""
 
     takes = (ButtonRequest,)
     bars = (Command, Reset)
@@ -103,15 +103,15 @@ class Buttons(Interlock[ButtonRequest]):
         self.alive = 0
         """How many of those that may be required check in: certificates, or names where nothing is proved."""
         self.due_ns: int | None = None
-        """When the next of them falls silent."""
+        """When the next button falls silent (ns); None if none is alive."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Those that are alive, in the order of their registrations."""
+        """The buttons that are alive, in the order of registration."""
         return tuple(button.name for button in self._by_token.values() if button.until_ns is not None)
 
     def knows(self, token: str) -> bool:
-        """Whether this is the token of a registration. From any thread."""
+        """Return whether a registration has this token. May be called from any thread."""
         return token in self._by_token
 
     def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
@@ -123,7 +123,7 @@ class Buttons(Interlock[ButtonRequest]):
     # ---- time
 
     def expire(self, now_ns: int, legs: Legs) -> list[Effect]:
-        """Those whose time has come are silent."""
+        """Mark the buttons as silent whose deadline is at or before `now_ns`. Return the events."""
         late = [
             (button.until_ns, button)
             for button in self._by_token.values()
@@ -139,7 +139,7 @@ class Buttons(Interlock[ButtonRequest]):
     # ---- requests
 
     def take(self, event: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
-        """The events of one request, and its answer, which is the last."""
+        """Handle one request. Return its events, and its answer as the last effect."""
         match event.do:
             case ButtonDo.REGISTER:
                 return self._register(event, now_ns, legs)
@@ -203,13 +203,13 @@ class Buttons(Interlock[ButtonRequest]):
     def _changed(
         self, kind: Kind, what: str, name: str, at_ns: int, legs: Legs, key: str | None = keys.BUTTON
     ) -> list[Effect]:
-        """Something has happened to one of them; the event names the legs that stop for it."""
+        """Return the event of a change to one button; it names the legs that stop because of the change."""
         then = how_it_comes_down(legs, self._rules) if self._count_alive(at_ns) else ""
         detail = f"{what}; {self._count()}{f'; {then}' if then else ''}"
         return [Announce(kind, detail, name, key, _ALL if then else ())]
 
     def _count_alive(self, at_ns: int) -> bool:
-        """Count those that are alive. Whether they have become too few by this."""
+        """Count the buttons that are alive. Return whether they have just become too few."""
         alive = [button for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min((button.until_ns for button in alive if button.until_ns is not None), default=None)
         self.alive = len({(each.holder, each.name if each.holder is None else "") for each in alive if each.counts})

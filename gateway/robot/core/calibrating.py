@@ -1,12 +1,12 @@
-"""How the calibration in force is changed: checked, kept on the disk, and only then in force. Pure.
+"""Changes of the calibration are checked, saved to the disk, and only then put in force. Pure.
 
 A change takes two steps, since no Stop may wait for a disk. `Calibrate` is checked, and the new calibration goes to the
 disk (`SaveCalibration`) while the old one stays in force; `CalibrationSaved` then puts it in force, or leaves the old
 one where the disk failed.
 
 The calibration of a servo must never change while the servo runs: the servo would jump at the next frame, unasked.
- So no servo that is changed may run or wait to be started when the change comes, and until it is in force none
-of them can be started.
+So no changed servo may run or wait to be started when the change comes, and none can be started until the change is in
+force.
 
 Where the file that kept the calibration cannot be read (`fault`), nothing moves until a person takes the default
 calibration as this robot's: with a wrong trim or direction, a leg goes where nobody sent it.
@@ -31,15 +31,15 @@ from gateway.robot.core.legs import Legs
 from schemas.telemetry import Kind, Reason
 
 ACCEPT_DEFAULT: Final = "calibrate accept-default"
-"""What a person does where the calibration cannot be trusted."""
+"""The command for a calibration that cannot be trusted."""
 
 
 class _OnItsWay(NamedTuple):
-    """A change that is accepted, and not yet on the disk."""
+    """A change that is accepted, but not yet saved."""
 
     calibration: RobotCalibration
     servos: frozenset[int]
-    """Those whose frames or limits it changes."""
+    """The servos whose frames or limits the change alters."""
     event: Calibrate
 
 
@@ -63,21 +63,21 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     @property
     def in_force(self) -> RobotCalibration:
-        """By which frames are written now."""
+        """The calibration that frames are written with now."""
         return self._limits.calibration
 
     def load(self, calibration: RobotCalibration, fault: str | None = None) -> None:
-        """What was kept, and why it cannot be trusted, if so. To be called once, before the bus is opened."""
+        """Take the saved calibration; `fault` is why it cannot be trusted. Call it once, before the bus is opened."""
         self._limits.use(calibration)
         self.fault = fault
         self.closed = fault is not None
 
     def awaits(self, number: int) -> bool:
-        """Whether the change with this number is on its way."""
+        """Return whether the change with this number is not saved yet."""
         return self._on_its_way is not None and self._on_its_way.event.number == number
 
     def note_delay(self, why: str) -> None:
-        """The disk takes long, for this reason, which rejections from now on contain."""
+        """State in further rejections why the disk is late."""
         if self._on_its_way is not None:
             self._delay = f"; {why}"
 
