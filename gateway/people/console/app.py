@@ -22,9 +22,9 @@ MAX_PAGES: Final = 64
 MAX_CLOSING: Final = 16
 """Further WebSockets, which are being closed; those beyond are rejected."""
 CHECK_S: Final = 1.0
-"""How often each page's session is checked for its end."""
+"""The period in which each page's session is checked."""
 CLOSE_PAGES_S: Final = 1.0
-"""How long all pages together may take to receive that the console ends."""
+"""The longest wait for all pages to receive that the console ends."""
 SIGNED_OUT: Final = "signed out"
 
 
@@ -42,7 +42,7 @@ class Console:
         self._open: set[WebSocket] = set()
 
     async def serve(self, request: web.BaseRequest, session: SignedIn) -> web.StreamResponse:
-        """Answer a page's WebSocket; returns once it has ended."""
+        """Answer a page's WebSocket; return once the WebSocket has ended."""
         if len(self._open) >= MAX_PAGES + MAX_CLOSING:
             return web.Response(status=503)
         websocket = WebSocket()

@@ -36,10 +36,10 @@ THREADS_START_S: Final = 10.0
 
 
 class ReadyThreads:
-    """So many threads, all of them started; further calls wait for their turn."""
+    """`count` threads, all started at once; further calls wait for a free thread."""
 
     def __init__(self, count: int, name: str) -> None:
-        """Raises RuntimeError where the system does not allow so many."""
+        """Raises RuntimeError if the system does not allow `count` threads."""
         self.executor = ThreadPoolExecutor(count, thread_name_prefix=name)
         together = threading.Barrier(count + 1)
         for _ in range(count):
@@ -47,7 +47,7 @@ class ReadyThreads:
         together.wait(THREADS_START_S)
 
     async def run(self, function: Callable[[], T]) -> T:
-        """Returns or raises what the function does, which goes on if this is cancelled."""
+        """Return or raise what `function` does. Cancelling stops the wait, not the function."""
         return await asyncio.get_running_loop().run_in_executor(self.executor, function)
 
 
@@ -83,27 +83,27 @@ class GatewayLink(Receiver):
     # ---- what pages send
 
     def client(self) -> Client:
-        """Of all pages; its questions wait, so a thread asks them. Raises ZenohError while there is no session."""
+        """Return the client of all pages; its requests block. Raises ZenohError while there is no session."""
         if self._live.client is None:
             raise ZenohError("no gateway has been reached yet")
         return self._live.client
 
     def connect(self, source: str) -> Client:
-        """Open a further session under this name, and wait for it. Raises GatewayError."""
+        """Open another session named `source`; blocks. Raises GatewayError if the gateway cannot be reached."""
         return self._connect(source=source)
 
     async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
-        """Send a command; returns its Ack. `again` (Stops only): send it until it is answered. Raises GatewayError."""
+        """Send a command and return its Ack. `again` (Stops only): repeat it until answered. Raises GatewayError."""
         client = self.client()
         threads = self._stops if again else self._questions
         return await threads.run(lambda: client.ask(key, payload, again=again))
 
     async def set_upright(self) -> Ack:
-        """Set a robot that is simulated with physics upright. Raises GatewayError."""
+        """Set a robot simulated with physics upright, and return the Ack. Raises GatewayError."""
         return await asyncio.to_thread(partial(set_upright, self.client()))
 
     async def estop(self, source: str) -> Ack:
-        """Request the emergency stop by any way that reaches the gateway; waits for the session. Raises ZenohError.
+        """Wait for the session, then request the emergency stop by any way that reaches the gateway. Raises ZenohError.
 
         `source`: the page or button that requests it.
         """

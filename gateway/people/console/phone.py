@@ -44,25 +44,25 @@ def prepared(options: Options, folder: Path) -> Options:
 
 
 def door(site: Site) -> Site:
-    """Where the page that explains is served."""
+    """Return the site of the page that explains the warning, on a free port."""
     address, port = address_of(free_address(site.address))
     return Site(address, port, site.hosts)
 
 
 def link(at: Site, site: Site) -> str:
-    """What a link begins with, before its token."""
+    """Return the start of a link, before its token."""
     return f"{at.url}/#{site.port},"
 
 
 class Door:
-    """Answers with the page that explains, and with nothing else."""
+    """Serve only the page that explains the warning."""
 
     def __init__(self) -> None:
         files = read_files()
         self._files = {path: files[name] for path, name in _FILES.items()}
 
     def answer(self, method: str, target: str, _headers: MultiMapping[str]) -> web.Response:
-        """The page, or 404."""
+        """Return the page or one of its files, else 404."""
         file = self._files.get(target.partition("?")[0]) if method == "GET" else None
         found = web.Response(status=404) if file is None else web.Response(body=file.content)
         found.headers.update(HEADERS, **{"content-security-policy": CONTENT_POLICY.format(socket="")})

@@ -54,9 +54,7 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # With the default cone a foot that is loaded creeps over the ground, far below its limit of friction.
     model.opt.cone, model.opt.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _FRICTION_RATIO
-    model.opt.disableflags |= (
-        mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    )  # a diverged simulation is reported before it is reset
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a divergence is reported first
     return model
 
 

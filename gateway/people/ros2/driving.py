@@ -33,14 +33,14 @@ M = TypeVar("M", bound=Motion)
 
 
 class NotTakenError(Exception):
-    """A message is not taken; one sentence. What moves the robot goes on."""
+    """A message is rejected, with one sentence. The present motion continues."""
 
 
 class Driving:
     """For any thread: one of them acts at a time."""
 
     def __init__(self, client: Client, name: str, geometry: Geometry, show: Callable[[str], None]) -> None:
-        """`name` is who we are to the lease, where no certificate names us; `show` takes lines for a person."""
+        """`name`: the lease's holder if no certificate names one; `show` takes lines for a person."""
         self._client = client
         self._name = name
         self._geometry = geometry
@@ -59,16 +59,16 @@ class Driving:
         self._held_as = name
         self._closed = False
         self._why_not = self._inactive = NOT_ACTIVE
-        """Why nobody may drive; empty: somebody may."""
+        """Why nobody may drive; empty while driving is allowed."""
 
     @property
     def drives(self) -> bool:
-        """Whether the bridge holds the lease, and so passes messages on."""
+        """Whether the bridge holds the lease and passes messages on."""
         return self._lease is not None
 
     @property
     def does(self) -> str:
-        """What it does, or why it takes nothing; for people."""
+        """What the bridge does, or why it rejects messages; for people."""
         motion = self._motion
         if not self.drives:
             return self._why_not
@@ -103,7 +103,7 @@ class Driving:
             return f"drives as {lease.holder}"
 
     def release(self, *, sits: bool = True) -> str:
-        """Sit down, stop what runs by it, and take nothing any more. Raises GatewayError."""
+        """Sit down, stop the bridge's servos and give the lease back. Return a sentence. Raises GatewayError."""
         with self._lock:
             self._own.forget()
             if self._lease is None:
@@ -115,7 +115,7 @@ class Driving:
             return "released"
 
     def activate(self, *, drives: bool) -> None:
-        """From now on somebody may call `drive`; nothing begins by this alone, but with `drives`."""
+        """Allow `drive` from now on; with `drives`, call it at once."""
         with self._lock:
             self._inactive, self._why_not = "", NOBODY_DRIVES
             try:
@@ -125,7 +125,7 @@ class Driving:
                 self._show(f"--drive: {error}; the service drive tries again")
 
     def deactivate(self, why: str) -> None:
-        """As `release`; after that nobody may drive until `activate`."""
+        """Release, and reject `drive` until `activate`. `why`: the reason, for people."""
         with self._lock:
             self._inactive = why
             try:
@@ -136,7 +136,7 @@ class Driving:
                 self._why_not = why
 
     def estop(self) -> str:
-        """Engage the emergency stop, waiting for nothing here. Raises GatewayError."""
+        """Engage the emergency stop without waiting for the lock. Return a sentence. Raises GatewayError."""
         drove = self.drives
         ack = self._client.estop()
         self._own.engaged(ack.estop, drove=drove)
@@ -160,7 +160,7 @@ class Driving:
         return "the emergency stop is left; nothing moves until it is started again"
 
     def close(self) -> None:
-        """Stop what runs by it at once, and take nothing any more, not even `drive`. Raises GatewayError."""
+        """Stop the bridge's servos at once, and reject everything from now on, `drive` too. Raises GatewayError."""
         with self._lock:
             self._closed = True
             self.release(sits=False)

@@ -26,7 +26,7 @@ from schemas.robot import LEGS
 
 HZ: Final = 50.0
 MARGIN_S: Final = 0.25
-"""After the gateway's watchdog must have stopped what is silent."""
+"""Added to the time after which the gateway's watchdog has stopped silent legs."""
 LONGEST_SIT_S: Final = 30.0
 STARTS_WHOLE: Final = "this robot starts as a whole: what starts it has to name all 18 joints"
 REPLACED: Final = "a newer trajectory has replaced it"
@@ -34,15 +34,15 @@ DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_heigh
 
 
 class Motion(Protocol):
-    """One of them, from its first message until nothing runs by it."""
+    """One motion, from its first message until its servos are stopped."""
 
     title: str
 
     def check(self, now_s: float) -> bool:
-        """Whether it goes on. Raises what has ended it; looked at ten times a second and more."""
+        """Return whether the motion continues. Raises the error that ended it. Call it at least ten times a second."""
 
     def end(self, *, sits: bool) -> None:
-        """Stop what it has started; with `sits`, lie down before, where it can. Raises GatewayError."""
+        """Stop the servos that the motion started; with `sits`, lie down first if possible. Raises GatewayError."""
 
 
 class JointCommands:
@@ -64,7 +64,7 @@ class JointCommands:
         self._received_s = time.monotonic()
 
     def command(self, at_rad: dict[int, float]) -> None:
-        """Servo → radians, of whole legs. Raises as a stream's `set`, and JointsError where that cannot start them."""
+        """Send servo → radians, of whole legs. Raises as `Stream.send`; JointsError if they cannot start it."""
         legs = legs_deg(self._geometry, at_rad)
         sent = next_start(legs, self._started, whole=self._whole)
         self._stream.send({**sent})
@@ -73,7 +73,7 @@ class JointCommands:
 
     @property
     def is_over(self) -> bool:
-        """Whether an error has ended it, and no message goes on."""
+        """Whether an error has ended the stream."""
         return self._stream.is_over
 
     def check(self, now_s: float) -> bool:
@@ -122,7 +122,7 @@ class Course:
         return self._plan is not None or bool(self._at_rad)
 
     def follow(self, plan: Trajectory, now_s: float) -> None:
-        """From now on, from where the joints that run are. Raises JointsError."""
+        """Follow `plan` from the present angles. Raises JointsError if the plan cannot begin there."""
         self._look(now_s)
         running_rad = self._running_rad()
         plan.begin(running_rad, now_s)
@@ -147,7 +147,7 @@ class Course:
             self._plan, self._rests_s, self._left = None, now_s + REST_S, "it was cancelled"
 
     def lose_sender(self, now_s: float) -> None:
-        """Nobody can take back what is still to come, so nothing of it does: sit down now."""
+        """Sit down now, unless the plan has ended: nobody could cancel the rest."""
         if self._plan is not None and now_s < self._plan.ends_s:
             self.leave(now_s, "its sender has left the graph, so the robot sits down")
 
@@ -157,7 +157,7 @@ class Course:
         self._plan, self._rests_s, self._left = None, min(self._rests_s, now_s), why
 
     def next(self, now_s: float) -> Pose | None:
-        """What to send; None: it is over, and what runs is to be stopped."""
+        """Return the pose to send; None: the course is over, and running servos must be stopped."""
         self._look(now_s)
         if self._limp_s and self._ride is None and not self._at_rad.keys() <= self._rad(self._sent).keys():
             self._fed_s = now_s + self._limp_s
@@ -177,7 +177,7 @@ class Course:
         return pose
 
     def sent(self, pose: Pose) -> None:
-        """This was sent, and its starts were accepted."""
+        """Record that the pose was sent and its starts accepted."""
         self._sent = {**self._sent, **pose}
 
     def _running_rad(self) -> dict[int, float]:
@@ -318,13 +318,13 @@ class Walking:
 
     @property
     def odometry(self) -> tuple[Odometry, Velocity]:
-        """Where its steps have carried the robot since the first walk, and how fast they carry it now."""
+        """The robot's place since the first walk, and its velocity, both by its steps."""
         if (state := self._walk.latest) is None:
             return self._begins, STILL
         return self._begins.then(state.odometry), state.scaled if state.posture == Posture.WALKING else STILL
 
     def go(self, velocity: Velocity) -> None:
-        """For half a second from now on. Raises WalkError, and what has ended the walk."""
+        """Walk at this velocity for half a second. Raises WalkError, or the error that ended the walk."""
         if not velocity.moves and self._walk.state.posture in DOWN:  # it would start the servos
             return
         self._walk.go(*velocity, wait=False)
@@ -332,7 +332,7 @@ class Walking:
     def stand(
         self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
     ) -> None:
-        """Another height or lean of the body, of which the others stay; a walk pauses for it. Raises as `go`."""
+        """Change the body's height or lean; None keeps a value. A walk pauses for it. Raises as `go`."""
         height, roll, pitch = self._body
         body = (
             height if height_m is None else height_m,
@@ -347,7 +347,7 @@ class Walking:
             self._body = body
 
     def walk_as(self, gait: str) -> None:
-        """Another gait; a walk pauses for it."""
+        """Change the gait; a walk pauses for it."""
         if gait != self._walk.state.gait:
             self._walk.walk_as(gait)
 

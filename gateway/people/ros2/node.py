@@ -254,7 +254,7 @@ class Node(LifecycleNode):  # type: ignore[misc]
     # each transition takes the state before it
 
     def on_activate(self, state: Any) -> Any:
-        """Somebody may call `drive` from now on."""
+        """Allow `drive` from now on; fail if use_sim_time is set."""
         if self.get_parameter("use_sim_time").value:
             self._end(SIMULATED)
             self.get_logger().error(SIMULATED)
@@ -263,17 +263,17 @@ class Node(LifecycleNode):  # type: ignore[misc]
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> Any:
-        """The robot sits down, its servos are stopped, and nobody may drive."""
+        """Sit down, stop the servos, and reject `drive`."""
         self._end(_INACTIVE)
         return super().on_deactivate(state)
 
     def on_shutdown(self, state: Any) -> Any:
-        """The same, for the rest of its life; the emergency stop is still served."""
+        """Deactivate permanently; the emergency stop is still served."""
         self._end("the node was shut down")
         return super().on_shutdown(state)
 
     def on_error(self, state: Any) -> Any:
-        """The same, until it is configured and activated again."""
+        """Deactivate until the node is configured and activated again."""
         self._end(_INACTIVE)
         return super().on_error(state)
 
@@ -294,7 +294,7 @@ def ros_type(type_name: str) -> Any:
 
 
 def to_ros(message: Message) -> Any:
-    """rclpy's message with these fields; the others have their defaults. Raises AssertionError as rclpy does."""
+    """Return rclpy's message with these fields and other defaults. Raises AssertionError as rclpy does."""
     made = ros_type(message.TYPE)()
     for name, value in vars(message).items():
         setattr(made, name, bytes((value,)) if isinstance(getattr(made, name), bytes) else ros_value(value))
@@ -302,7 +302,7 @@ def to_ros(message: Message) -> Any:
 
 
 def ros_value(value: Any) -> Any:
-    """A field's value as rclpy has it."""
+    """Return a field's value in rclpy's types."""
     if isinstance(value, Message):
         return to_ros(value)
     return list(map(ros_value, value)) if isinstance(value, tuple) else value

@@ -38,7 +38,7 @@ class PageLease:
         self.mine = False
         """Whether the page drives."""
         self.token: str | None = None
-        """What the page's commands carry."""
+        """The lease token for the page's commands; None without the lease."""
         self._kept_s = self._asked_s = -math.inf
         """When the page sent its latest request that was granted, and when its latest one was answered, monotonic."""
         self._ttl_s = math.inf
@@ -63,7 +63,7 @@ class PageLease:
             self.tasks.start(self._run(DriveRequest(type="lease", id=0, do="renew"), by_page=False))
 
     def close(self) -> None:
-        """The page is gone: release the lease, if it has it."""
+        """Release the lease if the closed page has it."""
         self.tasks.start(self._release())
 
     async def _run(self, request: DriveRequest, *, by_page: bool = True) -> None:

@@ -84,7 +84,7 @@ class PageFile:
 
 
 class Auth:
-    """Knows the page's files and the site; its sessions are in a file. For one thread."""
+    """Answer requests with the page's files, and check sessions. For one thread."""
 
     def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
         """`role`: what a page may do at most."""
@@ -96,7 +96,7 @@ class Auth:
         """Issued and not used, and until when each is valid, monotonic."""
 
     def answer(self, method: str, target: str, headers: MultiMapping[str]) -> web.Response | SignedIn:
-        """The response, or the session whose WebSocket is admitted.
+        """Return the response, or the session whose WebSocket is admitted.
 
         A response to a request without a session closes its connection.
         """
@@ -185,7 +185,7 @@ class Auth:
 
 
 def read_files() -> Mapping[str, PageFile]:
-    """The page's files, 1 MB in memory: no request waits for a disk or takes a descriptor.
+    """Return the page's files by path, 1 MB in memory: no request waits for a disk or takes a descriptor.
 
     A built package has them compressed; those of a repository are compressed here.
     """
@@ -225,7 +225,7 @@ def _cookie(headers: MultiMapping[str], name: str) -> str | None:
 
 
 def proof(key_sha256: str, text: str) -> str:
-    """Proves knowledge of the key that has this SHA-256: an HMAC in hex, as `key.js` makes it."""
+    """Return an HMAC in hex that proves knowledge of the key with this SHA-256, as `key.js` makes it."""
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
 
 

@@ -44,7 +44,7 @@ UNKNOWN_S: Final = 5.0
 SIGNED_IN_S: Final = 30.0
 """For a file of 150 kB, with a session."""
 CLOSING_S: Final = 1.0
-"""How long the other side has to confirm that a connection is closed."""
+"""The longest wait for the peer to confirm that a connection is closed."""
 ACCEPT_AGAIN_S: Final = 1.0
 """After a connection could not be accepted, for want of descriptors or memory: meanwhile Stops have them."""
 
@@ -124,14 +124,14 @@ class Connection(web.RequestHandler):
         self._end()
 
     def begin(self, serves: "Serves", until_s: float | None) -> None:
-        """Its request has a session; it may take this long (None: as long as it likes)."""
+        """Serve a request that has a session, and abort after `until_s` (None: never)."""
         self.serves = serves
         self._deadline.cancel()
         if until_s is not None:
             self._deadline = self._own_loop.call_later(until_s, self.abort)
 
     def abort(self) -> None:
-        """End it at once."""
+        """Close the connection at once, without sending what waits."""
         if self._raw is None:
             self._accepted.close()
         else:
@@ -235,7 +235,7 @@ def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
 
 
 def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
-    """TLS 1.2 or newer, with this certificate and key. Raises OSError, ssl.SSLError."""
+    """Return a context for TLS 1.2 or newer. Raises OSError or ssl.SSLError if a file cannot be read or is invalid."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.options |= ssl.OP_NO_RENEGOTIATION  # in TLS 1.2 a client could demand handshakes without end

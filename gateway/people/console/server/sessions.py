@@ -28,7 +28,7 @@ from gateway.people.console.server.site import STATE_DIRECTORY
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
-"""Of a link that is not used: others may see the terminal in which it stands."""
+"""The life of an unused link: others may see the terminal that shows the link."""
 MAX_ENTRIES: Final = 256
 """Of sessions, and of links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
@@ -45,7 +45,7 @@ class Now(NamedTuple):
 
 
 def clocks() -> Now:
-    """As they are."""
+    """Return the present times; outside Linux without the boot's."""
     try:
         return Now(_BOOT_ID.read_text().strip(), time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
     except (OSError, AttributeError):  # not on Linux
@@ -66,15 +66,15 @@ class Entry(BaseModel, frozen=True):
     lives_s: float
 
     def is_of(self, now: Now) -> bool:
-        """Whether it was created in this boot."""
+        """Return whether the entry was created in this boot."""
         return bool(now.boot) and self.boot == now.boot
 
     def age_s(self, now: Now) -> float:
-        """Of an entry from the wall clock's future: 0."""
+        """Return the age in seconds; 0 if the wall clock has gone back since."""
         return now.boot_s - self.boot_s if self.is_of(now) else max(0.0, now.wall_s - self.created_s)
 
     def is_valid(self, now: Now) -> bool:
-        """Whether it has begun and not ended."""
+        """Return whether the entry has begun and not ended."""
         return 0 <= self.age_s(now) < self.lives_s
 
 
@@ -115,7 +115,7 @@ class Sessions:
 
     def __init__(self, folder: Path, port: int, now: Callable[[], Now] = clocks) -> None:
         self.path = folder / f"console-{port}.json"
-        """Where they are kept."""
+        """The file that holds them."""
         self._now = now
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """The file's inode, time and size, and its content: one tuple, since several threads read it."""
@@ -135,11 +135,11 @@ class Sessions:
 
     @property
     def url(self) -> str:
-        """Of the console that runs, or last ran, at this port; empty: none did."""
+        """The URL of the console that runs, or last ran, at this port; empty: none ran."""
         return self._read().url
 
     def new_link(self, card: str = "") -> str:
-        """A link that works once, to the page's beginning or this card of it.
+        """Return a link that works once, to the page's start or to `card`.
 
         Raises ConfigError if no console has begun, or the folder cannot be written.
         """
@@ -157,7 +157,7 @@ class Sessions:
         return f"{made.url}/?token={token}{card and f'&card={card}'}"
 
     def exchange(self, token: str) -> SignIn | None:
-        """A new session for a link's token, which is void from now on; None if no valid link has this token."""
+        """Exchange a link's token for a new session and void the link; None if no valid link has the token."""
         found = _find(self._read().valid(self._now()).links, token)
         if found is None:
             return None
@@ -177,7 +177,7 @@ class Sessions:
         return None if cookie is None else _find(self._read().valid(self._now()).sessions, cookie)
 
     def still_valid(self, session: Entry) -> bool:
-        """Whether it has neither ended nor been revoked."""
+        """Return whether the session has neither ended nor been revoked."""
         return session.is_valid(self._now()) and session in self._read().sessions
 
     def revoke(self) -> int:
