@@ -136,7 +136,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         )
 
     def _kept(self, event: CalibrationSaved) -> list[Effect]:
-        """The change that is on its way is kept, and from now on in force; or it is not, and the old one stays."""
+        """Put the saved change in force, or reject it and keep the old calibration if the disk failed."""
         if self._on_its_way is None:
             return []
         calibration, servos, asked = self._on_its_way

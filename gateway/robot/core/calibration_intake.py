@@ -1,4 +1,4 @@
-"""Reads the bytes of a CalibrationCommand, or returns a Rejection with its reason; lists what it changes. Pure."""
+"""Reading a CalibrationCommand, and the change that it asks for. Pure."""
 
 from typing import Final
 
@@ -12,11 +12,11 @@ from schemas.robot import SERVO_IDS
 
 _MAX_COLONS: Final = 7 + len(SERVO_IDS) * (1 + 4 + 1) + 64
 """A CalibrationCommand with all its fields, each servo with its name and four numbers and in the landing pose, and a
-source that is nothing but colons. What has more is rejected before pydantic lists every wrong field of it."""
+source of colons only. A payload with more is rejected before pydantic lists each of its wrong fields."""
 
 
 def read(payload: bytes) -> CalibrationCommand | Rejection:
-    """Read a payload. Never raises: one that is wrong returns a Rejection."""
+    """Return the command in a payload (JSON), or a Rejection with the reason. Never raises."""
     if payload.count(b":") > _MAX_COLONS:
         return too_many_fields(payload)
     try:
@@ -28,7 +28,7 @@ def read(payload: bytes) -> CalibrationCommand | Rejection:
 
 
 def change_of(command: CalibrationCommand) -> CalibrationChange:
-    """What it changes; nothing of it has been compared with the calibration in force."""
+    """Return the change in hundredths of a degree, not yet compared with the calibration in force."""
     servos = {
         int(name): MappingChange(_cdeg(servo.trim_deg), servo.inverted, _cdeg(servo.min_deg), _cdeg(servo.max_deg))
         for name, servo in command.servos.items()

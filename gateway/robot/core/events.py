@@ -1,4 +1,4 @@
-"""The supervisor's vocabulary: what happens to it (events), and what it wants done (effects)."""
+"""What the supervisor receives (events), and what it wants done (effects)."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -28,11 +28,11 @@ class Request:
     """
 
     targets: Targets = ()
-    """What each of these servos should do."""
+    """The operation for each servo."""
     _: KW_ONLY
     key: str = ""
     source: str | None = None
-    """For people: it decides nothing that is sent."""
+    """The sender's name, for people: it does not decide what is sent."""
     sent_ms: float | None = None
     lease: str | None = field(default=None, repr=False)
     """The token that it carries."""
@@ -50,22 +50,22 @@ class Request:
 
     @property
     def servo_ids(self) -> Iterable[int]:
-        """The servos that it names."""
+        """The servos that the request names."""
         return (servo_id for servo_id, _ in self.targets)
 
     @property
     def only_stops(self) -> bool:
-        """Whether it stops servos and does nothing else. A reset stops none."""
+        """Whether the request stops servos and does nothing else. A reset stops none."""
         return bool(self.targets) and all(op.op is OP_STOP for _, op in self.targets)
 
 
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class Command(Request):
-    """A valid command for servos, and what of it is still to be written."""
+    """A valid command for servos, and how much of it is still to be written."""
 
     lost: bool = False
-    """Nobody's command: Stops that stand for messages of the channel which were lost."""
+    """Whether these are Stops for lost messages of the channel, which no client sent."""
     rejected: "Rejected | None" = field(default=None, repr=False)
     """Why it was rejected before the supervisor takes it: only its Stops are carried out. For a message that could not
     be read, these are the Stops that it may contain, and another request is answered in its place."""
@@ -88,12 +88,12 @@ class Command(Request):
 
     @property
     def stops(self) -> Targets:
-        """Its targets that are Stops."""
+        """The targets that are Stops."""
         return tuple(target for target in self.targets if target[1].op is OP_STOP)
 
     @property
     def channel(self) -> str:
-        """Commands of one channel came in this order; between channels the order is unknown."""
+        """Verb and key. Commands of one channel came in their order; between channels the order is unknown."""
         return f"{'get' if self.verb is _GET else 'put'} {self.key}"
 
 
@@ -144,7 +144,7 @@ class BusFailed:
 
 @value
 class BodyMeasured:
-    """What the robot has measured: its body's tilt in hundredths of a degree (None: unknown), its battery's voltage."""
+    """The body's tilt in hundredths of a degree (None: unknown), and the battery's voltage in mV, as measured."""
 
     tilt_cdeg: int | None
     battery_mv: int
@@ -155,15 +155,15 @@ class PowerSeen:
     """What the power board reports of the servos' supply."""
 
     alive: bool
-    """Whether it answers."""
+    """Whether the board answers."""
     refused: tuple[tuple[int, str], ...] = ()
-    """Servos that it will not feed, and why."""
+    """Servos that the board will not feed, and why."""
     fed: frozenset[int] = frozenset()
-    """Servos that it has confirmed to feed, since they were last started: their starts may leave."""
+    """Servos that the board has confirmed to feed since their last start: their starts may leave."""
     lost: frozenset[int] = frozenset()
-    """Servos that it feeds no longer, though they were to be fed."""
+    """Servos that the board no longer feeds, though it should."""
     doubt: str = ""
-    """Why it is not certain that something is off which is to be off."""
+    """Why a servo that should be off may still be on; "": all are known to be off."""
 
 
 @value
@@ -236,16 +236,16 @@ class CalibrationSaved:
 
 @value
 class StoppedOutside:
-    """`stop-servos` is stopping all servos past us; or has ended (not `at_work`), and none of its Stops is to come."""
+    """`stop-servos` stops all servos past the gateway; not `at_work`: it has ended, and no Stop of it follows."""
 
     at_work: bool
 
 
 @value
 class EstopKept:
-    """What an earlier run has left of its emergency stops. Comes once, where `Rules.estop_kept`.
+    """The emergency stop that an earlier run left. Comes once if `Rules.estop_kept`.
 
-    `number` is that of its latest (0: none), and `engaged` whether nobody has left it.
+    `number` is that of the latest (0: none); `engaged`: no reset has left it.
     """
 
     number: int
@@ -291,28 +291,28 @@ class Transmit:
     cause: Cause
     deadline_ns: int | None = None
     commands: tuple[Command, ...] = ()
-    """Those that it carries out, or a part of them."""
+    """The commands that the frame carries out, in whole or in part."""
     done: tuple[Command, ...] = ()
-    """Of these, the ones that it completes."""
+    """Those of `commands` that the frame completes."""
     joins: bool = False
     """A repeated Stop that leaves in one call with the step's first Stops, behind them, and needs no preamble."""
 
 
 @value
 class Completed:
-    """It is done without a frame of its own: a newer command replaced what waited of it, or its Stops are written."""
+    """The request is done without another frame: a newer command replaced its targets, or its Stops are written."""
 
     request: Request
 
     @property
     def done(self) -> tuple[Request, ...]:
-        """As a Transmit's."""
+        """The requests that are completed, as in `Transmit.done`."""
         return (self.request,)
 
 
 @value
 class Rejected:
-    """It takes no effect (any more), except for its Stops."""
+    """The request takes no further effect, except for its Stops."""
 
     request: Request
     reason: Reason
@@ -321,7 +321,7 @@ class Rejected:
 
 @value
 class Announce:
-    """An event to publish. `legs`, ascending, are those that it is about."""
+    """An event to publish. `legs` are those concerned, ascending."""
 
     kind: Kind
     detail: str
@@ -333,10 +333,9 @@ class Announce:
 
 @value
 class RequestAnswer:
-    """To a LeaseRequest or a ButtonRequest: granted, if there is no `reason`.
+    """The answer to a LeaseRequest or a ButtonRequest: granted, if there is no `reason`.
 
-    `token` is that of the lease, or of the registration, which it gives; `detail` also what a button that is granted
-    should know.
+    `token` is that of the granted lease or registration. `detail` may also inform a button that is granted.
     """
 
     reason: Reason | None = None
@@ -346,7 +345,7 @@ class RequestAnswer:
 
 @value
 class SaveCalibration:
-    """Write this calibration to the disk, without making anything wait for it; answer with CalibrationSaved, always.
+    """Write this calibration to the disk, without delaying anything else. Always answer with CalibrationSaved.
 
     Until then the old calibration is in force, and command `number` has no answer.
     """

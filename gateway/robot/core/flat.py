@@ -1,4 +1,4 @@
-"""Reads payloads with pydantic, but into plain dicts: a message of a gait makes fewer objects so.
+"""Reading payloads with pydantic into plain dicts: a message of a gait makes fewer objects.
 
 `schemas.command` stays the only source: a validator here is a model's own core schema, with a dict of the same fields
 in the place of each model. It accepts and rejects the same with the same errors; only what is no object has the type

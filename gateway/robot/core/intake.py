@@ -1,4 +1,4 @@
-"""Reads what came in: a Command, a Reset, or a Rejection with its reason. Pure; `targets` has what each key means."""
+"""Reading a message into a Command, a Reset, or a Rejection. Pure; `targets` has what each key means."""
 
 import json
 import math
@@ -41,7 +41,7 @@ class Rejection:
 
 
 def read(received: Received) -> Command | Reset | Rejection:
-    """What a message asks for. Never raises: one that is wrong returns a Rejection."""
+    """Return the request in a message, or a Rejection with the reason. Never raises."""
     key = received.target
     if key is None:
         try:
@@ -60,13 +60,13 @@ def read(received: Received) -> Command | Reset | Rejection:
 
 
 def deleted(key: CommandKey) -> Command | Rejection:
-    """What a `delete` on `key` asks for: Stops for the servos that the key names."""
+    """Return Stops for the servos of a deleted key, or a Rejection if the key takes no delete."""
     explicit_only = TARGETS[key.target].explicit_only
     return Command(stops_of(key)) if explicit_only is None else Rejection(Reason.INVALID, f"a delete {explicit_only}")
 
 
 def words_of_stop(received: Received) -> bytes | None:
-    """The payload of what may be a Stop; None: it is none. A payload that is too large to be read may be one."""
+    """Return the payload of a message that may be a Stop, else None. A payload too large to read may be one."""
     if received.verb is _DELETE:
         return b""
     key = received.target
@@ -82,7 +82,7 @@ def is_json(encoding: str) -> bool:
 
 
 def _decoded(row: TargetRules, number: int, received: Received) -> Command | Reset | Rejection:
-    """What the payload asks for."""
+    """Return the request in the payload, or a Rejection."""
     if row.read is None:
         return Command()
     if received.size > MAX_PAYLOAD_BYTES:
@@ -104,7 +104,7 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
 
 
 def named_source(payload: bytes) -> str | None:
-    """Who has sent an emergency stop, by its payload. It may be anything, and stops whatever it is."""
+    """Return the sender in the payload of an emergency stop, or None. Any payload stops. Never raises."""
     try:
         return SENDER.validate_json(payload).source
     except ValidationError:
@@ -112,17 +112,17 @@ def named_source(payload: bytes) -> str | None:
 
 
 def echo_of(key: str) -> str:
-    """A key of the sender's own making, as an event repeats it."""
+    """Return an unknown key as an event repeats it: at most `MAX_KEY` characters, without secrets."""
     return without_secrets(key[: 2 * MAX_KEY])[:MAX_KEY]
 
 
 def too_large(size: int, most: int = MAX_PAYLOAD_BYTES) -> Rejection:
-    """The rejection of a payload that is not read."""
+    """Return the rejection of a payload of `size` bytes, more than the `most` that are read."""
     return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {most} are read")
 
 
 def too_many_fields(payload: bytes) -> Rejection:
-    """The rejection of a payload that has too many colons to be a command."""
+    """Return the rejection of a payload that has too many colons to be a command."""
     try:
         from_json(payload)
     except ValueError as error:
@@ -131,7 +131,7 @@ def too_many_fields(payload: bytes) -> Rejection:
 
 
 def _fields(row: TargetRules, command: Command | Reset) -> int:
-    """How many fields a payload with this content has at least."""
+    """Return how many fields a payload with this content has at least."""
     fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
     once, each_leg = row.fields_around
     if type(command) is Reset:
@@ -146,7 +146,7 @@ class _GivenTwiceError(ValueError):
 
 
 def name_given_twice(payload: bytes) -> str | None:
-    """The first name that an object of this (valid) payload has twice, or None.
+    """Return the first name that an object of this (valid) payload has twice, or None.
 
     pydantic silently keeps the last value; which one the sender meant must not be guessed.
     """
@@ -179,12 +179,12 @@ _PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
 
 def given_twice(name: str) -> Rejection:
-    """The rejection of a payload in which an object has this name twice."""
+    """Return the rejection of a payload in which an object has this name twice."""
     return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; which one counts is not clear")
 
 
 def explain(error: ValidationError) -> Rejection:
-    """What is wrong with a payload, in a sentence that names the field and what it must be."""
+    """Return the rejection of an invalid payload, in a sentence that names the field and what it must be."""
     faults = error.errors(include_url=False)
     first = faults[0]
     if first["type"] == "json_invalid":
@@ -274,7 +274,7 @@ def _join(path: str, name: str) -> str:
 
 
 def without_secrets(text: str) -> str:
-    """The sender's own text without what may be the token of a lease."""
+    """Return the sender's own text without what may be the token of a lease."""
     return _SECRET.sub("(hex digits)", text)
 
 

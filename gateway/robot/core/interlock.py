@@ -15,7 +15,7 @@ Barred = Command | Reset | Calibrate
 """A request to which an interlock may object."""
 Why = tuple[Reason, str]
 Own = TypeVar("Own")
-"""The events that are an interlock's own."""
+"""The events that an interlock takes."""
 
 
 class Halt(NamedTuple):
@@ -36,10 +36,10 @@ class Down(NamedTuple):
 
 
 class Interlock(Generic[Own]):
-    """One rule, and the events that are its own. One owner, one thread."""
+    """One rule, and the events that it takes. One owner, one thread."""
 
     takes: tuple[type[Event], ...] = ()
-    """Its own events."""
+    """The events that it takes."""
     bars: tuple[type[Barred], ...] = (Command,)
     """The requests to which it may object; to a command only if that starts or sets a servo."""
     closed = False
@@ -54,37 +54,37 @@ class Interlock(Generic[Own]):
 
     @classmethod
     def of(cls, rules: Rules, limits: AngleLimits) -> Self:  # noqa: ARG003
-        """Make one for a robot with these rules and limits of angles."""
+        """Return the interlock of a robot with these rules and angle limits."""
         return cls(rules)
 
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
-        """Return why a request takes no effect; None: it may."""
+        """Return why `request` takes no effect, or None if it may."""
         return None
 
     def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        """Its `due_ns` has come."""
+        """Do what is due once `now_ns` (monotonic) has reached `due_ns`. Return the effects."""
         return []
 
     def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        """One of the legs' deadlines has come: return what is stopped for it."""
+        """Return the effects of a leg's deadline that has come."""
         return []
 
     def halts(self, event: Own) -> Halt | None:  # noqa: ARG002
-        """Return what one of its events stops before it is taken; deadlines that were due then mean nothing."""
+        """Return the stop of all legs that precedes `take` of this event, or None. Deadlines due then are void."""
         return None
 
     def take(self, event: Own, now_ns: int, legs: Legs) -> list[Effect]:
-        """Take one of its events."""
+        """Take one of its events, and return the effects."""
         raise NotImplementedError
 
 
 def nothing_to_stop(legs: Legs) -> bool:
-    """Whether all is stopped, or the robot lands already, or the bus is at fault."""
+    """Return whether all legs are stopped, the robot lands already, or the bus is at fault."""
     return not legs.sends or legs.landing is not None or not any(leg.armed for leg in legs)
 
 
 def how_it_comes_down(legs: Legs, rules: Rules) -> str:
-    """Return how an event words that the robot is brought down in this step; "": nothing is to be stopped."""
+    """Return an event's words for how the robot comes down in this step, or "" if nothing is to be stopped."""
     if nothing_to_stop(legs):
         return ""
     return "the robot lands" if rules.landing_ns and legs.running else "all six legs are stopped"

@@ -14,14 +14,14 @@ _UNKNOWN: Final = "it is not known yet whether an earlier run has left an emerge
 
 
 class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
-    """What is known of the emergency stop. While it is engaged, the supervisor's mode rejects commands."""
+    """The state of the emergency stop. While it is engaged, the supervisor's mode rejects commands."""
 
     takes = (EmergencyStop, Reset, EstopKept)
 
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.number = 0
-        """Of the latest emergency stop; 0: there was none. A run goes on from the last number of the run before."""
+        """The number of the latest emergency stop; 0: none. It continues from the run before."""
         self.since_ns: int | None = None
         """The instant of the latest emergency stop; None: none is engaged."""
         self.unknown = rules.estop_kept
@@ -49,7 +49,7 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
         return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key)] if first else []
 
     def _kept(self, event: EstopKept, instant_ns: int) -> list[Effect]:
-        """What an earlier run has left; the emergency stops of this run come behind it."""
+        """Take over the earlier run's state; the emergency stops of this run count after it."""
         self.unknown = False
         self.number += event.number
         if event.engaged and self.since_ns is None:
@@ -67,7 +67,7 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
         return [Announce(Kind.ESTOP_RESET, detail, reset.source, reset.key), Completed(reset)]
 
     def _why_not_left(self, names: int | None, instant_ns: int) -> str | None:
-        """Return why a reset does not leave it; None: it does, or none is engaged.
+        """Return why a reset does not leave the emergency stop, or None if it does or none is engaged.
 
         A reset may have been sent before the latest emergency stop. `names` is the number of the emergency stop that it
         leaves; None: the reset has no number.

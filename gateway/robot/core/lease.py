@@ -35,11 +35,11 @@ from schemas import keys
 from schemas.telemetry import Cause, Kind, Reason
 
 MOST_ASKERS: Final = 8
-"""More people than one robot has around it; the one who asked first is forgotten for a ninth."""
+"""More people than one robot has around it; a ninth replaces the first who asked."""
 
 
 class RobotLease(Interlock[LeaseRequest]):
-    """The lease of one robot."""
+    """The lease of one robot: its holder, its token and who has asked for it."""
 
     takes = (LeaseRequest,)
     bars = (Command, Reset, Calibrate)
@@ -52,7 +52,7 @@ class RobotLease(Interlock[LeaseRequest]):
         self.since_ns: int | None = None
         """When its holder acquired it; None while it is handed over."""
         self.due_ns: int | None = None
-        """When it expires."""
+        """When the lease, or the handover, expires; None while it is free."""
         self.closed = rules.lease_required
         """Whether commands need a token. While it is false, only those that carry one are looked at."""
         self._token: str | None = None
@@ -61,12 +61,12 @@ class RobotLease(Interlock[LeaseRequest]):
 
     @property
     def _handed_over(self) -> bool:
-        """Whether it waits for `holder` to acquire it."""
+        """Whether the lease waits for `holder` to acquire it."""
         return self.holder is not None and self._token is None
 
     @property
     def asked_by(self) -> str | None:
-        """The latest who has asked for it."""
+        """The latest who has asked for the lease, or None."""
         return next(reversed(self._askers), None)
 
     # ---- commands
@@ -87,7 +87,7 @@ class RobotLease(Interlock[LeaseRequest]):
         return None
 
     def record_use(self, token: str, now_ns: int) -> None:
-        """An accepted command carried this token; the holder's own renews the lease."""
+        """Renew the lease for an accepted command, if it carried the holder's token."""
         if self.holds(token):
             self.due_ns = now_ns + self._rules.lease_ttl_ns
 
@@ -106,7 +106,7 @@ class RobotLease(Interlock[LeaseRequest]):
         return effects
 
     def end(self) -> None:
-        """It is free."""
+        """Free the lease."""
         self._give(None, None, None, verified=False)
 
     # ---- requests
@@ -124,7 +124,7 @@ class RobotLease(Interlock[LeaseRequest]):
         return [*dropped, *published, answer]
 
     def grant(self, request: LeaseRequest, now_ns: int) -> Decision:
-        """The events of one request, and its answer."""
+        """Handle one request. Return its events and its answer."""
         match request.do:
             case Do.ACQUIRE:
                 return self._acquire(request, now_ns)
@@ -186,11 +186,11 @@ class RobotLease(Interlock[LeaseRequest]):
     # ----
 
     def holds(self, token: str | None) -> bool:
-        """Whether this is the holder's token. From any thread."""
+        """Return whether this is the holder's token. May be called from any thread."""
         return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
 
     def _give(self, holder: str | None, token: str | None, now_ns: int | None, *, verified: bool) -> None:
-        """To a holder, to one who may acquire it (no token), or to nobody."""
+        """Assign the lease to a holder, reserve it for a nominee (no token), or free it."""
         self.holder, self._token, self.verified = holder, token, verified
         self.since_ns = None if token is None else now_ns
         self.due_ns = None if now_ns is None else now_ns + self._rules.lease_ttl_ns

@@ -1,4 +1,4 @@
-"""The supervisor's settings, and what it keeps of each leg and servo. Pure."""
+"""The supervisor's settings, and its state of each leg and servo. Pure."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -36,12 +36,12 @@ class Rules:
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     start_wait_ns: int = 0
-    """How long a start without a time waits for what may come behind it; 0: no burst is looked for.
+    """How long a start without `sent_ms` waits for messages behind it; 0: bursts are not detected.
 
     Behaviour *Bursts without `sent_ms`*.
     """
     window_ns: int = 20 * NS_PER_MS
-    """In which so many messages without a time on one key are a burst; not a setting, nor is `start_wait_ns`."""
+    """The time in which a burst is counted (`core/backlog.py`); neither this nor `start_wait_ns` is a setting."""
     unnumbered_reset_ns: int = 2 * NS_PER_S
     """How old the latest emergency stop must be for a reset without a number (Behaviour *Emergency stop*)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class Rules:
     Behaviour *Take-over and first frame*.
     """
     takeover_known_ns: int = 2 * NS_PER_S
-    """For how long behind its Stop a servo counts as standing where it was; not a setting."""
+    """How long after its Stop a servo counts as standing where it was; not a setting."""
     landing_ns: int = 0
     """How long a landing takes (Behaviour *Landing*); 0: a silent leg is stopped at once."""
     landing_cdeg: dict[int, int] = field(default_factory=dict)
@@ -73,7 +73,7 @@ class Rules:
     max_tilt_cdeg: int = 0
     """Beyond it for `tilt_ns`, the robot has fallen (Behaviour *Measurements*); 0: no tilt counts as a fall."""
     tilt_ns: int = 200 * NS_PER_MS
-    """For how long it must be tilted beyond that: longer than a stumble or a single bad value takes."""
+    """How long the tilt must last: longer than a stumble or a single bad value."""
 
     estop_kept: bool = False
     """Whether an earlier run may have left an emergency stop engaged; `EstopKept` follows (*Emergency stop*)."""
@@ -99,7 +99,7 @@ class Rules:
 
 @dataclass(slots=True)
 class Servo:
-    """One servo as last written; `angle_cdeg` is None while it does not run, for then nobody knows where it hangs."""
+    """One servo as last written; `angle_cdeg` is None while it does not run, since its angle is then unknown."""
 
     servo_id: int
     leg: int
@@ -109,9 +109,9 @@ class Servo:
     waiting_for: Command = NO_COMMAND
     """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
     announced_cdeg: int | None = None
-    """Where it stands once it is fed, where its supply starts it: the angle that was on the wire before."""
+    """Where supply starts servos: the angle on the wire before, which the servo takes once it is fed."""
     target_cdeg: int | None = None
-    """Where it is bound for, while its speed is limited and it is not there yet."""
+    """Its target, while its speed is limited and it is not there yet."""
     target_for: Command = NO_COMMAND
     """Which command set that target."""
     since_ns: int = 0
@@ -140,7 +140,7 @@ class Servo:
         return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)
 
     def note_stop(self, by: str, instant_ns: int) -> None:
-        """Remember who stopped it in this instant."""
+        """Record that channel or cause `by` stopped the servo in this instant."""
         earlier = self.stopped_by if self.stopped_ns == instant_ns else frozenset[str]()
         self.stopped_by = earlier | {by}
         self.stopped_ns = instant_ns
@@ -190,7 +190,7 @@ class Leg:
         return first.will_run or second.will_run or third.will_run
 
     def deadline_ns(self, timeout_ns: int) -> int | None:
-        """When the watchdog stops this leg; None while there is nothing to stop, or it waits for its supply alone."""
+        """Return when the watchdog stops this leg, or None if nothing is to stop or the leg only waits for supply."""
         waits = self.unfed_ns is not None and not self.runs
         return self.commanded_ns + timeout_ns if self.commanded_ns is not None and self.armed and not waits else None
 
@@ -202,6 +202,6 @@ class Leg:
 
 
 def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
-    """A leg's three servos, at rest."""
+    """Return a leg's three servos, at rest."""
     first, second, third = servo_ids_of(leg)
     return Servo(first, leg), Servo(second, leg), Servo(third, leg)

@@ -7,19 +7,19 @@ from schemas.telemetry import Cause, Kind, Reason
 
 
 def as_it_is(servo: Servo) -> ServoOp:
-    """The operation that changes nothing."""
+    """Return the operation that repeats the servo's current state."""
     return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
 
 
 def stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
-    """Stops for these servos of a leg, in one frame where they are all of it."""
+    """Return Stops for these servos of a leg, in one frame if they are all three."""
     if len(servos) == len(leg.servos):
         return [Transmit(stop_leg(leg.number), cause, None, commands)]
     return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
 
 
 def taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
-    """Another source's command is in force from now on. A stopped leg has no previous source.
+    """Set the leg's source, and return the event if the leg had another. A stopped leg has no previous source.
 
     A Stop without a name (a delete has none) may be from the leg's previous source.
     """
@@ -32,7 +32,7 @@ def taken_over(leg: Leg, source: str | None, moves: bool) -> list[Effect]:
 
 
 def withdrawn(command: Command, reason: Reason, detail: str) -> Rejected:
-    """The rejection of a command of which no more is written. Its Stops were, unless the bus failed."""
+    """Return the rejection of a command that is dropped. Its Stops were written, unless the bus failed."""
     if reason is not Reason.BUS_FAULT:
         command.stopped = tuple(servo_id for servo_id, _ in command.stops)
     return Rejected(command, reason, detail)

@@ -1,8 +1,7 @@
 """How the legs' commands become frames: pure, time as an argument.
 
-The rules that decide whether something may happen are the supervisor's; here is how it then happens: which targets wait
-for their leg's rate slot, what one frame contains for three servos, which Stops are still to be repeated, and which
-commands are thereby done.
+The supervisor decides whether a command is carried out. This module decides how: which targets wait for their leg's
+rate slot, what one frame contains for three servos, which Stops are still to be repeated, and which commands are done.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -32,7 +31,7 @@ _MIXED: Final = "this robot only stops as a whole: a Stop in this command stoppe
 
 
 class Legs:
-    """The six legs, and the commands under way on them."""
+    """The six legs, and the pending commands of each."""
 
     def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         self._rules = rules
@@ -66,7 +65,7 @@ class Legs:
         self._fed: frozenset[int] | None = frozenset() if rules.power else None
         """Servos that the power board feeds; None: there is no board."""
         self.land_ns = 0
-        """When its next frames are due: each leg gets one in a period, however slowly it goes."""
+        """When the landing's next frames are due: one for each leg in a period, at any speed."""
 
     def __iter__(self) -> Iterator[Leg]:
         return iter(self._all)
@@ -79,14 +78,14 @@ class Legs:
     # ---- time
 
     def begin(self, instant_ns: int) -> None:
-        """A step begins."""
+        """Begin a step of this instant (ns)."""
         self.instant_ns = instant_ns
         if self._fed:  # the supply of what was stopped went with it
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
         self.stopping, self._first_stops, self._silent = set(), set(), False
 
     def plan(self, now_ns: int) -> None:
-        """A step ends: see what is due next, and whether anything runs. Legs that did not change are left out."""
+        """End a step: compute what is due next, and whether anything runs, for the legs that changed."""
         for leg in self._all if self._changed is None else self._changed:
             repeat_ns = NEVER
             runs = waits = armed = False
@@ -138,11 +137,11 @@ class Legs:
         return max(each.slots.next_ns for each in self if not each.servos[0].running)
 
     def note_fed(self, fed: frozenset[int]) -> None:
-        """The power board has confirmed to feed these."""
+        """Record the servos that the power board has confirmed to feed."""
         self._fed = None if self._fed is None else fed
 
     def start_fed(self, now_ns: int) -> list[Effect]:
-        """Send the starts that waited for supply, with their legs' rate slots, and watch these legs from now on."""
+        """Send the starts that waited for supply, within their legs' rate slots, and arm these legs' deadlines."""
         for leg in self:
             if leg.unfed_ns is not None and not leg.runs and not self._held(leg):
                 leg.commanded_ns = now_ns
@@ -156,21 +155,21 @@ class Legs:
         return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
-        """The repeated Stops that are due.
+        """Return the repeated Stops that are due.
 
-        Where nothing runs, all that are owed go with the first of them: one run, with one preamble.
+        If nothing runs, all pending repeats leave with the first: one run, with one preamble.
         """
         due = any(servo.repeats_left and now_ns >= servo.repeat_ns for servo in self.servos.values())
         together = due and self.at_rest
         return [effect for leg in self for effect in self._repeat(leg, now_ns, together=together)] if due else []
 
     def take_slots(self, now_ns: int) -> list[Effect]:
-        """The frames of the legs whose rate slot has come."""
+        """Return the frames of the legs whose rate slot has come."""
         self._changed = None
         return [effect for leg in self for effect in self._send(leg, now_ns)]
 
     def stop_at_rest(self, now_ns: int) -> list[Effect]:
-        """Stops to legs at rest, since a servo may run that nobody started; to be called at the end of a step.
+        """Return Stops for legs at rest, since a servo may run without a start. Call it at the end of a step.
 
         A controller that lost bytes may take a frame, also a Stop, for a start. A leg for which a Stop leaves in this
         step anyway, or is still to be repeated, gets no other.
@@ -200,7 +199,7 @@ class Legs:
         return effects
 
     def lose_bus(self, reason: Reason, detail: str) -> list[Effect]:
-        """The bus is at fault: nothing waits or is owed any more. Once it opens again, all are stopped anew."""
+        """Drop all that waits, after a fault of the bus. Once it opens again, all legs are stopped anew."""
         for servo in self.servos.values():
             servo.repeats_left = 0
         self.rest.forget()
@@ -209,7 +208,7 @@ class Legs:
     # ---- commands
 
     def apply(self, command: Command, now_ns: int) -> list[Effect]:
-        """Carry out an accepted command."""
+        """Carry out an accepted command, and return its effects."""
         changed: list[Leg] = []
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
@@ -244,7 +243,7 @@ class Legs:
         return effects + taken if taken else effects
 
     def stop_for(self, command: Command, rejected: Rejected, now_ns: int, *, write: bool) -> list[Effect]:
-        """Carry out the Stops of a rejected command, and nothing else of it; not `write`: all are written already."""
+        """Carry out only the Stops of a rejected command; not `write`: the Stops are written already."""
         if not command.stops:
             return [rejected]
         effects: list[Effect] = []
@@ -256,7 +255,7 @@ class Legs:
         return [*effects, rejected]
 
     def why_not_whole(self, command: Command) -> tuple[Reason, str] | None:
-        """Why a robot that can only be started as a whole does not take these starts; None: it does, or it runs.
+        """Return why a robot that only starts as a whole rejects these starts; None: it accepts them, or it runs.
 
         All servos are in one state, so one of them shows whether the robot runs. With a Stop, the whole command is one.
         """
@@ -317,7 +316,7 @@ class Legs:
         return effects
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
-        """Send what waits for this leg, if it may go now."""
+        """Send what waits for this leg, if it may leave now."""
         held = None if self._fed is None else self._held(leg)
         if held:
             return self._send_beside(leg, held, now_ns, cause)
@@ -376,7 +375,7 @@ class Legs:
     # ---- landing
 
     def begin_landing(self, now_ns: int, ends_ns: int) -> list[Effect]:
-        """From now on each running servo goes to its angle of the pose; all that waits is rejected, starts too."""
+        """Move each running servo to its angle of the pose until `ends_ns`. Reject all that waits, starts too."""
         pose_cdeg = self._limits.landing_cdeg()
         ways = {
             servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
@@ -392,7 +391,7 @@ class Legs:
         return self.drop(self.servos.values(), Reason.LANDING, "the robot lands, and is then stopped")
 
     def land(self, now_ns: int) -> list[Effect]:
-        """The frames of a landing that are due: only for servos that run, so nothing is started."""
+        """Return the landing's frames that are due: only for servos that run, so nothing is started."""
         effects: list[Effect] = []
         if self.landing is None or now_ns < self.land_ns:
             return effects
@@ -417,7 +416,7 @@ class Legs:
     def stop(
         self, deadlines_ns: Mapping[int, int | None], cause: Cause, now_ns: int, reason: Reason, detail: str
     ) -> list[Effect]:
-        """Stop legs for the gateway's own reasons; `deadlines_ns` names them, and since when a Stop was due.
+        """Stop legs for the gateway's own reasons; `deadlines_ns` has, for each leg, when its Stop was due.
 
         What waited for them is rejected with `reason`.
         """
@@ -458,7 +457,7 @@ class Legs:
     # ---- commands under way
 
     def _replaced(self, servo: Servo) -> list[Effect]:
-        """Something newer comes for a servo: the command whose target waited until now will not see it sent."""
+        """Drop a servo's waiting target for a newer one, and note it in the older command."""
         if servo.waiting is None:
             return []
         servo.waiting = None
@@ -466,12 +465,12 @@ class Legs:
         return self._target_done(servo.waiting_for)
 
     def _target_done(self, command: Command) -> list[Effect]:
-        """A target of it is replaced, or has its Stop."""
+        """Count a target of the command that is replaced or stopped."""
         command.left -= 1
         return [] if command.left else [Completed(command)]
 
     def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
-        """Forget what waits for these servos, and reject the commands that it came from, as a whole."""
+        """Drop the targets that wait for these servos. Reject, as a whole, the commands that set these targets."""
         rejected = dict.fromkeys(servo.waiting_for for servo in servos if servo.waiting is not None)
         for servo in servos:
             servo.target_cdeg = None  # nor does it go on to where an earlier command sent it

@@ -1,11 +1,10 @@
-"""Which servos a Stop may have named that was lost, or that was rejected for its form: pure.
+"""The servos to stop for a Stop that may have been lost, or rejected for its form. Pure.
 
-A flood pushes older messages out of its key's ring, and a Stop may be among them. It would have stopped what its key
-names, until a Start on the same key came after it. So these servos are stopped, except those that one of the messages
-that were left starts.
+A flood pushes older messages out of its key's ring, and a Stop may be among them. So the servos that the key names are
+stopped, except those that one of the remaining messages starts.
 
-A message that is rejected for its form, and may contain a Stop, stops the servos that its payload names; all servos of
-its key where that is not known. To stop once too often harms nobody.
+A message that is rejected for its form, and may contain a Stop, stops the servos that its payload names, or all servos
+of its key if the payload cannot be read. A Stop too many is harmless.
 """
 
 import json
@@ -26,23 +25,23 @@ DETAIL: Final = (
 
 
 class Losses:
-    """The key whose messages are being dealt with after some were lost (else ""), and the Stops that it needs."""
+    """The key whose messages are handled after some were lost (else ""), and the Stops that it needs."""
 
     def __init__(self) -> None:
         self.key = ""
         self._stops: Targets = ()
 
     def note(self, key: str) -> None:
-        """Messages that were put on `key` were lost, older than those that are dealt with next."""
+        """Record that messages put on `key` were lost, older than those that are handled next."""
         self.key, self._stops = key, stops_of(COMMAND_KEYS[key])
 
     def accepted(self, targets: Targets) -> None:
-        """One of the next messages was carried out."""
+        """Remove the Stops of the servos that one of the next messages started."""
         started = {servo_id for servo_id, op in targets if op.op is OP_START}
         self._stops = tuple(stop for stop in self._stops if stop[0] not in started)
 
     def take(self) -> tuple[str, Targets]:
-        """The key, and what is still to be stopped, after the last of these messages; forgets it."""
+        """Return the key and the Stops still needed after the last of these messages, and forget both."""
         found = self.key, self._stops
         self.key, self._stops = "", ()
         return found
@@ -60,7 +59,7 @@ def stops_in(rejected: Received) -> Targets:
             del payload["source"]  # a name, whatever words it has
         servo_ids = _stopped_by(payload, servo_ids)
     except (ValueError, RecursionError):
-        pass  # it is not known
+        pass  # all servos of the key
     return tuple((servo_id, STOP) for servo_id in servo_ids)
 
 

@@ -1,4 +1,4 @@
-"""What the middle and the edges share: a message as it came in, how it is answered, and where reports go.
+"""What the core and the transports share: a received message, its answer, and the way of reports.
 
 No Zenoh here, so that whatever carries messages can be exchanged.
 """
@@ -18,20 +18,20 @@ Reply = Callable[[bytes], None]
 
 
 class Verb(StrEnum):
-    """How a message came."""
+    """How a message was sent."""
 
     PUT = "put"
     DELETE = "delete"
     GET = "get"
     LOST = "lost"
-    """It stands for puts that were lost before those that follow, at least `size` of them: a Stop may be among them."""
+    """At least `size` puts were lost before the messages that follow; a Stop may be among them."""
 
 
 @value
 class Received:
-    """One message as it came. `size` is the payload's; a payload that is too large is not copied out of Zenoh.
+    """One received message. `size` is the payload's, in bytes; a payload that is too large is not copied from Zenoh.
 
-    `key` is the command key that it is for, `expression` what the sender wrote (a wildcard, or an unknown key).
+    `key` is the command key; `expression` is what the sender wrote (perhaps a wildcard, or an unknown key).
     """
 
     key: str
@@ -50,17 +50,17 @@ class Messages(Protocol):
     """What the conductor needs of the inbox."""
 
     instant_open: bool
-    """Whether what is taken next is of the same instant as what was taken last."""
+    """Whether the next messages are of the same instant as the last."""
 
     estops: deque[Received]
     """Emergency stops that are not carried out yet. The state's owner empties it before each message."""
 
     def take(self) -> Iterable[Received]:
-        """What else has come, in the order in which it applies."""
+        """Return the other messages that have come, in the order in which they apply."""
 
 
 class NoMessages:
-    """Before the inbox is connected."""
+    """No messages: stands in before the inbox is connected."""
 
     instant_open = False
 
@@ -68,7 +68,7 @@ class NoMessages:
         self.estops = deque[Received]()
 
     def take(self) -> Iterable[Received]:
-        """Nothing."""
+        """Return nothing."""
         return ()
 
 

@@ -1,7 +1,7 @@
 """`stop-servos` at work on the same device: all legs count as stopped, and get a Stop from here too. Pure.
 
-One may have been started after its Stop from outside. Until that program is known to have ended, no Start or Set is
-taken: one of its Stops may still come, and would undo it unseen.
+Until `stop-servos` is known to have ended, no Start or Set is accepted: a later Stop of that program would undo it
+unseen.
 """
 
 from typing import Any, Final
@@ -15,7 +15,7 @@ _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them onc
 
 
 class Outside(Interlock[StoppedOutside]):
-    """Whether it is at work: then it is `closed`."""
+    """Whether `stop-servos` is at work: then this is `closed`."""
 
     takes = (StoppedOutside,)
     bars = (Command, Calibrate)

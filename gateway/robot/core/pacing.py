@@ -1,4 +1,4 @@
-"""When a leg may send next, and what it will send then: pure, in integer nanoseconds of the monotonic clock.
+"""When a leg may send next, and what it then sends. Pure, in integer nanoseconds of the monotonic clock.
 
 A leg gets one rate slot per period. A command that finds a slot goes out at once and uses it up; one that comes sooner
 is pending until there is a slot, and only the newest target of each servo is kept. A slot that nobody used is kept for
@@ -28,7 +28,7 @@ SPACING_SHARE: Final = 4
 
 
 def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
-    """The newest target; a start that waits keeps being a start when only its angle changes."""
+    """Return the newest target. A waiting start stays a start if only its angle changes."""
     if older.op is OP_START and newer.op is OP_SET:
         return STARTS[newer.angle_cdeg]
     return newer
@@ -40,18 +40,18 @@ class RateSlots:
 
     period_ns: int
     oldest_ns: int = -BUCKET * NS_PER_S  # the longest period is 1 s, and the clock begins at 0
-    """Since when there is the oldest slot that is kept, or from when there will be one."""
+    """When the oldest kept slot began, or when the next one begins."""
     next_ns: int = 0
     """When the next frame may go out."""
     taken_ns: int = 0
     """When the latest frame went out."""
 
     def wait_until(self, until_ns: int) -> None:
-        """No frame goes out before this time."""
+        """Let no frame leave before this time."""
         self.next_ns = until_ns if until_ns > self.next_ns else self.next_ns
 
     def take(self, now_ns: int) -> None:
-        """A frame goes out now and uses up the oldest slot that the bucket still holds."""
+        """Use up the oldest slot that the bucket holds, for a frame that leaves now."""
         kept_ns = now_ns - (BUCKET - 1) * self.period_ns
         self.oldest_ns = (self.oldest_ns if self.oldest_ns > kept_ns else kept_ns) + self.period_ns
         self.taken_ns = now_ns
@@ -71,7 +71,7 @@ class StartQueue:
     legs: list[int] = field(default_factory=list)
 
     def passes(self, leg: int, slots: RateSlots, now_ns: int, starts: bool) -> bool:
-        """Whether a frame of `leg` may leave now; one that starts a servo waits in the queue, and for its rate slot."""
+        """Return whether a frame of `leg` may leave now. A start waits in the queue, and for its rate slot."""
         if not starts:
             self.leave(leg)
             return True
@@ -84,12 +84,12 @@ class StartQueue:
         return True
 
     def leave(self, leg: int) -> None:
-        """`leg` waits no more to be energised."""
+        """Remove `leg` from the queue, if it is there."""
         if leg in self.legs:
             self.legs.remove(leg)
 
     def due_ns(self, leg: int, slot_ns: int) -> int | None:
-        """When to look again at a leg whose slot comes at `slot_ns`; None: another leg is before it in the queue."""
+        """Return when a leg with its slot at `slot_ns` may send, or None if another leg is before it."""
         if leg not in self.legs:
             return slot_ns
         return max(slot_ns, self.next_ns) if self.legs[0] == leg else None

@@ -1,8 +1,8 @@
-"""What the power board's answers allow, and which servos it is to feed. Pure.
+"""The starts that the power board's answers allow, and the servos that it is to feed. Pure.
 
 One rule for both wires: a servo is fed while it runs or waits to be started, and at no other time. Its start leaves
 once the board has confirmed that it is fed. A servo that is not fed does not count as running: fed again, it would jump
-to its angle, and nobody asked for that. So what the board feeds no longer is stopped on the wire as well.
+to its angle. So a servo that the board no longer feeds is stopped on the wire as well.
 """
 
 from collections.abc import Collection, Iterable
@@ -13,7 +13,7 @@ from gateway.robot.core.leg import Leg, Rules, Servo
 
 
 def starts(servo: Servo) -> bool:
-    """Whether a start of this servo waits."""
+    """Return whether a start of this servo waits."""
     return servo.angle_cdeg is None and servo.waiting is not None and servo.waiting.op is OP_START
 
 
@@ -27,10 +27,10 @@ def held_starts(leg: Leg, servos: Iterable[Servo], fed: Collection[int] | None) 
 
 
 def note_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules: Rules) -> tuple[int, bool]:
-    """Note since when a leg waits for supply. Return when it is to be stopped at the latest, and whether something of
-    it waits for its rate slot alone.
+    """Record since when a leg waits for supply. Return its deadline (ns), and whether a target of it waits only for its
+    rate slot.
 
-    `held`: its starts that wait for supply. `watched_ns`: when the watchdog stops it; NEVER if nothing of it runs.
+    `held`: its starts that wait for supply. `watched_ns`: when the watchdog stops it; NEVER if none of it runs.
     """
     under_way = sum(each.waiting is not None or each.target_cdeg is not None for each in leg.servos)
     if not held:
@@ -42,7 +42,7 @@ def note_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules
 
 
 def unfed_since(legs: Iterable[Leg], ns: int) -> list[int]:
-    """Return the legs with a start that has waited for its supply since then, or longer."""
+    """Return the legs with a start that has waited for its supply since `ns` or longer."""
     return [leg.number for leg in legs if leg.unfed_ns is not None and leg.unfed_ns <= ns]
 
 

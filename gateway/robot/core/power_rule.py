@@ -1,6 +1,6 @@
-"""Nothing starts or moves that the power board does not feed, and what it feeds no longer is stopped. Pure.
+"""No servo starts or moves without supply, and a servo that loses its supply is stopped. Pure.
 
-A servo that is not fed does not count as running: fed again, it would jump to its angle, and nobody asked for that.
+A servo that is not fed does not count as running: fed again, it would jump to its angle.
 """
 
 from collections.abc import Collection, Mapping
@@ -19,7 +19,7 @@ UNFED: Final = "the power board has not confirmed that it is fed"
 
 
 class PowerRule(Interlock[PowerSeen]):
-    """Whether the board feeds what is to move."""
+    """Reject moves of servos that the board does not feed, and stop their legs."""
 
     takes = (PowerSeen,)
 
@@ -56,6 +56,6 @@ class PowerRule(Interlock[PowerSeen]):
         return [*self._stop(lost, LOST, now_ns, legs), *legs.start_fed(now_ns)]
 
     def _stop(self, unfed: Collection[int], detail: str, now_ns: int, legs: Legs) -> list[Effect]:
-        """Stop these legs; all six, where they are only stopped as a whole."""
+        """Stop these legs, or all six if the robot only stops as a whole."""
         due = dict.fromkeys(legs.by_number if unfed and self._rules.stops_whole else sorted(unfed))
         return legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, detail) if due else []

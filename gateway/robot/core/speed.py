@@ -1,4 +1,4 @@
-"""How far a servo may go with one frame, where its speed is limited. Pure.
+"""How far one frame may move a servo with a limited speed. Pure.
 
 Two limits: a servo's own (`Rules.max_speed_cdeg_s`), and one for servos that *ease* (`Rules.takeover_cdeg_s`). A servo
 eases from a command of another source on, or from a start within `Rules.takeover_known_ns` of its Stop, until it has
@@ -15,16 +15,16 @@ from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo
 
 
 class Step(NamedTuple):
-    """An angle for the next frame, and from when on the step after it counts."""
+    """An angle for the next frame, and when the time of the step after it begins."""
 
     angle_cdeg: int
     since_ns: int
 
 
 def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns: int, period_ns: int) -> Step:
-    """One step from an angle towards another, at most speed times time since `since_ns`, and speed times a rate slot.
+    """Return a step towards an angle, at most speed times time since `since_ns`, and speed times a rate slot.
 
-    Time beyond a rate slot is lost: after a stall, or after a long time without a command, a servo would else leap.
+    Time beyond a rate slot is lost: else a servo would leap after a stall, or a long time without a command.
 
     Whole hundredths of a degree only. The time that a hundredth took counts as used, and the rest is left for the next
     step: else a slow servo whose leg gets many frames would never move.
@@ -41,7 +41,7 @@ def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns:
 
 
 class LimitedSpeeds:
-    """Steps of servos whose speed is limited."""
+    """The steps of servos with a limited speed."""
 
     def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         self._rules = rules
@@ -49,7 +49,7 @@ class LimitedSpeeds:
         self._eases = rules.takeover_cdeg_s > 0
 
     def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
-        """A command of `source` starts or sets servos that do not run, or that another source commanded."""
+        """Ease these servos: `source` starts or sets them, and they do not run, or another source commanded them."""
         supply_starts = self._rules.angles_first
         for servo in servos:
             servo.source = source
@@ -61,7 +61,7 @@ class LimitedSpeeds:
                     servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
 
     def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
-        """Where a servo that does not run stands, if its Stop was not long ago and the calibration is the same."""
+        """Return a stopped servo's angle if its Stop was recent and the calibration is the same, else None."""
         if servo.stopped is None or not self._eases:
             return None
         angle_cdeg, stopped_ns, calibration = servo.stopped
@@ -69,7 +69,7 @@ class LimitedSpeeds:
         return angle_cdeg if known else None
 
     def _speed_cdeg_s(self, servo: Servo) -> int | None:
-        """The highest speed of a servo now; None: any."""
+        """Return the highest speed of a servo now; None: any."""
         own, takeover = self._rules.max_speed_cdeg_s.get(servo.servo_id), self._rules.takeover_cdeg_s
         if not servo.eases:
             return own
@@ -107,7 +107,7 @@ class LimitedSpeeds:
         return said
 
     def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
-        """Where the next frame takes a servo whose speed is limited."""
+        """Return the angle of the next frame for a servo with a limited speed."""
         crosses = self._limits.crosses(servo.servo_id, stands_cdeg, target_cdeg)
         from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
         at_cdeg, servo.since_ns = step(

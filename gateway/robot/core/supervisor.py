@@ -83,11 +83,11 @@ _REJECTING: Final = {
     Mode.BUS_FAULT: (Reason.BUS_FAULT, _BUS_FAULT),
     Mode.STOPPING: (Reason.STOPPING, _STOPPING),
 }
-"""The modes in which every command that comes is rejected, and why."""
+"""The modes in which every command is rejected, and why."""
 _STOPS_ALL: Final = frozenset({BusOpened, BusFailed, ShutDown})
-"""With these, and with a Halt, deadlines that were due mean nothing any more."""
+"""These events, and a Halt, void the deadlines that were due."""
 _CHECKED: Final = frozenset({CalibrationSaved, EstopKept})
-"""Events that have no place unless somebody waits for them."""
+"""Events that are legal only while they are awaited."""
 _NOT_AT_THE_END: Final = frozenset({LeaseRequest, ButtonRequest, PowerSeen})
 ORDER: tuple[type[Interlock[Any]], ...] = (
     Outside,
@@ -115,16 +115,16 @@ class Supervisor:
         self._fault = Kind.BUS_FAULT  # the one that was announced, while there is one
         self._ended = False
         self.mode = Mode.STARTING
-        """What the gateway as a whole is doing."""
+        """The mode of the whole gateway."""
         self.due_ns: int | None = None
-        """When `TimePassed` is next needed; None: not before something else happens."""
+        """When `TimePassed` is next needed; None: not before another event."""
 
     def connect(self, interlocks: Iterable[Interlock[Any]]) -> None:
-        """Carry these out, in this order."""
+        """Use these interlocks, in this order."""
         found: dict[type, Any] = {type(each): each for each in interlocks}
         self._interlocks: tuple[Interlock[Any], ...] = tuple(found.values())
         self._timed = tuple(each for each in self._interlocks if type(each).expire is not Interlock.expire)
-        # The last one first: what a rule stops by itself is not what the robot lands for.
+        # In reverse: a leg that a rule stops by itself is no reason to land.
         late = [each for each in self._interlocks if type(each).overdue is not Interlock.overdue]
         self._with_deadlines = tuple(reversed(late))
         self._own = {event: each for each in self._interlocks for event in each.takes}
@@ -138,8 +138,9 @@ class Supervisor:
         self.latch: Latch = found[Latch]
 
     def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:  # noqa: PLR0912
-        """Take one event. Raises IllegalEvent, and changes nothing, where it has no place in this mode (`LEGAL`).
-        Events with the same `instant_ns` (their own time, if not given) were collected together, in an unknown order.
+        """Take one event, and return its effects in order. Raises IllegalEvent, and changes nothing, if this mode does
+        not accept the event (`LEGAL`). Events with the same `instant_ns` (default: `now_ns`) were collected
+        together, in an unknown order.
         """
         kind, legs = type(event), self.legs
         own = self._own.get(kind)
@@ -193,7 +194,7 @@ class Supervisor:
             raise IllegalEvent("what an earlier run has left of its emergency stops is known")
 
     def _mode_now(self) -> Mode:
-        """The first that applies."""
+        """Return the first mode that applies."""
         if self._ended:
             return Mode.STOPPING
         if not self.legs.sends:
@@ -203,7 +204,7 @@ class Supervisor:
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
     def to_feed(self) -> dict[int, int | None]:
-        """See `servos_to_feed`; nothing is fed while the bus is at fault."""
+        """Return `servos_to_feed`, or nothing while the bus is at fault."""
         return servos_to_feed(self.legs.servos.values(), self._limits.wire) if self.legs.sends else {}
 
     @property
@@ -214,7 +215,7 @@ class Supervisor:
     # ---- events
 
     def _take(self, event: Event, now_ns: int) -> list[Effect]:
-        """An event that is no interlock's."""
+        """Take an event that no interlock takes."""
         match event:
             case Command():
                 return self._command(event, now_ns)
@@ -230,7 +231,7 @@ class Supervisor:
                 return []
 
     def _take_own(self, own: Interlock[Any], event: Event, now_ns: int) -> list[Effect]:
-        """An interlock's event. A request may be barred by all of them, and renews its sender's lease."""
+        """Take an interlock's event. Any interlock may bar a request; an accepted one renews its sender's lease."""
         if not isinstance(event, Reset | Calibrate):
             effects = own.take(event, now_ns, self.legs)
             for each in self._interlocks:
@@ -265,7 +266,7 @@ class Supervisor:
         return [*dropped, *stops]
 
     def _why_not(self, request: Barred) -> Why | None:
-        """Why the request as a whole takes no effect; None: it does."""
+        """Return why the request as a whole takes no effect, or None."""
         kind = type(request)
         if self.mode in _REJECTING and not (kind is Reset and self.mode is Mode.ESTOPPED):
             return _REJECTING[self.mode]
@@ -332,5 +333,5 @@ class Supervisor:
 
 
 def _after_stops(effect: Effect) -> bool:
-    """Sorts Stops to the front: no frame that moves, and no answer to anyone, stands before one."""
+    """Sort key that puts Stops first: no frame that moves, and no answer, precedes one."""
     return not (isinstance(effect, Transmit) and effect.frame.is_stop)

@@ -1,4 +1,4 @@
-"""What a command key addresses, and what follows from that: one row for each target, which all who ask read. Pure.
+"""What a command key addresses, and what follows from it: one row for each target. Pure.
 
 A new key needs its row here. Which rings are read again (`zenoh_io/rings.py`), what may be a Stop, what a delete and
 what lost messages mean (`intake`, `losses`), and how a payload is read follow from it. Only the emergency stop is
@@ -51,7 +51,7 @@ def _read_reset(_: int, payload: bytes) -> Reset:
 
 
 def _targets(servo_ids: tuple[int, ...], setpoints: tuple[dict[str, Any], ...]) -> Targets:
-    """Each servo's operation; angles to the nearest hundredth, as in `centidegrees`."""
+    """Return each servo's operation; angles to the nearest hundredth, as in `centidegrees`."""
     targets: Targets = ()
     for place, servo_id in enumerate(servo_ids):
         setpoint = setpoints[place]
@@ -77,7 +77,7 @@ def _own(servo_id: int) -> tuple[int, ...]:
 
 
 def may_contain_stop(payload: bytes) -> bool:
-    """Return whether a payload may contain a Stop, however it is written. Takes others for one, but misses none.
+    """Return whether a payload may contain a Stop, in any spelling. Has false positives, but misses none.
 
     In JSON a word may be written with escapes, and each of them has a backslash. A payload that does not begin like a
     JSON object (binary, a byte order mark) or has a NUL (UTF-16) cannot be searched for a word.
@@ -129,19 +129,19 @@ TARGETS: Final[dict[Target, TargetRules]] = {
         _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }
-"""Every target. Without a row for one, `unit/robot/test_targets.py` fails, and no gateway starts."""
+"""Every target. If a row is missing, `unit/robot/test_targets.py` fails, and no gateway starts."""
 
 
 def servos_of(key: CommandKey) -> frozenset[int]:
-    """The servos that a message on this key may start, set or stop."""
+    """Return the servos that a message on this key may start, set or stop."""
     return frozenset(TARGETS[key.target].servos(key.number))
 
 
 def follows(key: CommandKey) -> frozenset[int]:
-    """The servos whose older messages are taken before a message on this key takes effect."""
+    """Return the servos whose older messages are taken before a message on this key takes effect."""
     return frozenset(TARGETS[key.target].follows(key.number))
 
 
 def stops_of(key: CommandKey) -> Targets:
-    """Stops for all servos that the key names."""
+    """Return Stops for all servos that the key names."""
     return tuple((servo_id, STOP) for servo_id in TARGETS[key.target].servos(key.number))

@@ -1,4 +1,4 @@
-"""Plain values: what passes between the parts, made for each message."""
+"""Plain values that pass between the parts, made for each message."""
 
 from dataclasses import dataclass
 from typing import TypeVar, dataclass_transform
@@ -8,5 +8,5 @@ T = TypeVar("T")
 
 @dataclass_transform(frozen_default=True)
 def value(cls: type[T]) -> type[T]:
-    """A dataclass that is frozen for the type checker only: one that is frozen at run time takes four times as long."""
+    """Make a dataclass that is frozen for the type checker only: freezing at run time takes four times as long."""
     return dataclass(slots=True, unsafe_hash=True)(cls)

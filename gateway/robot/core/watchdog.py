@@ -1,11 +1,11 @@
-"""Silence stops a leg; where a landing is configured, the robot lands first. Pure.
+"""Silence stops a leg; if a landing is configured, the robot lands first. Pure.
 
 A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for the
 timeout. A Stop for one servo does not keep the others of its leg running.
 
-Once a leg or a button falls silent, or the body is tilted, the whole robot goes down, also legs still commanded: on
-five legs, one limp, it would fall. Nothing can make the landing longer: neither a link that comes back (what comes is
-rejected) nor a second leg's silence (whose own Stop would come later than this one).
+Once a leg or a button falls silent, or the body is tilted, the whole robot lands, with the legs still commanded: with
+one limp leg it would fall. Nothing makes the landing longer: neither a link that comes back (commands are rejected) nor
+a second leg's silence (its own Stop would come later than this one).
 """
 
 from typing import Any, Final, Never
@@ -30,7 +30,7 @@ class Watchdog(Interlock[Never]):
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.expirations = 0
-        """Legs that were silent for the timeout."""
+        """How many legs were silent for the timeout, since the start."""
 
     def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
         return Reason.LANDING, _LANDING
@@ -79,7 +79,7 @@ class Watchdog(Interlock[Never]):
 
 
 def bring_down(down: Down, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
-    """The robot lands, if something runs and there is time left; else all six legs are stopped."""
+    """Land the robot if a servo runs and time is left, else stop all six legs. Return the effects."""
     if nothing_to_stop(legs):
         return []
     since_ns = now_ns if down.since_ns is None else down.since_ns
