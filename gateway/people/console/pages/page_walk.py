@@ -32,7 +32,7 @@ from gateway.people.console.pages.page_messages import WalkMessage, WalkWish
 from gateway.people.walking import Ride, Silences, Velocity, Wish, ground_now
 
 WISH_SILENT_S: Final = 0.25
-"""Five wishes in a row are missing."""
+"""Five missing wishes in a row."""
 SIT_S: Final = 5.0
 PRESSLESS_S: Final = 60.0
 SILENCES: Final = Silences(hold_s=WISH_SILENT_S, rest_s=SIT_S, idle_s=PRESSLESS_S, halted_s=WISH_SILENT_S + SIT_S)
@@ -55,7 +55,7 @@ class PageWalks:
         terrain: str,
         send: Callable[[WalkMessage], None],
     ) -> None:
-        """`connect` opens a session under a name, and waits for that; it is called on a thread."""
+        """`connect` opens a session under a name and blocks; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
         self.send = send
         self._new = partial(_WalkThread, name, partial(connect, name), geometry, terrain, self._send_later)
@@ -65,7 +65,7 @@ class PageWalks:
 
     @property
     def active(self) -> bool:
-        """Whether legs may run by it."""
+        """Whether a walk of this page may run legs."""
         return self._walk is not None and self._walk.is_alive()
 
     def take(self, wish: WalkWish, token: str | None) -> None:
@@ -96,7 +96,7 @@ class PageWalks:
 
     @property
     def newest_press(self) -> int:
-        """Later ones are pressed anew."""
+        """The number of the newest press; only greater numbers are new presses."""
         return max(self._spent, 0 if self._walk is None else self._walk.newest.press)
 
     def _send_later(self, message: WalkMessage) -> None:

@@ -7,7 +7,7 @@ from gateway.people.console.pages.page_messages import LinkMessage
 
 
 class GatewayPresence:
-    """`link` is the newest message to the pages; the methods take what happens."""
+    """`link` is the newest message to the pages; the methods record events."""
 
     def __init__(self) -> None:
         self.link = LinkMessage(status="gone")
@@ -16,36 +16,36 @@ class GatewayPresence:
         """Whether its liveliness token is gone."""
 
     def opened(self, now_ns: int) -> None:
-        """A session is open; its gateway has a second to send a state."""
+        """Record that a session is open: the gateway has one second to send a state."""
         self._silence.opened(now_ns)
 
     def not_opened(self, why: str) -> None:
-        """No session could be opened yet."""
+        """Record why no session could be opened yet."""
         self.link = LinkMessage(status="gone", detail=self.link.detail or why)
 
     def looked(self, reasons: Sequence[str]) -> None:
-        """Why no state comes, one line for each host."""
+        """Record why no state is received, one reason for each host."""
         if self.link.status != "connected":
             self.link = LinkMessage(status=self.link.status, detail="\n".join(reasons))
 
     def received_token(self, alive: bool) -> None:
-        """The gateway's liveliness token has appeared or gone."""
+        """Record that the gateway's liveliness token has appeared or gone."""
         self._ended = not alive
         if not alive:
             self.link = LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")
 
     def received_state(self, now_ns: int) -> None:
-        """A state that comes after the token has gone was under way, and does not count."""
+        """Record a state. After the token has gone, a late state does not reconnect the link."""
         self._silence.received(now_ns)
         if not self._ended:
             self.link = LinkMessage(status="connected")
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether the newest state is so old that `fell_silent` applies."""
+        """Return whether the newest state is old enough for `fell_silent`."""
         return self._silence.is_long(now_ns)
 
     def fell_silent(self, *, linked: bool) -> None:
-        """`linked`: connected to the gateway, or to a router in front of it."""
+        """Record the silence. `linked`: connected to the gateway or to a router in front of it."""
         if not linked:
             self.link = LinkMessage(status="gone", detail=self.link.detail or "the link to the gateway is lost")
         elif not self._ended:

@@ -22,10 +22,10 @@ from gateway.own_command import this_command
 
 CONSOLE_PORT: Final = 8080
 STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
-"""Of the service hexapod-console, also for root's commands."""
+"""The folder of the service hexapod-console, also for root's commands."""
 DEFAULT_ADDRESS: Final = "127.0.0.1"
 LOCALHOST: Final = ("127.0.0.1", "::1")
-"""To which browsers resolve `localhost`, whatever the machine's own file states. Links name the first."""
+"""Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
 _NEXT_PORTS: Final = range(CONSOLE_PORT + 1, CONSOLE_PORT + 20)
 """Tried if no address is given and another program has the default port."""
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
@@ -66,11 +66,11 @@ class Site:
         return f"{sudo}{this_command()} console --link --listen {shlex.quote(with_port(self.address, self.port))}"
 
     def knows_host(self, host: str | None) -> bool:
-        """Whether a Host header names this site."""
+        """Return whether a Host header names this site."""
         return host is not None and host.lower() in self._authorities()
 
     def knows_origin(self, origin: str | None, host: str | None) -> bool:
-        """Whether an Origin header is that of this site's own page, reached by that Host."""
+        """Return whether an Origin header is this site's own, reached by that Host."""
         return origin is not None and host is not None and self.knows_host(host) and origin == f"{self.scheme}://{host}"
 
     def _authorities(self) -> set[str]:
@@ -82,7 +82,7 @@ class Site:
 
 
 def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
-    """The site at `listen`. Raises ConfigError, with a way to go on, if it is no address or needs TLS."""
+    """Return the site at `listen`. Raises ConfigError, with a fix, if it is no address or needs TLS."""
     address, port = address_of(listen)
     if (certificate is None) != (key is None):
         raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
@@ -107,7 +107,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
 
 
 def address_of(listen: str) -> tuple[str, int]:
-    """`HOST:PORT` in its parts. Raises ConfigError."""
+    """Split `HOST:PORT`; the default port is 8080. Raises ConfigError if it is no address."""
     try:
         parts = urlsplit(f"//{listen}")
         host, port = parts.hostname, CONSOLE_PORT if parts.port is None else parts.port
@@ -119,12 +119,12 @@ def address_of(listen: str) -> tuple[str, int]:
 
 
 def with_port(host: str, port: int) -> str:
-    """`HOST:PORT`, with an IPv6 address in brackets."""
+    """Return `HOST:PORT`, with an IPv6 address in brackets."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def free_address(address: str = DEFAULT_ADDRESS) -> str:
-    """This address with the first free port; if none is free, with the default port."""
+    """Return `HOST:PORT` with the first free port, or with the default port if none is free."""
     ports = (port for port in (CONSOLE_PORT, *_NEXT_PORTS) if _is_free(address, port))
     return with_port(address, next(ports, CONSOLE_PORT))
 
