@@ -1,1 +1,1 @@
-"""Commands that run on the robot and know both wings: the service's settings and devices, and what people see."""
+"""Commands that run on the robot and use both sides: the service's settings and devices, and the people's tools."""

@@ -1,4 +1,4 @@
-"""What `hexapod-gateway incidents` does: what the black box kept, and the story of each."""
+"""`hexapod-gateway incidents`: the incidents in the black box, and the story of each."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ LAST: Final = "last"
 
 
 class _Found(NamedTuple):
-    """An incident, and the records that it is among."""
+    """An incident, with all records of the ring."""
 
     incident: Incident
     records: ring_reader.Records
@@ -33,7 +33,7 @@ class _Found(NamedTuple):
 
 
 def list_all(settings: Settings, *, as_json: bool = False) -> int:
-    """Print the incidents, newest first. Exit code 0, also where there are none."""
+    """Print the incidents, newest first. Return exit code 0, also if there are none. Raises ConfigError."""
     folder = _folder(settings)
     found = _find(folder)
     rows: list[dict[str, Any]] = [
@@ -51,7 +51,10 @@ def list_all(settings: Settings, *, as_json: bool = False) -> int:
 
 
 def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
-    """Print the story of an incident."""
+    """Print the story of the incident `name` (an id, or `last`). Return exit code 0.
+
+    Raises NoIncidentError, and ConfigError if the black box is off or unreadable.
+    """
     found = _one(settings, name)
     lines = story(list(messages(*found)))
     if as_json:
@@ -63,7 +66,10 @@ def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
 
 
 def export(settings: Settings, name: str, file: Path) -> int:
-    """Write an incident's MCAP file."""
+    """Write the incident `name` to the MCAP file `file`. Return exit code 0.
+
+    Raises as `show` does, and ConfigError if `file` exists or cannot be written.
+    """
     found = _one(settings, name)
     write(file, *found)
     say(f"{found.name} is in {file}")
@@ -83,7 +89,7 @@ def _folder(settings: Settings) -> Path:
 
 
 def _find(folder: Path) -> list[_Found]:
-    """All incidents, oldest first: after a change of the clock, that is not the order of their ids."""
+    """All incidents, oldest first. After a change of the clock, their ids have another order."""
     try:
         content = ring_reader.read(folder / RING_FILE)
     except ring_reader.NoRingError as error:
@@ -97,7 +103,7 @@ def _find(folder: Path) -> list[_Found]:
 
 
 def _one(settings: Settings, name: str) -> _Found:
-    """The incident of that id, or the newest."""
+    """The incident with this id; of `last`, the newest."""
     folder = _folder(settings)
     found = _find(folder)
     if name == LAST and found:
@@ -113,4 +119,4 @@ def _one(settings: Settings, name: str) -> _Found:
 
 
 class NoIncidentError(GatewayError):
-    """There is no such incident."""
+    """No incident has this id, or there is none yet."""

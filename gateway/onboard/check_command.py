@@ -1,4 +1,4 @@
-"""The command line of `check`, apart from its parts: an emergency stop from a shell does not load these."""
+"""The command line of `check`. It imports the checks late, so that an emergency stop does not load them."""
 
 import sys
 from typing import Annotated

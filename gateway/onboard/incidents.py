@@ -34,7 +34,7 @@ def _list_without_command(context: typer.Context, config: ConfigOption = None) -
 def _settings(context: typer.Context, config: Path | None) -> "Settings":
     from gateway.robot import settings
 
-    # No framing is needed to read: it is asked for as with a simulated controller.
+    # Reading needs no framing, so none is required, as with a simulated controller.
     return settings.load(config or context.obj, simulated=True)
 
 

@@ -1,7 +1,7 @@
-"""Which of the installed releases runs: the link `current` beside their folders.
+"""Switches between the installed releases, by the link `current` in their folder.
 
-The package's postinst calls `take` once dpkg has unpacked a release; the release before it is kept, as hard links that
-dpkg does not know. The units are copied from the release, so that they are never newer than what they start.
+The package's postinst calls `take` once dpkg has unpacked a release. The previous release is kept as hard links that
+dpkg does not know. The units are copied from the release, so that they are never newer than the code they start.
 """
 
 import os
@@ -24,22 +24,22 @@ from gateway.model.protocols import FRAMED
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")
 _FORMER: Final = Path("/opt/hexapod-gateway")
-"""Of the installer before the package: its unit and its command go before the package's until `setup` removes them."""
+"""From the installer used before the package. Its unit and command hide the package's until `setup` removes them."""
 _SERVICE: Final = "hexapod-gateway"
 _CONSOLE: Final = "hexapod-console"
 _SERVOS: Final = SERVICE_RUNTIME / "servos"
-"""What gateway.robot.host.servos_file writes."""
+"""Written by gateway.robot.host.servos_file."""
 _FRESH_NS: Final = 1_000_000_000
 _LOOKS: Final = 20
 _LOOK_S: Final = 0.1
 _TRIAL_S: Final = 30.0
-"""systemd gives the service as long."""
+"""The same as systemd's limit for the start of the service."""
 _TAKE: Final = "sudo dpkg-reconfigure hexapod-gateway"
 _BACK: Final = "sudo hexapod-gateway setup --back"
 
 
 def main() -> int:
-    """Take the release that this module is of; the exit code of postinst."""
+    """Take the release that contains this module. Return the exit code for postinst."""
     try:
         said, code = take(Path(__file__).resolve().parents[2]), 0
     except GatewayError as error:
@@ -52,7 +52,7 @@ def main() -> int:
 def take(release: Path) -> str:
     """Run `release` from now on, after a trial. Return what to do next, if anything.
 
-    Raises GatewayError if this release does not start; what ran before goes on.
+    Raises GatewayError if this release does not start; the previous one then runs on.
     """
     if _FORMER.exists() or not _is_set_up():
         _turn(release)
@@ -65,7 +65,10 @@ def take(release: Path) -> str:
 
 
 def go_back() -> str:
-    """Run the kept release; the same again returns to the newer one. Raises GatewayError."""
+    """Run the kept release; a second call returns to the newer one. Return what to do next, if anything.
+
+    Raises ConfigError if none is kept or a servo may run, and GatewayError if the release does not start.
+    """
     current = _current()
     releases = (path for path in LIBRARY.iterdir() if not path.is_symlink() and (path / "hexapod-gateway").exists())
     others = [path for path in releases if path != current]
@@ -78,7 +81,7 @@ def go_back() -> str:
 
 
 def why_not_now() -> str:
-    """Why a restart would let the robot fall, as far as the service publishes it; empty when it would not."""
+    """Return why the service must not restart now: a servo runs, or may run; "" if it may. Waits up to 2 s."""
     process = _properties()["MainPID"]
     if process == "0":
         return ""
@@ -108,7 +111,7 @@ def _how_to_go_on(reason: str, command: str) -> str:
 
 
 def _is_set_up() -> bool:
-    """Whether the configuration states a wire, or somebody has enabled the service without that."""
+    """Whether the configuration states a wire, or the service is enabled without one."""
     try:
         stated = tomllib.loads(CONFIGURATION.read_text())
     except ValueError:  # the trial names the fault
@@ -164,7 +167,7 @@ def _switch(release: Path) -> str:
 
 
 def _turn(release: Path) -> None:
-    """At every instant the link leads to a whole release, and each unit is whole."""
+    """Point the link at `release`, and copy its units. At every instant the link and each unit are complete."""
     new = LIBRARY / "current.new"
     new.unlink(missing_ok=True)
     new.symlink_to(release.name)
@@ -194,7 +197,7 @@ def _is_enabled() -> bool:
 
 
 def _properties() -> Mapping[str, str]:
-    """MainPID and ActiveState of the service; as of one that does not run where there is no systemd."""
+    """MainPID and ActiveState of the service; without systemd, those of a service that does not run."""
     shown = {"MainPID": "0", "ActiveState": "inactive"}
     if not _has_systemd():
         return shown

@@ -1,4 +1,4 @@
-"""`run`: the service, and what it prints once it is ready."""
+"""`run`: starts the service, and prints its address once it is ready."""
 
 import os
 import sys
@@ -24,14 +24,14 @@ from gateway.simulation.body import endpoint
 from gateway.zenoh_config import listen_endpoints
 
 PAUSE_S: Final = 11.0
-"""With the unit's RestartSec and StartLimitBurst more than its StartLimitIntervalSec."""
+"""(PAUSE_S + the unit's RestartSec) × its StartLimitBurst exceeds its StartLimitIntervalSec."""
 _CERTIFICATE: Final = "NAME.json5"
 
 
 def serve(config: Path | None, *, simulated: bool, body: tuple[Path | None, Assumed] | None = None) -> None:
     """Run the service with the settings of this file, until it is stopped. Raises GatewayError.
 
-    `body`: shape and masses of what the servos of a simulated controller move.
+    `body`: geometry file (None: the Elkapod's) and assumed masses of the simulated robot; None: no physics.
     """
     settings = settings_file.load(config, simulated=simulated)
     _reach_by(settings.zenoh.listen)
@@ -51,7 +51,7 @@ def _run(
     body: BodyProcess | None,
     board: BoardProcess | None,
 ) -> None:
-    """Once it is ready, print its address and what to try next."""
+    """Run the service; once it is ready, print its address and what to try next."""
     controller = "a simulated controller" if simulated else settings.device
     robot = controller if body is None else "a simulated robot"
 
@@ -79,9 +79,9 @@ def _run(
 
 
 def _pause(error: GatewayError) -> NoReturn:
-    """Under systemd, wait before the end of a start that time may cure.
+    """Under systemd, wait before the end of a failed start that may succeed later. No servo runs then.
 
-    Such starts never reach the unit's limit, which is for crashes. No servo runs then. SIGTERM ends the pause.
+    With the pause, such starts never reach the unit's start limit, which is for crashes. SIGTERM ends the pause.
     """
     hint(f"hexapod-gateway: {error}")
     time.sleep(PAUSE_S)
@@ -89,13 +89,13 @@ def _pause(error: GatewayError) -> NoReturn:
 
 
 def _reach_by(endpoints: Sequence[str]) -> None:
-    """Commands in messages reach a service that listens on `endpoints`."""
+    """Make the commands in later messages reach a service that listens on `endpoints`."""
     plain = own_command.plain(endpoints)
     own_command.reach_by(connect=plain, zenoh_config=_CERTIFICATE if plain is None and endpoints else None)
 
 
 def next_step(endpoints: Sequence[str]) -> str:
-    """What to try, where the service listens on `endpoints`."""
+    """Return the sentence on what to try with a service that listens on `endpoints`."""
     if own_command.plain(endpoints) is None:
         made = f"{_CERTIFICATE} is made by: hexapod-gateway certs issue NAME --role operator --dir DIR, where ca.key is"
         return f"Try, on a laptop: hexapod-gateway check --zenoh-config {_CERTIFICATE} ({made})"

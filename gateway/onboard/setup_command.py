@@ -1,4 +1,4 @@
-"""The command line of `setup`, apart from its parts: an emergency stop from a shell does not load these."""
+"""The command line of `setup`. It imports the steps late, so that an emergency stop does not load them."""
 
 import os
 import sys

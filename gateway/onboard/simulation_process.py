@@ -1,4 +1,4 @@
-"""Starts a process that simulates the robot's body or its power board, from within the gateway's, and ends with it."""
+"""Starts the process that simulates the robot's body or its power board. The process ends with the gateway's."""
 
 import importlib.util
 import json
@@ -24,22 +24,24 @@ from gateway.people.terminal import hint
 from gateway.simulation import body as simulated_body
 
 START_S: Final = 30.0
-"""The slowest loads MuJoCo in less than one."""
+"""The slowest machine loads MuJoCo in less than 1 s."""
 
 
 class SimulationProcess:
-    """The process; it simulates when the constructor returns."""
+    """A simulating process. It has started when the constructor returns."""
 
     name: str
     lost: str
-    """What its end means, as a sentence's second half."""
+    """What follows from its unexpected end: the second half of a sentence."""
 
     def __init__(
         self, module: str, given: Mapping[str, object], pages: Sequence[int], folder: Path, begun: str
     ) -> None:
-        """Runs `module` with `given` as JSON, and passes it these descriptors. Raises ConfigError with the first line
-        that it writes, unless that is `begun`. `folder` is private: the process removes it at its end, which also
-        comes when the gateway is killed."""
+        """Run `module` with `given` as JSON, and pass it the descriptors `pages`.
+
+        Raises ConfigError with the first line that the process writes, unless it is `begun`. The process removes the
+        private `folder` at its end, also if the gateway is killed.
+        """
         self.folder = folder
         its_end, self._lifeline = os.pipe()
         words, its_words = os.pipe()
@@ -67,12 +69,12 @@ class SimulationProcess:
         self.close()
 
     def tell(self, line: str) -> None:
-        """Write it this line. Never waits."""
-        with suppress(OSError):  # it has ended, which `_watch` reports
+        """Write a line to the process. Never waits."""
+        with suppress(OSError):  # the process has ended; `_watch` reports this
             os.write(self._lifeline, line.encode() + b"\n")
 
     def close(self) -> None:
-        """End the process."""
+        """End the process; after 2 s kill it."""
         self._ended = True
         os.close(self._lifeline)
         try:
@@ -83,19 +85,19 @@ class SimulationProcess:
 
     def _watch(self) -> None:
         status = self._process.wait()
-        shutil.rmtree(self.folder, ignore_errors=True)  # as it has done itself, unless it was killed
+        shutil.rmtree(self.folder, ignore_errors=True)  # a killed process leaves it
         if not self._ended:
             how = f"was killed by signal {-status}" if status < 0 else f"ended with exit code {status}"
             hint(f"the {self.name} process {how}: {self.lost}")
 
 
 def private_folder(purpose: str) -> Path:
-    """A new one, which only this user may enter."""
+    """Make and return a temporary folder that only this user may enter."""
     return Path(tempfile.mkdtemp(prefix=f"hexapod-{purpose}-"))
 
 
 class BoardProcess(SimulationProcess):
-    """The process; its board answers on `channel` when the constructor returns, with all servos off."""
+    """A simulated power board. When the constructor returns, it answers on `channel`, with all outputs off."""
 
     name = "power board's"
     lost = "nobody simulates the power board any more, so it does not answer"
@@ -107,10 +109,10 @@ class BoardProcess(SimulationProcess):
         sensed: SensedPage | None = None,
         record: Path | None = None,
     ) -> None:
-        """`outputs`: the servo on each. `page`: where a simulated controller sends its servos; a new one by default.
-        `sensed`: what a simulated body feels, whose torques decide the currents. `record`: a file for all frames."""
+        """`outputs`: the servo id on each output. `page`: the simulated controller's targets; by default a new page.
+        `sensed`: a simulated body's torques, for the currents. `record`: a file for all frames."""
         self.page = ServoPage() if page is None else page
-        """For the simulated controller: which servos are fed."""
+        """Shows the simulated controller which servos have supply."""
         pages = [self.page.fd] if sensed is None else [self.page.fd, sensed.fd]
         given = {
             "outputs": list(outputs),
@@ -128,13 +130,13 @@ READY: Final = "ready"
 
 
 class BodyProcess(SimulationProcess):
-    """The process; it has begun, and waits for `connect`, when the constructor returns."""
+    """A simulated body. When the constructor returns, it waits for `connect`."""
 
     name = "physics"
     lost = "nobody simulates the body any more, and the gateway goes on without"
 
     def __init__(self, geometry: Path | None, assumed: Assumed) -> None:
-        """Raises ConfigError where MuJoCo is not installed, or cannot simulate this robot."""
+        """Raises ConfigError if MuJoCo is not installed, or cannot simulate this robot."""
         if importlib.util.find_spec("mujoco") is None:
             raise ConfigError("the physics is missing: pip install 'hexapod-gateway[physics]'")
         self.page, self.sensed = ServoPage(), SensedPage()
@@ -150,5 +152,5 @@ class BodyProcess(SimulationProcess):
         super().__init__("gateway.people.physics.process", given, pages, private_folder("body"), READY)
 
     def connect(self, gateway: zenoh.Config) -> None:
-        """The gateway of this configuration is ready: have the body published there. Never waits."""
+        """Let the body be published through the gateway with this configuration, once that is ready. Never waits."""
         self.tell(str(simulated_body.client_config(gateway, self.folder, self.zenoh_id)))

@@ -1,4 +1,4 @@
-"""`stop-servos`: the last resort. It must work at once, and when nothing else does."""
+"""`stop-servos`: the last resort. It must work at once, also when nothing else works."""
 
 import os
 import sys
@@ -23,13 +23,13 @@ _SYSTEMD: Final = Path("/run/systemd/system")
 NOT_CONFIRMED: Final = 1
 """Exit code: all Stops are written, and the servos may still have their supply."""
 _ANSWER_S: Final = 1.0
-"""A systemd that hangs is not waited for any longer; it answers within 20 ms."""
+"""Limit for a systemd that hangs; otherwise it answers within 20 ms."""
 
 
 def at_once(arguments: Sequence[str]) -> int | None:
-    """Stop all six legs, with little more loaded than writes the Stops: the exit code, as of `stop-servos`.
+    """Stop all six legs, and load only what this needs. Return the exit code of `stop-servos`.
 
-    None where that takes more: help, or a mistake among the arguments, and nothing is written then.
+    Return None, with nothing written, if the full command line is needed: for help, or wrong arguments.
     """
     realtime.prefer_process()
     realtime.prefer_thread(realtime.LOOP_PRIORITY)
@@ -48,16 +48,16 @@ def at_once(arguments: Sequence[str]) -> int | None:
 
 
 def run(path: Path | None) -> bool:
-    """Stop all six legs with the settings that the service uses, else with those of the file, and take their supply.
+    """Stop all six legs with the service's settings, else with those of the file `path`, and cut their supply.
 
-    Returns False where the supply was to be taken, and the power board has not confirmed it. Raises GatewayError.
+    Return False if the power board has not confirmed a cut that the settings want. Raises GatewayError.
     """
     chosen = _choose(path)
     off = True
     cut: SupplyCut | None = None
     try:
         cut = _cut(chosen.power)
-    except Exception as error:  # whatever it is: no reason to write no Stop
+    except Exception as error:  # no fault of the power board may prevent the Stops
         _say(f"the servos keep their supply ({error}): switch the power off by hand")
         off = False
     try:
@@ -70,7 +70,7 @@ def run(path: Path | None) -> bool:
 
 
 def _cut(power: PowerSettings | None) -> "SupplyCut | None":
-    """Take the supply from now on, where the settings want that. Loads little: the first Stops wait for it."""
+    """Begin to cut the supply if the settings want that. Loads little, since the first Stops wait for this."""
     if power is None:
         raise ConfigError("[power] of the configuration is wrong")
     if power.interface in {"", "sim"}:
@@ -85,16 +85,16 @@ class _Chosen(NamedTuple):
     spi: SpiSettings
     controller: ControllerSettings
     power: PowerSettings | None
-    """None: not as it should be."""
+    """None: wrong in the configuration."""
     used: Effective | None = None
-    """The service whose settings these are; None: a file's."""
+    """The service whose settings these are; None: they are from a file."""
 
 
 def _choose(path: Path | None) -> _Chosen:
-    """The settings to use. Raises ConfigError only where neither a service nor the file has any.
+    """The settings to use. Raises ConfigError only if neither a service nor the file has any.
 
-    The controller understands what the service uses, so that goes before the file. A person who names another device,
-    by a file or a variable, means that one.
+    The controller understands the service's settings, so these precede the file's. Another device that a person
+    names, by a file or a variable, precedes both.
     """
     used = effective.read()
     theirs = None if used is None else _Chosen(used.wire, used.spi, used.controller, used.power, used)
@@ -104,7 +104,7 @@ def _choose(path: Path | None) -> _Chosen:
         return theirs
     if not named:
         process, variables = unit()
-        if theirs is not None and not process:  # nothing else has spoken to the controller since
+        if theirs is not None and not process:  # nothing else has written to the controller since
             return theirs
         os.environ.update(variables)
     try:
@@ -118,8 +118,8 @@ def _choose(path: Path | None) -> _Chosen:
 
 
 def unit() -> tuple[int, dict[str, str]]:
-    """The service's process (0: none, or not known), and its unit's variables that override a file: those of `[spi]`,
-    `[controller]` and `[power]`."""
+    """Return the service's process id (0: none, or unknown), and its unit's variables that override `[spi]`,
+    `[controller]` and `[power]` of a file."""
     if not _SYSTEMD.exists():
         return 0, {}
     import shlex
@@ -141,11 +141,11 @@ def stop_servos(
     controller: ControllerSettings,
     written: Callable[[], None] = lambda: None,
 ) -> None:
-    """Stop all six legs. Raises SpiError."""
+    """Stop all six legs, and print what was written. `written` is called after the Stops. Raises SpiError."""
     spi, changed = spi.within_limits()
     try:
         noticed = stop(wire, spi, controller, written)
-    finally:  # after the Stops, which wait for nobody who reads this
+    finally:  # after the Stops: they must not wait for a reader of stderr
         if changed:
             _say(changed)
     times = 1 + STOP_REPEATS

@@ -1,7 +1,7 @@
 """What `make run` starts: a simulated robot with a black box, and the console.
 
-They end together, on Ctrl-C or SIGTERM, or when the gateway ends; the end of the others does not end the gateway. Each
-is a process of its own, as on a robot. The console begins when the gateway is ready, so that its link is printed last.
+Each is a process of its own, as on a robot. Both end on Ctrl-C or SIGTERM, or when the gateway ends. The end of the
+console does not end the gateway. The console starts when the gateway is ready, so that its link is printed last.
 """
 
 import os
@@ -24,12 +24,12 @@ from gateway.robot.blackbox.paths import tried
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")
 _LOOK_S: Final = 0.1
-"""How soon the end of a gateway that never becomes ready is noticed."""
+"""Between two checks whether a gateway has ended before it is ready."""
 _END_S: Final = 5.0
 
 
 def try_out(console: Sequence[str]) -> int:
-    """Run both until the gateway has ended; its exit code. `console`: its options, or `no`."""
+    """Run both until the gateway has ended. Return its exit code. `console`: the console's options, or `no`."""
     children: list[subprocess.Popen[bytes]] = []
     ended = False
     environment = _environment(os.environ)
@@ -71,7 +71,7 @@ def try_out(console: Sequence[str]) -> int:
 
 
 def _is_ready(gateway: subprocess.Popen[bytes], notified: socket.socket) -> bool:
-    """Wait for its word to systemd; False where it has ended before."""
+    """Wait until the gateway reports to systemd that it is ready. Return False if it ends before."""
     while gateway.poll() is None:
         with suppress(TimeoutError):
             if b"READY=1" in notified.recv(4096):
@@ -80,7 +80,7 @@ def _is_ready(gateway: subprocess.Popen[bytes], notified: socket.socket) -> bool
 
 
 def _environment(given: Mapping[str, str]) -> dict[str, str]:
-    """What is recorded, where it is kept, and where the gateway is, unless somebody wants something else."""
+    """`given` with defaults for what is recorded, where, and where the gateway listens."""
     if "HEXAPOD_STATE__PATH" not in given:
         tried().mkdir(mode=0o700, parents=True, exist_ok=True)
     found = {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
@@ -92,7 +92,7 @@ def _environment(given: Mapping[str, str]) -> dict[str, str]:
 
 
 def _command() -> str:
-    """As somebody types it in the folder in which this was started: what is printed there can be copied."""
+    """The command relative to the working directory, so that printed commands can be copied."""
     return str(_COMMAND.relative_to(Path.cwd()) if _COMMAND.is_relative_to(Path.cwd()) else _COMMAND)
 
 

@@ -1,6 +1,6 @@
-"""Whether the installed package is whole, by dpkg's own list of its files and their sums.
+"""Checks whether the installed package is complete, by dpkg's list of its files and checksums.
 
-Imports the standard library alone: it has to load where other files of the release are damaged.
+Imports the standard library alone: it must load if other files of the release are damaged.
 """
 
 import os
@@ -14,34 +14,34 @@ PACKAGE: Final = "hexapod-gateway"
 LIBRARY: Final = Path(f"/usr/lib/{PACKAGE}")
 CURRENT: Final = LIBRARY / "current"
 SHOWN: Final = 3
-"""As many files are named in a sentence."""
+"""Most files named in a sentence."""
 _LOADED: Final = (".py", ".so")
 """What Python loads from the release's folder."""
 _DPKG_S: Final = 60
 
 
 class Whole(NamedTuple):
-    """The package, compared with dpkg's list."""
+    """Files that differ from dpkg's list."""
 
     changed: tuple[str, ...] = ()
-    """Missing, or with another content."""
+    """Missing, or with other content."""
     added: tuple[str, ...] = ()
-    """Would be loaded, and was not installed."""
+    """Python would load these, and the package did not install them."""
     closed: tuple[str, ...] = ()
-    """May be written by others than root, or not be read by all: the service is not root."""
+    """Not owned by root, writable by others, or not readable by all. The service does not run as root."""
 
 
 def version() -> str:
-    """The installed version; "" where no package is installed."""
+    """Return the installed version; "" if no package is installed."""
     return _dpkg("dpkg-query", "--show", "--showformat=${Version}")
 
 
 def compare() -> Whole:
-    """Read every file of the package, in a second or two."""
+    """Compare every file of the package with dpkg's list; takes 1 to 2 s."""
     listed = set(_dpkg("dpkg-query", "--listfiles").splitlines())
     verified = _dpkg("dpkg", "--verify").splitlines()
     release = CURRENT.resolve()
-    is_this = str(release).removesuffix(".kept") in listed  # and not the one before
+    is_this = str(release).removesuffix(".kept") in listed  # not the previous one
     there = [path for path in _files(release) if is_this and str(path).replace(".kept/", "/", 1) not in listed]
     return Whole(
         changed=tuple(line.split(None, 1)[1] for line in verified if line),
@@ -51,12 +51,12 @@ def compare() -> Whole:
 
 
 def how_to_repeat(version: str) -> str:
-    """The command that installs the package anew."""
+    """Return the command that installs the package anew."""
     return f"with the package of this release: sudo apt-get install --reinstall ./{PACKAGE}_{version}_ARCH.deb"
 
 
 def why_nothing_loads() -> str:
-    """What `check` prints where a file keeps it from being loaded; "": none does."""
+    """Return what `check` prints if a damaged or added file prevents loading; "" if none does."""
     found = compare()
     if found.changed:
         return f"not as installed: {', '.join(found.changed[:SHOWN])} → {how_to_repeat(version())}"
