@@ -191,10 +191,9 @@ class Client(metaclass=_Brief):
         *,
         terrain: str = "level",
     ) -> "Walk":
-        """Return a Walk, which takes velocities: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`.
+        """Return a Walk: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`. `terrain`: `level`, `adapt` by sensors.
 
-        `gait`: one of `gateway.people.walking.GAITS`. `geometry`: a robot's file. `terrain`: `adapt` uses sensors.
-        Raises WalkError for an unknown gait or terrain, ConfigError for a faulty file, ValueError for `hz` as `stream`.
+        `gait`: one of `gateway.people.walking.GAITS`. Raises WalkError (gait, terrain), ConfigError (geometry's file).
         """
         from gateway.people.client.walk import Walk
 
