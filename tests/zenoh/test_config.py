@@ -6,8 +6,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import pytest
 import zenoh
 
+from gateway.errors import DisconnectedError, UnansweredError
+from gateway.people.client.requests import Identity
+from gateway.people.commands import why
 from gateway.zenoh_config import client_config, open_session
 from schemas import keys
 from schemas.state import MAX_STATE_BYTES
@@ -96,3 +100,34 @@ def test_made_up_states_and_answers_hide_no_state_and_ask_little(tmp_path: Path)
         assert set(asked) == {named}, "another program's answer counts for nothing"
         assert {each.watchdog.timeout_ms for each in seen.all} == {250}
         declared.undeclare()
+
+
+OLDER_RULES: dict[str, Any] = {
+    "enabled": True,
+    "default_permission": "allow",
+    "rules": [
+        {
+            "id": "no configuration",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["query"],
+            "key_exprs": [keys.CONFIG],
+        }
+    ],
+    "subjects": [{"id": "everyone"}],
+    "policies": [{"rules": ["no configuration"], "subjects": ["everyone"]}],
+}
+
+
+def test_access_rules_without_the_configuration_are_named_and_stop_no_stop(tmp_path: Path) -> None:
+    file = tmp_path / "older.json5"
+    file.write_text(json.dumps({"access_control": OLDER_RULES}))
+    older = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "config": str(file)}}
+    with Gateway(tmp_path, older) as gateway, gateway.client() as client:
+        with pytest.raises(DisconnectedError, match=r"config is not: the access rules are of an older") as raised:
+            client.state(0.5)
+        assert not isinstance(raised.value, UnansweredError), "a gateway has answered"
+        _, (finding,) = why.allowed(client, Identity.of(client_config(gateway.endpoint)))
+        assert (finding.stage, finding.fix) == ("gateway", "on the robot, `hexapod-gateway check` names their file")
+        assert client.stop().accepted
+        assert client.estop().stop_frames == 6

@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 import zenoh
 from pydantic import BaseModel, Field
 
-from gateway.errors import ConfigError, LeaseLostError, OutOfRangeError, UnansweredError, UnreachedError, ZenohError
+from gateway.errors import (
+    ConfigError,
+    DisconnectedError,
+    LeaseLostError,
+    OutOfRangeError,
+    UnansweredError,
+    UnreachedError,
+    ZenohError,
+)
 from gateway.own_command import command
 from gateway.people.client import stopped
 from gateway.people.client.button import Button
@@ -32,7 +40,7 @@ from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, Question
 from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
-from gateway.people.client.subscriptions import States, reports
+from gateway.people.client.subscriptions import NO_CONFIG, States, reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
@@ -379,7 +387,10 @@ class Client(metaclass=_Brief):
             state = self._get(keys.STATE, None, StateReport, again=True, timeout_s=timeout_s)
             known = self.states.config
             if known is None or known.config != state.config:
-                known = self._get(keys.CONFIG, None, ConfigReport, again=True, timeout_s=timeout_s)
+                try:
+                    known = self._get(keys.CONFIG, None, ConfigReport, again=True, timeout_s=timeout_s)
+                except UnansweredError as error:
+                    raise (DisconnectedError(NO_CONFIG) if self.connected else error) from None
                 self.states.config = known
             if known.config == state.config:  # else it has changed in between
                 return joined(state, known)

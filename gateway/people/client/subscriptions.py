@@ -23,6 +23,10 @@ KEPT_EVENTS: Final = 256
 _ASK_AGAIN_S: Final = 0.2
 """Between questions for the configuration: two states. A flood of forged states asks no more often."""
 _ANSWER_S: Final = 1.0
+NO_CONFIG: Final = (
+    "hexapod/state is answered and hexapod/config is not: the access rules are of an older release; "
+    "on the robot, `hexapod-gateway check` names their file"
+)
 
 
 class States:

@@ -7,7 +7,7 @@ from typing import Any, Final
 import zenoh
 
 from gateway.certs import LAPTOP_ROLES
-from gateway.errors import ConfigError, ZenohError
+from gateway.errors import ConfigError, DisconnectedError, UnansweredError, ZenohError
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
@@ -47,7 +47,10 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
     role = "" if identity.certificate is None else diagnosis.role(identity.certificate)
     try:
         state = client.state(_ANSWER_S)
-    except ZenohError:
+    except ZenohError as error:
+        if isinstance(error, DisconnectedError) and not isinstance(error, UnansweredError):
+            sentence, _, fix = str(error).partition("; ")
+            return None, [Finding(Stage.GATEWAY, sentence, fix)]
         return None, [_nobody(role, ended=_ended(client))]
     watching = Finding(Stage.ROLE, "you may watch" + (f", as {role}" if role else ""))
     if not _may_command(client):
