@@ -8,6 +8,8 @@ import re
 import tomllib
 from typing import Any, Final
 
+from gateway.text import decimal_comma
+
 MOST_LEVELS: Final = 100
 """gateway.json5 has 6."""
 MOST_BYTES: Final = 1_000_000
@@ -49,7 +51,8 @@ def read_toml(data: bytes) -> dict[str, Any]:
     except RecursionError:
         raise _too_deep() from None
     except ValueError as error:  # TOML's own errors, and bytes that are no UTF-8
-        raise ValueError(f"is not TOML: {error}") from error
+        cause = decimal_comma(data.decode(errors="replace"))
+        raise ValueError(f"is not TOML: {cause or error}") from error
     level: list[Any] = [values]
     for _ in range(MOST_LEVELS):
         level = [below for each in level if isinstance(each, dict | list) for below in _of(each)]

@@ -39,10 +39,10 @@ def legs_named(legs: Collection[int]) -> str:
 
 
 BOM: Final = "\ufeff"
-_DECIMAL_COMMA: Final = re.compile(r":\s*(-?\d{1,9}),(\d{1,9})\s*[,}\]]")
+_DECIMAL_COMMA: Final = re.compile(r"[:=]\s*(-?\d{1,9}),(\d{1,9})\s*(?:[,}\]#]|$)", re.MULTILINE)
 
 
 def decimal_comma(text: str) -> str:
-    """Return a sentence about the first number of JSON with a decimal comma; "": none has one."""
+    """Return a sentence about the first number of JSON or TOML with a decimal comma; "": none has one."""
     found = _DECIMAL_COMMA.search(text)
     return f"{found[1]},{found[2]} has a decimal comma; write {found[1]}.{found[2]}" if found else ""

@@ -37,6 +37,7 @@ def test_json5_that_nests_without_end(text: str) -> None:
         ("a=" + "{b=" * 100_000, "nests deeper"),
         ("#" * (MOST_BYTES + 1), f"more than {MOST_BYTES} bytes"),
         ("a = ", "is not TOML: "),
+        ("a = 4,5", "is not TOML: 4,5 has a decimal comma; write 4.5"),
     ],
 )
 def test_toml_that_is_none_of_ours(text: str, why: str) -> None:

@@ -11,7 +11,8 @@ from gateway.model.protocols import SpiProtocol
 GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
-    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "text", "wire"),
+    ("text",),
+    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "wire"),
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),
@@ -30,7 +31,7 @@ ROOMS: Final = (
 """From the inside out: a room knows itself and what stands before it, never its neighbour in the same row."""
 
 WINGS: Final = ("robot", "people")
-SHARED: Final = frozenset(room for row in ROOMS[:4] for room in row)
+SHARED: Final = frozenset(room for row in ROOMS[:5] for room in row)
 """What both wings mean by the same words, and do in the same way."""
 KNOW_BOTH: Final = frozenset({"onboard", "cli", "__main__"})
 PURE: Final = ("model", "robot.core", "robot.protocol", "people.walking")

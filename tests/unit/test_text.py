@@ -23,7 +23,10 @@ def test_what_cannot_be_printed_is_escaped(text: str, shown: str) -> None:
     [
         ('{"op":"set","angle_deg":45,5}', "45,5 has a decimal comma; write 45.5"),
         ('{"a": -0,25, "b": 1}', "-0,25 has a decimal comma; write -0.25"),
+        ("[watchdog]\ntimeout_ms = 250,5\nscope = 1\n", "250,5 has a decimal comma; write 250.5"),
+        ("min_deg = -1,5  # less", "-1,5 has a decimal comma; write -1.5"),
         ('{"a":[45,5]}', ""),
+        ("servos = [45,5]", ""),
         ('{"a":45,"b":5}', ""),
         ('{"source":"at 45,5"', ""),
     ],

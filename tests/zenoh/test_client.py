@@ -219,6 +219,7 @@ def test_stops_always_return_their_answer(robot: Client) -> None:
     with robot.lease(), Client(robot.robot[1], source="another") as other:
         answers = [other.stop(), other.stop(3), other.servo(32, "stop"), other.estop()]
         assert all(answer.accepted for answer in answers)
+        assert {repr(answer).partition("(")[0] for answer in answers} == {"Ack"}, "no private name"
         answers = [other.stop(), other.stop(3), other.servo(32, "stop"), other.estop()]
         assert [answer.accepted for answer in answers] == [False, False, False, True], "they change nothing more"
         with pytest.raises(RejectedError):

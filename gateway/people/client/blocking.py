@@ -8,10 +8,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 import zenoh
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
 from gateway.errors import (
     ConfigError,
@@ -37,7 +37,7 @@ from gateway.people.client.payloads import (
     servo_payload,
 )
 from gateway.people.client.process_end import close_at_the_end, keep_signals
-from gateway.people.client.question import JSON, Question
+from gateway.people.client.question import JSON, EstopAck, Question
 from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
 from gateway.people.client.subscriptions import NO_CONFIG, States, reports
@@ -301,7 +301,7 @@ class Client(metaclass=_Brief):
         With a power board the answer has `confirmed`: if false, switch the power off by hand.
         """
         payload = self._payload(keys.ESTOP, {} if source is None else {"source": source}, None)
-        return self._get(keys.ESTOP, payload, _EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
+        return self._get(keys.ESTOP, payload, EstopAck, again=True, priority=zenoh.Priority.REAL_TIME)
 
     def reset(self, estop: int | None = None, *, check: bool = True) -> Ack:
         """Leave emergency stop number `estop` (None: the latest). Raises RejectedError if there is a newer one."""
@@ -480,14 +480,6 @@ def _why(config: zenoh.Config) -> str:
     from gateway.people.client import diagnosis  # an emergency stop must not wait for this import
 
     return "\n".join(diagnosis.why(config))
-
-
-class _EstopAck(Ack):
-    """The gateway always accepts an emergency stop. A reply without these fields is another program's."""
-
-    accepted: Literal[True]
-    stop_frames: Annotated[int, Field(ge=0)]
-    latency_us: Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 def several_answer(count: int, key: str) -> str:

@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
-from typing import Final, Generic, TypeVar
+from typing import Annotated, Final, Generic, Literal, TypeVar
 
 import zenoh
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from gateway.people.client.hosts import Hosts, Search
 from gateway.people.client.patience import Patience, Query, QuestionStep
+from schemas.telemetry import Ack
 
 A = TypeVar("A", bound=BaseModel)
 
@@ -110,3 +111,14 @@ def _is_own(session: zenoh.Session, replier: str) -> bool:
     """Whether the replier may be the program that was dialled. Routers never reply: behind one, any program may."""
     dialled = [str(link.zid) for link in session.info.transports() if link.whatami == zenoh.WhatAmI.PEER]
     return not dialled or replier in dialled
+
+
+class EstopAck(Ack):
+    """The gateway always accepts an emergency stop. A reply without these fields is another program's."""
+
+    accepted: Literal[True]
+    stop_frames: Annotated[int, Field(ge=0)]
+    latency_us: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+    def __repr_name__(self) -> str:
+        return Ack.__name__
