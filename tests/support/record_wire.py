@@ -1,6 +1,6 @@
 """Records what a gateway sends, for every later version to read.
 
-    python -m tests.support.record_wire tests/data/wire/1.3
+    python -m tests.support.record_wire tests/data/wire/1.4
 
 One JSON payload a line, in a file for each kind. Every answer, mode, kind of event and cause that a simulated
 controller can bring about is among them.
@@ -21,7 +21,6 @@ import zenoh
 from gateway import certs
 from gateway.client import Client
 from schemas import keys
-from schemas.telemetry import GatewayState
 from tests.support.gateway_process import Gateway, free_port
 
 LEG = {"servos": [{"op": "start", "angle_deg": 90}] * 3}
@@ -36,28 +35,25 @@ BURST = 1000
 def main(folder: Path) -> None:
     """Run a gateway, bring everything about, and write what was heard."""
     changed = threading.Condition()
-    heard: dict[str, list[str]] = {name: [] for name in ("state", "event", "frame", "ack", *TOKENS, "calibration")}
+    heard: dict[str, list[str]] = {
+        name: [] for name in ("state", "config", "event", "frame", "ack", *TOKENS, "calibration")
+    }
     settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 2}}
     with (
         tempfile.TemporaryDirectory() as scratch,
         Gateway(Path(scratch), settings) as gateway,
         gateway.client() as client,
     ):
-
-        def take_state(state: GatewayState) -> None:
-            with changed:
-                heard["state"].append(state.model_dump_json())
-                changed.notify_all()
-
         subscribers: list[Any] = [
             client.session.declare_subscriber(key, _into(heard[name], changed))
             for key, name in (
+                (keys.STATE, "state"),
+                (keys.CONFIG, "config"),
                 (keys.EVENT, "event"),
                 (keys.FRAME, "frame"),
                 (keys.CALIBRATION, "calibration"),
             )
         ]
-        subscribers.append(client.on_state(take_state))
 
         def ask(key: str, payload: object) -> None:
             text = payload if isinstance(payload, str) else json.dumps(payload)
@@ -130,14 +126,14 @@ def main(folder: Path) -> None:
         wait_for("stopping", "event")
         for subscriber in subscribers:
             subscriber.undeclare()
-    heard["state"].append(_state_with_a_list())
+    heard["config"].append(_configuration_with_a_list())
     folder.mkdir(parents=True, exist_ok=True)
     for name, lines in heard.items():
         (folder / f"{name}.jsonl").write_text("\n".join(dict.fromkeys(lines)) + "\n")
 
 
-def _state_with_a_list() -> str:
-    """The state of a gateway with certificates, and a list of revoked ones."""
+def _configuration_with_a_list() -> str:
+    """The configuration of a gateway with certificates, and a list of revoked ones."""
     with tempfile.TemporaryDirectory() as scratch:
         directory, port = Path(scratch) / "certs", free_port()
         certs.folder.init(directory, ["127.0.0.1"], port=port)
@@ -148,7 +144,11 @@ def _state_with_a_list() -> str:
             Gateway(Path(scratch), settings),
             Client(None, zenoh_config=directory / "anna.json5", timeout_s=10) as client,
         ):
-            return client.state().model_dump_json()
+            client.state()
+            (reply,) = client.session.get(keys.CONFIG, timeout=5)
+            if reply.ok is None:
+                raise RuntimeError("no configuration")
+            return str(reply.ok.payload.to_string())
 
 
 def _into(lines: list[str], changed: threading.Condition) -> Any:

@@ -9,20 +9,31 @@ from pydantic import BaseModel
 from schemas.button import ButtonAck
 from schemas.calibration import Calibration
 from schemas.lease import LeaseAck
-from schemas.telemetry import Ack, Event, FrameRecord, GatewayState
+from schemas.state import StateReport
+from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayState
 
 WIRE = Path(__file__).parents[1] / "data" / "wire"
 MODELS: dict[str, type[BaseModel]] = {
     "ack": Ack,
-    "state": GatewayState,
+    "state": StateReport,
+    "config": ConfigReport,
     "event": Event,
     "frame": FrameRecord,
     "lease": LeaseAck,
     "calibration": Calibration,
     "button": ButtonAck,
 }
+BEFORE_CONFIG = ("1.0", "1.1", "1.2", "1.3")
+"""Their states have the configuration inside, as recordings of rides do."""
+
+
+def model_of(path: Path) -> type[BaseModel]:
+    whole = path.stem == "state" and path.parent.name in BEFORE_CONFIG
+    return GatewayState if whole else MODELS[path.stem]
+
+
 RECORDED = [
-    (f"{path.parent.name}/{path.name}:{number}", path.stem, line)
+    (f"{path.parent.name}/{path.name}:{number}", model_of(path), line)
     for path in sorted(WIRE.glob("*/*.jsonl"))
     for number, line in enumerate(path.read_text().splitlines(), start=1)
 ]
@@ -56,24 +67,29 @@ _WORDS = ("kind", "mode", "reason", "cause", "watchdog")
 
 
 def test_every_kind_of_payload_has_been_recorded() -> None:
-    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} >= {"1.0", "1.1", "1.2", "1.3"}
-    assert {path.stem for path in WIRE.glob("1.0/*.jsonl")} == MODELS.keys() - {"lease", "calibration", "button"}
-    assert {path.stem for path in WIRE.glob("1.1/*.jsonl")} == MODELS.keys() - {"button"}
-    assert {path.stem for path in WIRE.glob("1.2/*.jsonl")} == MODELS.keys()
-    assert {path.stem for path in WIRE.glob("1.3/*.jsonl")} == MODELS.keys()
-    assert '"revocations":{"number":1' in (WIRE / "1.3/state.jsonl").read_text()
+    assert {path.parent.name for path in WIRE.glob("*/*.jsonl")} == {*BEFORE_CONFIG, "1.4"}
+    missing = {
+        "1.0": {"config", "lease", "calibration", "button"},
+        "1.1": {"config", "button"},
+        "1.2": {"config"},
+        "1.3": {"config"},
+        "1.4": set(),
+    }
+    for version, names in missing.items():
+        assert {path.stem for path in (WIRE / version).glob("*.jsonl")} == MODELS.keys() - names, version
+    assert '"revocations":{"number":1' in (WIRE / "1.4/config.jsonl").read_text()
 
 
 def test_what_earlier_versions_sent_is_read_whole() -> None:
-    for place, name, line in RECORDED:
-        read = MODELS[name].model_validate_json(line)
+    for place, model, line in RECORDED:
+        read = model.model_validate_json(line)
         assert contains(json.loads(read.model_dump_json()), json.loads(line)), place
 
 
 def test_what_later_versions_may_send_is_read_and_new_words_stay_text() -> None:
-    for place, name, line in RECORDED:
+    for place, model, line in RECORDED:
         later = from_the_future(json.loads(line))
-        read = json.loads(MODELS[name].model_validate_json(json.dumps(later)).model_dump_json())
+        read = json.loads(model.model_validate_json(json.dumps(later)).model_dump_json())
         for word in _WORDS:
             if isinstance(later.get(word), str):
                 assert read[word] == later[word], place
