@@ -138,6 +138,18 @@ async def test_what_is_used_in_a_with(robot: AsyncClient) -> None:
     assert walk.hold_s == 0.25
 
 
+async def test_what_open_returns_is_for_the_loop_and_close_stops_it(robot: AsyncClient) -> None:
+    stream = await robot.stream(HZ).open()
+    await stream.set(dict.fromkeys(range(1, 7), POSE))
+    assert await running(robot) == [1, 2, 3, 4, 5, 6]
+    await stream.close()
+    walk = await robot.walk(hz=HZ).open()
+    await walk.stand()
+    assert await running(robot) == [1, 2, 3, 4, 5, 6]
+    await walk.close()
+    assert await running(robot) == []
+
+
 @pytest.mark.parametrize("turns", range(0, 12, 2))
 async def test_cancelled_anywhere_it_leaves_nothing_running(gateway: Gateway, robot: AsyncClient, turns: int) -> None:
     """Also in the middle of a start, of the Stop at the end, and twice."""

@@ -22,6 +22,7 @@ H = TypeVar("H", bound=AbstractContextManager[Any])
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
+W = TypeVar("W", bound="Twin[Any]")
 
 
 class Calls:
@@ -84,6 +85,16 @@ def waits(
     return _documented(call, method)
 
 
+def begins(method: Callable[[Any], Any]) -> Callable[[W], Coroutine[Any, Any, W]]:
+    """The twin of an `open`. It returns the twin."""
+
+    async def call(twin: W, /) -> W:
+        await twin._calls.run(partial(method, twin._own))
+        return twin
+
+    return _documented(call, method)
+
+
 def makes(
     method: Callable[Concatenate[H, P], R], twin_of: Callable[[R, Calls], T]
 ) -> Callable[Concatenate[Twin[H], P], T]:
@@ -132,7 +143,7 @@ class AsyncStream(Twin[Stream]):
     is_over: bool = same("is_over")
     start_again: Callable[[], None] = same("start_again")
     go_on_without: Callable[[Iterable[int]], None] = same("go_on_without")
-    open = waits(Stream.open)
+    open = begins(Stream.open)
     close = waits(Stream.close, stops=True)
     set = waits(Stream.set, stops=True)
     recover = waits(Stream.recover)
@@ -167,7 +178,7 @@ class AsyncWalk(Twin[Walk]):
     hold_s: float = same("hold_s")
     rest_s: float = same("rest_s")
     walk_as: Callable[[str], None] = same("walk_as")
-    open = waits(Walk.open)
+    open = begins(Walk.open)
     close = waits(Walk.close, stops=True)
     go = waits(Walk.go)
     stand = waits(Walk.stand)
