@@ -1,4 +1,4 @@
-"""Where servos may go, and what the wire then carries: the settings' joint limits and the calibration in force. Pure.
+"""The angles that servos may take: the settings' joint limits and the calibration in force. Pure.
 
 Both must allow an angle. Each allows one range without gaps, so whatever lies between two angles that were accepted
 (a step of a limited speed, a landing's straight line) may be sent as well. There is one gap, of wire angles that are
@@ -17,7 +17,7 @@ _WHY_AVOIDED: Final = (
 
 
 class AngleLimits:
-    """What every servo may do. One owner, one thread."""
+    """The allowed angles of every servo. One owner, one thread."""
 
     def __init__(
         self,
@@ -33,15 +33,15 @@ class AngleLimits:
         self.use(RobotCalibration())
 
     def use(self, calibration: RobotCalibration) -> None:
-        """From now on this calibration is in force. No servo may run whose frames it changes."""
+        """Put this calibration in force. No servo whose frames it changes may run."""
         self.calibration = calibration
         self.wire = calibration if calibration.servos else None
-        """What translates frames; None: they go on the wire as they are, and nothing is spent on it."""
+        """Translates frames for the wire; None: the frames need no translation."""
         self.limited = bool(self._limits_cdeg or calibration.servos or self._avoid_cdeg)
-        """Whether `why_not` may have anything against any angle."""
+        """Whether `why_not` may reject any angle."""
 
     def why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
-        """Why the servo must not go to this angle, as users count it; None: it may."""
+        """Return why the servo must not go to this user's angle (hundredths of a degree), or None if it may."""
         limits = self._limits_cdeg.get(servo_id)
         if limits is not None and not limits[0] <= angle_cdeg <= limits[1]:
             low, high, angle = (cdeg / 100 for cdeg in (*limits, angle_cdeg))
@@ -50,7 +50,7 @@ class AngleLimits:
         return calibration.why_not(servo_id, angle_cdeg) or self.why_avoided(calibration, servo_id, angle_cdeg)
 
     def why_avoided(self, calibration: RobotCalibration, servo_id: int, angle_cdeg: int) -> str | None:
-        """Why this angle is not sent with that calibration; None: it may be."""
+        """Return why this user's angle is never sent with that calibration, or None if it may be."""
         if self._avoid_cdeg is None:
             return None
         wire_cdeg = calibration.of(servo_id).wire_cdeg(angle_cdeg)
@@ -63,15 +63,15 @@ class AngleLimits:
         return f"{angle}; angles on the wire from {low / 100:g} up to {high / 100:g} {_WHY_AVOIDED}"
 
     def crosses(self, servo_id: int, from_cdeg: int, to_cdeg: int) -> bool:
-        """Whether angles that are never sent lie between these two, which may be."""
+        """Return whether angles that are never sent lie between these two allowed ones."""
         if self._avoid_cdeg is None:
             return False
         servo, low_cdeg = self.calibration.of(servo_id), self._avoid_cdeg[0]
         return (servo.wire_cdeg(from_cdeg) < low_cdeg) is not (servo.wire_cdeg(to_cdeg) < low_cdeg)
 
     def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
-        """What is sent on a way that began at `from_cdeg` and is at `angle_cdeg` now: that, if it may be, else the last
-        angle before those that are not."""
+        """Return the angle to send on a way from `from_cdeg` that is at `angle_cdeg` now: the latter if allowed, else
+        the last angle before the gap."""
         if self._avoid_cdeg is None:
             return angle_cdeg
         servo, (low_cdeg, high_cdeg) = self.calibration.of(servo_id), self._avoid_cdeg
@@ -80,6 +80,6 @@ class AngleLimits:
         return servo.user_cdeg(low_cdeg - 1 if servo.wire_cdeg(from_cdeg) < low_cdeg else high_cdeg)
 
     def landing_cdeg(self) -> dict[int, int]:
-        """The landing pose: the settings', where the calibration has no other; angles that may be gone to, only."""
+        """Return the landing pose by servo: the calibration's angles before the settings'; only allowed angles."""
         pose = {**self._landing_cdeg, **self.calibration.landing_cdeg}
         return {servo_id: angle for servo_id, angle in pose.items() if self.why_not(servo_id, angle) is None}

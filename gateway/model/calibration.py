@@ -1,4 +1,4 @@
-"""Between what users mean and what the wire carries: trim, direction and limits of each servo. Pure.
+"""The calibration: trim, direction and limits of each servo, between users' and wire angles. Pure.
 
     wire = (180 - user if inverted else user) + trim
 
@@ -28,7 +28,7 @@ MAX_TRIM_CDEG: Final = 90_00
 
 
 class CalibrationError(ValueError):
-    """No calibration: the message names the servo and what is wrong with it."""
+    """The calibration is invalid; the message names the servo and the fault."""
 
 
 class ServoMapping(NamedTuple):
@@ -43,17 +43,17 @@ class ServoMapping(NamedTuple):
     max_cdeg: int = MAX_ANGLE_CDEG
 
     def wire_cdeg(self, user_cdeg: int) -> int:
-        """The servo's own angle; it may lie outside 0 to 18000."""
+        """Return the servo's own angle, which may lie outside 0 to 18000."""
         return (MAX_ANGLE_CDEG - user_cdeg if self.inverted else user_cdeg) + self.trim_cdeg
 
     def user_cdeg(self, wire_cdeg: int) -> int:
-        """The angle as users count it."""
+        """Return the user's angle."""
         untrimmed = wire_cdeg - self.trim_cdeg
         return MAX_ANGLE_CDEG - untrimmed if self.inverted else untrimmed
 
     @property
     def report(self) -> wire.ServoCalibration:
-        """As it is published: degrees."""
+        """The published form, in degrees."""
         return wire.ServoCalibration(
             trim_deg=self.trim_cdeg / 100,
             inverted=self.inverted,
@@ -63,7 +63,7 @@ class ServoMapping(NamedTuple):
 
     @classmethod
     def of_report(cls, report: wire.ServoCalibration) -> Self:
-        """As it was published. Raises OverflowError for an angle that is infinite."""
+        """Return the mapping of a published form. Raises OverflowError if an angle is infinite."""
         trim_cdeg, min_cdeg, max_cdeg = map(centidegrees, (report.trim_deg, report.min_deg, report.max_deg))
         return cls(trim_cdeg, report.inverted, min_cdeg, max_cdeg)
 
@@ -96,11 +96,11 @@ class RobotCalibration:
         object.__setattr__(self, "servos", {name: servo for name, servo in self.servos.items() if servo != AS_DRAWN})
 
     def of(self, servo_id: int) -> ServoMapping:
-        """One servo's."""
+        """Return one servo's mapping."""
         return self.servos.get(servo_id, AS_DRAWN)
 
     def why_not(self, servo_id: int, user_cdeg: int) -> str | None:
-        """Why the servo must not go to this angle, naming both the user's and the servo's own; None: it may."""
+        """Return why the servo must not go to this user's angle, or None if it may."""
         servo = self.servos.get(servo_id)
         if servo is None:
             return None
@@ -114,7 +114,7 @@ class RobotCalibration:
         return None
 
     def frame(self, frame: Frame) -> Frame:
-        """The frame that goes on the wire for one in users' angles, whose angles `why_not` has nothing against."""
+        """Return the wire's frame for one in users' angles, which `why_not` allows."""
         return _mapped(frame, self._wire_op) if self.servos else frame
 
     def _wire_op(self, servo_id: int, op: ServoOp) -> ServoOp:
@@ -124,7 +124,7 @@ class RobotCalibration:
         return ServoOp(op.op, servo.wire_cdeg(op.angle_cdeg))
 
     def user_frame(self, frame: Frame) -> Frame:
-        """A frame of the wire in users' angles: the way back. Raises FrameError where no user could have meant it."""
+        """Return the wire's frame in users' angles. Raises FrameError if an angle is outside 0 to 18000."""
         return _mapped(frame, self._user_op)
 
     def _user_op(self, servo_id: int, op: ServoOp) -> ServoOp:
@@ -132,7 +132,7 @@ class RobotCalibration:
 
 
 def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
-    """The frame with what becomes of each servo's operation."""
+    """Return the frame with each servo's operation replaced by `op_of`."""
     if isinstance(frame, OneServo):
         return OneServo(frame.servo_id, op_of(frame.servo_id, frame.command))
     first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)
@@ -140,7 +140,7 @@ def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
 
 
 class MappingChange(NamedTuple):
-    """What changes of one servo; None: the value stays."""
+    """A change of one servo; None: the value stays."""
 
     trim_cdeg: int | None = None
     inverted: bool | None = None
@@ -149,13 +149,13 @@ class MappingChange(NamedTuple):
 
 
 class CalibrationChange(NamedTuple):
-    """What changes of a calibration. `landing_cdeg` of None takes a servo out of the landing pose."""
+    """A change of a calibration. `landing_cdeg` of None removes a servo from the landing pose."""
 
     servos: Mapping[int, MappingChange]
     landing_cdeg: Mapping[int, int | None]
 
     def applied_to(self, before: RobotCalibration) -> RobotCalibration:
-        """The calibration after it, with the next revision. Raises CalibrationError: all of it, or nothing."""
+        """Return the changed calibration, with the next revision. Raises CalibrationError if it is invalid."""
         servos = dict(before.servos)
         for servo_id, change in self.servos.items():
             named = {name: value for name, value in change._asdict().items() if value is not None}
@@ -170,12 +170,12 @@ class CalibrationChange(NamedTuple):
 
 
 def changed_servos(before: RobotCalibration, after: RobotCalibration) -> frozenset[int]:
-    """The servos whose frames or limits differ; the landing pose alone changes none."""
+    """Return the servos whose frames or limits differ; the landing pose alone changes none."""
     return frozenset(servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id))
 
 
 def report_of(calibration: RobotCalibration) -> wire.Calibration:
-    """What is published: all servos by name, so that it can be sent back whole."""
+    """Return the published form: all servos by name, so that it can be sent back whole."""
     return wire.Calibration(
         revision=calibration.revision,
         servos={str(servo_id): calibration.of(servo_id).report for servo_id in SERVO_IDS},
@@ -184,7 +184,7 @@ def report_of(calibration: RobotCalibration) -> wire.Calibration:
 
 
 def calibration_of(report: wire.Calibration) -> RobotCalibration:
-    """What was published. Raises CalibrationError, or another ValueError, for what no gateway publishes."""
+    """Return the calibration of a published form. Raises CalibrationError, or another ValueError, if it is invalid."""
     try:
         servos = {int(name): ServoMapping.of_report(servo) for name, servo in report.servos.items()}
         landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}

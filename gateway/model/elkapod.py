@@ -9,7 +9,7 @@
 
 An answer has as many bytes with the same first and last one; `ANSWER` has what is between. Neither has a length, a type
 or a checksum, so an answer is checked as far as it can be (`measured`). No frame has a Stop: UART messages start and
-shut down all servos. What the values' units are is written nowhere; docs/protocol.md states which ones are assumed.
+shut down all servos. The values' units are undocumented; docs/protocol.md states the assumed ones.
 """
 
 import math
@@ -47,7 +47,7 @@ VALUE_NAMES: Final = (
     *("linear acceleration",) * 3,
     *("feet",) * 6,
 )
-"""What each value of an answer is, in its order."""
+"""The name of each value of an answer, in its order."""
 
 
 class AnswerError(ValueError):
@@ -64,11 +64,11 @@ class Measured(NamedTuple):
     angular_velocity_rad_s: tuple[float, float, float]
     linear_acceleration_m_s2: tuple[float, float, float]
     feet: tuple[float, float, float, float, float, float]
-    """Forces of legs 1 to 6, in a unit that is written nowhere."""
+    """Forces of legs 1 to 6, in an undocumented unit."""
 
     @property
     def tilt_deg(self) -> float | None:
-        """The angle between the body's up and the world's, 0 to 180; None where the orientation is none."""
+        """The angle between the body's up and the world's, 0 to 180; None if the orientation is invalid."""
         w, x, y, z = self.orientation_wxyz
         norm = w * w + x * x + y * y + z * z
         # A quaternion that is far from its length of 1 is no orientation: all zeros before the sensor is ready.
@@ -79,9 +79,9 @@ class Measured(NamedTuple):
 
 
 def frame(angles_cdeg: Sequence[int]) -> bytes:
-    """The frame with these angles of servos 11 to 63, in hundredths of a degree, as the servos count them.
+    """Return the frame with these wire angles of servos 11 to 63, in hundredths of a degree.
 
-    Raises ValueError where there are not eighteen of 0 to 18000: the controller would drive there all the same.
+    Raises ValueError unless there are eighteen of 0 to 18000: the controller does not check them.
     """
     if len(angles_cdeg) != len(SERVO_IDS):
         raise ValueError(f"here are {len(angles_cdeg)} angles; a frame has {len(SERVO_IDS)}")
@@ -94,7 +94,7 @@ def frame(angles_cdeg: Sequence[int]) -> bytes:
 
 
 def angles_of(data: bytes) -> dict[int, float]:
-    """The angles of a frame by servo id, in degrees. Raises ValueError with what is wrong with the frame."""
+    """Return the angles of a frame by servo id, in degrees. Raises ValueError if the frame is invalid."""
     if len(data) != FRAME_BYTES or data[0] != BEGIN or data[-1] != END:
         raise ValueError(f"a frame has {FRAME_BYTES} bytes from 7e to 0f; these are {len(data)}")
     _, *angles_deg, _ = _FRAME.unpack(data)
@@ -105,7 +105,7 @@ def angles_of(data: bytes) -> dict[int, float]:
 
 
 def measured(data: bytes) -> Measured:
-    """Read an answer. Raises AnswerError where it has not its first or last byte, or a value that is not finite."""
+    """Read an answer. Raises AnswerError if its length, first or last byte is wrong, or a value is not finite."""
     if len(data) != FRAME_BYTES:
         raise AnswerError(f"it has {len(data)} bytes in place of {FRAME_BYTES}")
     if data[0] != BEGIN or data[-1] != END:
@@ -121,12 +121,12 @@ def measured(data: bytes) -> Measured:
 
 
 def values_of(data: bytes) -> tuple[float, ...]:
-    """The values of a well-formed answer, one for each of `VALUE_NAMES`."""
+    """Return the values of a well-formed answer, one for each of `VALUE_NAMES`."""
     return _ANSWER.unpack(data)[1:-1]
 
 
 def answer(values: Measured) -> bytes:
-    """The bytes of an answer, as a controller sends them: for simulated ones."""
+    """Return the bytes of an answer, as a controller sends it: for simulated controllers."""
     return _ANSWER.pack(
         BEGIN,
         values.temperature_c,
@@ -141,18 +141,18 @@ def answer(values: Measured) -> bytes:
 
 
 def heartbeat(content: bytes = bytes(16)) -> bytes:
-    """A heartbeat with this content, of which nothing is known: for simulated controllers."""
+    """Return a heartbeat with this content (16 bytes, meaning unknown): for simulated controllers."""
     return _HEARTBEAT_BEGIN + content + _HEARTBEAT_END
 
 
 class Heartbeats:
-    """Finds heartbeats in what the UART has received, whatever is between them."""
+    """Finds heartbeats in the bytes that the UART has received, between any others."""
 
     def __init__(self) -> None:
         self._left = b""
 
     def feed(self, data: bytes) -> int:
-        """Take more bytes; returns how many heartbeats they completed."""
+        """Take more bytes. Return how many heartbeats they completed."""
         found, at, left = 0, 0, self._left + data
         while (at := left.find(_HEARTBEAT_BEGIN, at)) >= 0 and at + HEARTBEAT_BYTES <= len(left):
             whole = left[at : at + HEARTBEAT_BYTES].endswith(_HEARTBEAT_END)

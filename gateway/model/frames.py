@@ -1,4 +1,4 @@
-"""The frames of HexapodProtocol v1.0.0: values on one side, bytes on the other, and nothing else.
+"""The frames of HexapodProtocol v1.0.0, as values and as bytes.
 
 | frame     | byte 1, FRAME LEN | byte 2, FRAME TYPE | the rest                                   |
 |-----------|-------------------|--------------------|--------------------------------------------|
@@ -55,7 +55,7 @@ class Op(enum.IntEnum):
 OP_START: Final = Op.START
 OP_STOP: Final = Op.STOP
 OP_SET: Final = Op.SET
-"""For what each setpoint asks: to find a member by way of its enum takes Python 3.11 as long as three calls."""
+"""Shortcuts for each setpoint: to find a member through its enum takes Python 3.11 as long as three calls."""
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
@@ -106,7 +106,7 @@ class OneServo:
     is_stop: bool = field(compare=False, repr=False)
     """Whether the frame only de-energises."""
     data: bytes = field(compare=False, repr=False)
-    """What `to_bytes` returns, without a call: the bus asks for it with each setpoint."""
+    """The bytes of `to_bytes` without a call: the bus needs them for each setpoint."""
 
     def __init__(self, servo_id: int, command: ServoOp) -> None:
         if type(servo_id) is not int or servo_id not in _SERVO_ID_SET:
@@ -129,7 +129,7 @@ class OneServo:
         return ((self.servo_id, self.command),)
 
     def to_bytes(self) -> bytes:
-        """The 6 bytes of the frame."""
+        """Return the 6 bytes of the frame."""
         return self.data
 
 
@@ -163,7 +163,7 @@ class OneLeg:
         return tuple(zip(servo_ids_of(self.leg), self.commands, strict=True))
 
     def to_bytes(self) -> bytes:
-        """The 14 bytes of the frame."""
+        """Return the 14 bytes of the frame."""
         return self.data
 
 
@@ -171,21 +171,21 @@ Frame = OneLeg | OneServo
 
 
 def leg_of(servo_id: int) -> int:
-    """The leg (1 to 6) of a servo. Raises FrameError for an id that no servo has."""
+    """Return the leg (1 to 6) of a servo. Raises FrameError for an id that no servo has."""
     if servo_id not in _SERVO_ID_SET:
         raise FrameError(f"the servo id is {servo_id!r}; {_SERVO_ID_RULE}")
     return servo_id // 10
 
 
 def servo_ids_of(leg: int) -> tuple[int, int, int]:
-    """The ids of a leg's joints 1, 2 and 3, from the body outward. Raises FrameError for a leg other than 1 to 6."""
+    """Return the ids of a leg's joints 1 to 3, from the body outward. Raises FrameError for a leg other than 1 to 6."""
     if leg not in LEGS:
         raise FrameError(f"the leg is {leg!r}; it is 1 to 6")
     return 10 * leg + 1, 10 * leg + 2, 10 * leg + 3
 
 
 def centidegrees(angle_deg: float) -> int:
-    """Degrees to the nearest hundredth of a degree: 90.29 is 9029, where truncation of the product would give 9028."""
+    """Return degrees as the nearest hundredths of a degree: 90.29 is 9029, but the truncated product is 9028."""
     return round(angle_deg * 100)
 
 
@@ -193,12 +193,12 @@ _STOPS: Final = {leg: OneLeg(leg, (STOP, STOP, STOP)) for leg in LEGS}
 
 
 def stop_leg(leg: int) -> OneLeg:
-    """The frame that de-energises all three servos of a leg. Raises FrameError for a leg other than 1 to 6."""
+    """Return the frame that de-energises all servos of a leg. Raises FrameError for a leg other than 1 to 6."""
     return _STOPS[leg] if leg in _STOPS else OneLeg(leg, (STOP, STOP, STOP))
 
 
 def decode(data: bytes) -> Frame:
-    """Read a frame of either type. Raises FrameError, which names the first byte that is wrong."""
+    """Return the frame in these bytes, of either type. Raises FrameError, which names the first wrong byte."""
     if len(data) < 2:
         raise FrameError(f"byte {len(data) + 1} is missing; a frame starts with FRAME LEN and FRAME TYPE")
     if data[1] == ONE_SERVO_TYPE:

@@ -1,4 +1,4 @@
-"""How a frame becomes SPI transfers: one as in the protocol's document, two for the published controller firmware."""
+"""How a frame becomes SPI transfers: one by the protocol document, two for the published controller firmware."""
 
 import enum
 from typing import Final
@@ -23,19 +23,19 @@ class Framing(enum.StrEnum):
 
     @property
     def protocol(self) -> str:
-        """The version of HexapodProtocol whose frames it carries, as the gateway reports it."""
+        """The version of HexapodProtocol, as the gateway reports it."""
         return PROTOCOL_VERSION
 
     @property
     def controller(self) -> str:
-        """Which controllers need it."""
+        """The controllers that need this framing."""
         if self is Framing.LENGTH_PREFIXED:
             return "the published STM32 firmware"
         return "a controller written to the protocol document"
 
     @property
     def needs_chip_select(self) -> bool:
-        """Whether chip select has to be released between transfers: there a frame begins."""
+        """Whether chip select must be released between transfers: its release begins a frame."""
         return self is Framing.PLAIN
 
     @property
@@ -61,7 +61,7 @@ class Framing(enum.StrEnum):
         return 5_000_000 if self is Framing.LENGTH_PREFIXED else 20_000_000
 
     def too_fast(self, speed_hz: int, frame_gap_us: float) -> str:
-        """Why a controller with this framing loses frames of such transfers; empty if it does not."""
+        """Return why a controller with this framing loses frames of such transfers, or "" if it does not."""
         faults = []
         if speed_hz > self.most_hz:
             faults.append(
@@ -77,5 +77,5 @@ class Framing(enum.StrEnum):
 
 
 def avoided_by(framing: str) -> tuple[int, int] | None:
-    """What a gateway that reports this framing does not send by default; None, too, for one that is not known here."""
+    """Return the `avoid_cdeg` of a framing that a gateway reports; None also for an unknown framing."""
     return Framing(framing).avoid_cdeg if framing in Framing.__members__.values() else None

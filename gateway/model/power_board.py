@@ -1,4 +1,4 @@
-"""The bytes of the power board: requests that switch and ask, and what it answers, on classic CAN. Pure.
+"""The power board's bytes on classic CAN: requests and answers. Pure.
 
 | request                | answer | data of the answer, big endian                                            |
 |------------------------|--------|---------------------------------------------------------------------------|
@@ -65,9 +65,9 @@ OVERTEMPERATURE: Final = 4
 SUPPLY_LOW: Final = 8
 """Codes of errors."""
 UNREADABLE: Final = 0
-"""Of an error whose frame has another code or length than the table: it may concern any output."""
+"""The code of an error whose frame does not fit the table: it may concern any output."""
 TWO_BOARDS: Final = -1
-"""No board sends it: two boards answer, so nobody knows what either of them feeds."""
+"""Two boards answer, so their outputs are unknown. No board sends this code."""
 
 
 class Supplied(NamedTuple):
@@ -130,14 +130,14 @@ _OUTPUTS_OF_CONVERTER: Final = (0b111111, 0b111111 << 6, 0b111111 << 12, 0, 0)
 
 
 def set_supply(mask: int) -> CanFrame:
-    """The request to feed these outputs and no others. Raises ValueError beyond 18 bits."""
+    """Return the request to feed these outputs and no others. Raises ValueError beyond 18 bits."""
     if not 0 <= mask <= ALL:
         raise ValueError(f"mask {mask:#x}; the board has {OUTPUTS} outputs")
     return CanFrame(SET_SUPPLY, mask.to_bytes(3, "big"))
 
 
 def mask_of(frame: CanFrame) -> int | None:
-    """The mask of a 6A or 6B; None: another frame, of another length, or with a bit that no output has."""
+    """Return the mask of a 6A or 6B; None: another frame, another length, or a bit that no output has."""
     if frame.id not in (SET_SUPPLY, SUPPLIED) or len(frame.data) != 3:
         return None
     mask = int.from_bytes(frame.data, "big")
@@ -145,7 +145,7 @@ def mask_of(frame: CanFrame) -> int | None:
 
 
 def read(frame: CanFrame) -> Answer | None:
-    """Return what the board's frame means; None: it is not the board's, or not as the table has it."""
+    """Return the answer in a frame; None if the frame is not the board's, or does not fit the table."""
     identifier, data = frame
     match identifier:
         case 0x6B:
@@ -206,5 +206,5 @@ NO_LOAD_DEG_S: Final = 60 / 0.17
 IDLE_A: Final = 0.01
 MOVING_A: Final = 0.25
 A_PER_NM: Final = 1.25
-"""Assumed, since nobody has measured the robot's: what a hobby servo takes that holds without load, what one takes that
-moves without load, and what a load adds. One of 2 N·m takes 2.5 A when it stalls."""
+"""Assumed, not measured on the robot: a hobby servo's current that holds without load, that moves without load, and the
+current that a load adds. A servo stalled at 2 N·m draws 2.5 A."""

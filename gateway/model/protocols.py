@@ -1,4 +1,4 @@
-"""The wires that the gateway brings along, by the names of `wire.name`: both go over SPI."""
+"""The built-in wires, by the names of `wire.name`. Both use SPI."""
 
 import enum
 from typing import Final
@@ -14,7 +14,7 @@ class SpiProtocol(enum.StrEnum):
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do."""
+        """The capabilities of the wire."""
         return Capabilities() if self.framed else Capabilities(whole_robot=True, measures=True)
 
     @property
@@ -29,12 +29,12 @@ class SpiProtocol(enum.StrEnum):
 
     @property
     def words(self) -> str:
-        """What it is, for people."""
+        """A description for people."""
         return "HexapodProtocol v1.0.0: SPI alone" if self.framed else "the Elkapod of 2025: SPI and a UART"
 
     @property
     def speed_hz(self) -> int:
-        """The clock by default."""
+        """The default clock of SPI."""
         return 2_500_000 if self.framed else 1_000_000
 
     @property
@@ -48,4 +48,4 @@ FRAMED: Final = SpiProtocol.HEXAPOD_1_0
 WITH_UART: Final = SpiProtocol.ELKAPOD_2025
 """The wire whose controller also has a UART."""
 BUILT_IN: Final = {str(each): each for each in SpiProtocol}
-"""By name."""
+"""The built-in wires by name."""

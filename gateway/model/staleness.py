@@ -83,7 +83,7 @@ class _Clock:
 
 
 class Staleness:
-    """Judges how old commands are, by monotonic times only."""
+    """Judges the age of commands, by monotonic times only."""
 
     def __init__(self, max_age_ms: float) -> None:
         self._max_age_ms = max_age_ms
@@ -95,14 +95,14 @@ class Staleness:
         self._paused_ms = 0.0
 
     def record_alive(self, now_ns: int) -> None:
-        """To be called ten times a second at least, with or without a command: a long gap between calls is a pause."""
+        """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause."""
         now_ms = now_ns / 1e6
         if self._turned_ms is not None and now_ms - self._turned_ms > self._pause_ms:
             self._woke_ms, self._paused_ms = now_ms, now_ms - self._turned_ms
         self._turned_ms = now_ms
 
     def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
-        """Judge one command: a sentence why it is, or may be, older than allowed, or None if it is accepted.
+        """Return why a command is, or may be, older than allowed (one sentence), or None if it is accepted.
 
         `instant_ns` is when it was collected, together with others in no known order.
         """
@@ -146,7 +146,7 @@ class Staleness:
         return None if self._woke_ms is None else self._after_a_pause(clock.since_ms, now_ms)
 
     def _after_a_pause(self, known_since_ms: float, now_ms: float) -> str | None:
-        """Why a command is rejected soon after a pause of the gateway, unless its clock is known from before."""
+        """Return why a command is rejected soon after a pause of the gateway, unless its clock is known from before."""
         if self._woke_ms is None or known_since_ms < self._woke_ms or now_ms - self._woke_ms > self._max_age_ms:
             return None
         return (
@@ -155,7 +155,7 @@ class Staleness:
         )
 
     def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
-        """The known clocks of a source, as of this instant; None if a new source finds no place."""
+        """Return the known clocks of a source, as of this instant; None if a new source finds no place."""
         if name in self._sources:
             source = self._sources[name]
             del self._sources[name]  # and put back at the end
@@ -191,7 +191,7 @@ class Staleness:
         return clock
 
     def _steady(self, clocks: list[_Clock], clock: _Clock, sent_ms: float, now_ms: float) -> _Clock:
-        """The delay is steady: it is another clock's, or this clock's new baseline."""
+        """Take a steady delay as another clock's, or as this clock's new baseline. Return the clock."""
         stretch, clock.stretch = clock.stretch, None
         if stretch is not None and stretch.overtaken:
             return self._new_clock(clocks, sent_ms, now_ms)

@@ -1,4 +1,4 @@
-"""Reports of what the robot measures, as `hexapod/telemetry` and an incident have them, and what a state means.
+"""Reports of the robot's measurements, for `hexapod/telemetry` and incidents.
 
 Values are not rounded.
 """
@@ -10,12 +10,12 @@ from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
 
 
 def battery_of(values: Measured) -> Battery:
-    """The battery, in volts and in percent as the robot reports it."""
+    """Return the battery's report, in volts and in percent as the robot reports it."""
     return Battery(voltage_v=values.voltage_v, percent=values.percent)
 
 
 def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
-    """What people and programs see of these values, which were `age_ms` old at `time`."""
+    """Return the telemetry of these values, which were `age_ms` old at `time`."""
     return Telemetry(
         time=time,
         age_ms=age_ms,
@@ -32,11 +32,11 @@ def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
 
 
 def fed_singly(state: GatewayState) -> bool:
-    """Whether a board feeds each servo from its own start to its own Stop: a start then takes a while."""
+    """Return whether a board feeds each servo from its start to its Stop. A start then takes longer."""
     return state.power is not None
 
 
 def currents_a(telemetry: Telemetry | None) -> dict[int, float]:
-    """The current of each servo that is measured, by id."""
+    """Return each measured servo current (A), by servo id."""
     servos = {} if telemetry is None else telemetry.servos or {}
     return {int(name): servo.current_a for name, servo in servos.items() if servo.current_a is not None}

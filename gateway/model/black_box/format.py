@@ -184,7 +184,7 @@ class BodyState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """So many records of a source were left out since the last such record: it made more than its share."""
+    """`count` records of a source were left out since the last such record, beyond the source's share."""
 
     count: int
     source: str | None
@@ -224,7 +224,7 @@ class DamagedRingError(ValueError):
 
 
 def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes, more: bool = False) -> None:
-    """Write one slot; `rest` has at most ROOM bytes."""
+    """Write one slot into `buffer` at `offset`; `rest` has at most ROOM bytes. `more`: the next slot continues it."""
     body = pack_head(len(rest) + HEAD_BYTES, kind, more, sequence, ns) + rest
     pack_slot_into(buffer, offset, zlib.crc32(body), body)
 
@@ -240,13 +240,13 @@ class Slot(NamedTuple):
 
 
 def slot_bytes(data: bytes, index: int) -> bytes:
-    """The bytes of slot `index` of a file."""
+    """Return the bytes of slot `index` of a file."""
     begin = HEADER_BYTES + index * SLOT
     return data[begin : begin + SLOT]
 
 
 def read_slot(data: bytes) -> Slot | None:
-    """Decode a slot of SLOT bytes; None: it holds no valid record."""
+    """Decode a slot of SLOT bytes. Return None if it holds no valid record."""
     (checksum,) = _CRC.unpack_from(data)
     length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
     if (
@@ -260,7 +260,7 @@ def read_slot(data: bytes) -> Slot | None:
 
 
 def newest(buffer: Any, slots: int) -> tuple[int, int]:
-    """The highest sequence number of a valid record (0: none), and the number of damaged records above it."""
+    """Return the highest sequence number of a valid record (0: none), and how many damaged records are above it."""
     with memoryview(buffer) as whole, whole[HEADER_BYTES:].cast("Q") as words:
         numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
     in_place = [number for slot, number in enumerate(numbers) if number and number % slots == slot]
@@ -342,12 +342,12 @@ def command(
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
-    """Bytes of a Decision; of `number` the lower 32 bits."""
+    """Bytes of a Decision, with the lower 32 bits of `number`."""
     return DECISION_HEAD.pack(number & _UINT32) + _texts(verdict, key, source)
 
 
 def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
-    """Bytes of a FrameWritten; of each number the lower 32 bits."""
+    """Bytes of a FrameWritten, with the lower 32 bits of each number."""
     return (
         FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
         + data
@@ -373,7 +373,7 @@ def carried_out(
     frame_ns: int,
     transfer_ns: int,
 ) -> bytes | None:
-    """The body of a CarriedOut, for `RecordRing.put`; None if it does not fit, and needs separate records.
+    """Return the body of a CarriedOut for `RecordRing.put`, or None if it needs separate records.
 
     Unrolled for a leg's three servos: a gait sends only these, six times fifty a second.
     """

@@ -1,9 +1,9 @@
-"""The files of the black box, and the first page of a ring's: what readers need without searching the records.
+"""The files of the black box, and a ring's first page, which readers need before its records.
 
 | bytes   | content                                                                                       |
 |---------|-----------------------------------------------------------------------------------------------|
 | 0-27    | magic, version, the size of a slot, and how many there are                                    |
-| 64-71   | of files of earlier versions; nobody reads it                                                 |
+| 64-71   | used by earlier versions; not read                                                            |
 | 128-133 | CRC-32 and length of the calibration; 0: none                                                 |
 | 134-    | the calibration in force, whose record the ring overwrites sooner than it changes             |
 """
@@ -26,17 +26,17 @@ _CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
 
 
 def new(slots: int) -> bytes:
-    """The header of a new file."""
+    """Return the header of a new file."""
     return _BEGIN.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
 
 
 def file_bytes(slots: int) -> int:
-    """The size of a file, header included."""
+    """Return the size of a file in bytes, header included."""
     return HEADER_BYTES + slots * SLOT
 
 
 def slots_of(head: bytes, size: int) -> int:
-    """The number of slots of a file that begins with `head` and has `size` bytes. Raises DamagedRingError."""
+    """Return how many slots a file of `size` bytes with this head has. Raises DamagedRingError if they do not fit."""
     if len(head) < _BEGIN.size:
         raise DamagedRingError("it has no header")
     magic, version, slot, slots = _BEGIN.unpack_from(head)
@@ -58,7 +58,7 @@ def put_calibration(buffer: Any, data: bytes) -> None:
 
 
 def calibration(head: bytes) -> bytes:
-    """The bytes written by `put_calibration`; empty if there are none, or they are damaged."""
+    """Return the bytes written by `put_calibration`; empty if there are none, or they are damaged."""
     if len(head) < HEADER_BYTES:
         return b""
     checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)
@@ -79,7 +79,7 @@ MOST_COPIES: Final = 8
 
 
 def copy_path(ring: Path, newest: int) -> Path:
-    """The copy of a ring's records up to the sequence number `newest`."""
+    """Return the path of the copy of a ring's records up to the sequence number `newest`."""
     return ring.with_name(f"{ring.name}.{newest:019d}")
 
 

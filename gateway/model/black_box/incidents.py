@@ -6,7 +6,7 @@ from typing import Final
 from schemas.telemetry import Kind
 
 FOLLOW_NS: Final = 5_000_000_000
-"""An incident takes in what happens up to 5 s after it; what happens meanwhile prolongs it …"""
+"""An incident includes the 5 s after it. A further event in that time prolongs it …"""
 LONGEST_INCIDENT_NS: Final = 30_000_000_000
 """… up to this."""
 LANDING_NS: Final = 5_000_000_000
@@ -32,15 +32,15 @@ INCIDENT_NAMES: Final = {
 }
 """Events that are kept as incidents, and how their ids end."""
 MISTAKE: Final = "mistake"
-"""An exception that nobody expected has ended the service."""
+"""An unexpected exception has ended the service."""
 
 
 def follow_ns(what: str) -> int:
-    """How long what happens belongs to an incident: `what` is the end of its id, or the kind of a later event."""
+    """Return how long (ns) later events belong to an incident: `what` is the end of its id, or a later event's kind."""
     return FOLLOW_NS + LANDING_NS if what == Kind.LANDING else FOLLOW_NS
 
 
 def incident_id(wall_ns: int, what: str) -> str:
-    """Such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and what happened."""
+    """Return an id such as 20261122-001233-123-watchdog: the time in UTC to the millisecond, and `what` happened."""
     seconds, ns = divmod(wall_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%d-%H%M%S}-{ns // 1_000_000:03d}-{what}"

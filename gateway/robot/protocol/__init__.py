@@ -1,9 +1,8 @@
-"""What the service needs of a wire to a controller, whatever that wire's bytes are.
+"""What the service needs of any wire to a controller.
 
 A step of the supervisor decides what servos do (`model.frames`). A wire sends it: `spi.bus.Bus` in the
-frames of HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in frames of 80 bytes, with a UART. Neither knows of the
-other, and the supervisor knows of neither, but for whether only the whole robot can be started and stopped
-(`Rules.starts_whole`).
+frames of HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in frames of 80 bytes, with a UART. The wires are independent
+of each other. The supervisor only knows whether the robot starts and stops as a whole (`Rules.starts_whole`).
 """
 
 from abc import abstractmethod
@@ -18,68 +17,68 @@ from gateway.robot.protocol.latency import Latency
 
 @dataclass(slots=True)
 class Sent:
-    """What a frame decides is on the wire, or is in what the wire sends next."""
+    """A frame that was written, or is queued for the next cycle."""
 
     place: int
-    """Which of the frames that were to be written."""
+    """The frame's index in the batch."""
     data: bytes
-    """The frame in its own bytes, those of HexapodProtocol v1.0.0, whatever the wire has sent."""
+    """The frame in the bytes of HexapodProtocol v1.0.0, on any wire."""
     ns: int
-    """When its last bit had left: the begin of its call and its place on the wire. Computed, not measured."""
+    """When its last bit had left, computed from the begin of its call and its place on the wire."""
     call_ns: int
-    """How long its call took."""
+    """The duration of its call."""
     received: bool
     """False: it counts as failed, since the zeros before it did."""
 
 
 @dataclass(slots=True)
 class BatchReport:
-    """What became of a batch."""
+    """The result of writing a batch."""
 
     sent: list[Sent] = field(default_factory=list)
     fault: SpiError | None = None
     """The first failure."""
     rejection: str | None = None
-    """Why from this batch on, each transfer is a call of its own."""
+    """Why each transfer is a separate call from this batch on; None: it is not."""
     meddled: str | None = None
-    """What another program had set on the device. It was put right before anything of this batch was written, and what
-    was written before may not have arrived as it was meant: to be taken for a fault."""
+    """What another program had set on the device. It was put right before this batch was written. Handle it as a fault,
+    since earlier frames may have arrived damaged."""
 
 
 class Wire(Protocol):
     """The way to one robot's controller. Its owner calls it, one call at a time."""
 
     frames: int
-    """Written since the start."""
+    """Frames written since the start."""
     errors: int
     """Faults since the start."""
     ended_ns: int
-    """When the last call ended."""
+    """When the last call ended (ns, monotonic)."""
     transfer_latency: Latency
 
     @abstractmethod
     def open(self) -> None:
-        """Open it anew. Raises SpiError."""
+        """Open the device anew. Raises SpiError if that fails."""
 
     @abstractmethod
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
-        """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run."""
+        """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run. Returns faults."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release it. Never raises; closing twice is harmless."""
+        """Release the device. Never raises; closing twice is harmless."""
 
     def release(self) -> None:
-        """Release what is at fault, so that `open` opens it anew. Never raises."""
+        """Release the part at fault, so that `open` opens it anew. Never raises."""
         self.close()
 
     @abstractmethod
     def stop_servos_at_work(self) -> bool | None:
-        """Whether `stop-servos` stops the servos through the same device now; None: not known (closed)."""
+        """Return whether `stop-servos` uses the same device now; None: not known (closed)."""
 
     @abstractmethod
     def put_right(self) -> str | None:
-        """Set again what another program has changed on the device, and return what was found; None: nothing."""
+        """Undo another program's changes to the device. Return what was found, or None."""
 
     @property
     def controller_alive(self) -> bool | None:
@@ -92,5 +91,5 @@ class Wire(Protocol):
         return None
 
     def silent(self, now_ns: int) -> ControllerSilentError | None:  # noqa: ARG002
-        """Why the controller counts as silent from now on, which is a fault like a lost bus; None: nothing new."""
+        """Return why the controller counts as silent from now on, a fault like a lost bus; None: nothing new."""
         return None

@@ -1,9 +1,9 @@
-"""What elkapod-2025 sends next, and whether the controller is alive or has restarted: pure, time as an argument.
+"""The next frame and message of elkapod-2025, and the controller's signs of life. Pure, time as an argument.
 
-All eighteen angles stand in each frame, and a UART message starts or shuts down all servos. So the order is what keeps
-servos from moving unasked: a shutdown comes before the first frame, and a start only behind START_CYCLES frames with
-the angles that were commanded. While all are shut down, frames go on with each servo's last commanded angle, since one
-whose shutdown was lost must not move for it.
+Each frame has all eighteen angles, and a UART message starts or shuts down all servos. Only the order prevents motion
+without a command: a shutdown comes before the first frame, and a start only after START_CYCLES frames with the
+commanded angles. While all are shut down, frames continue with each servo's last commanded angle, so that a servo whose
+shutdown was lost does not move.
 """
 
 from collections import deque
@@ -19,14 +19,14 @@ from schemas.robot import SERVO_IDS
 START_CYCLES: Final = 2
 """Frames with a start's angles ahead of the UART's start: the controller may still work on the one before."""
 FROZEN_NS: Final = 500 * NS_PER_MS
-"""A controller is frozen if values that never rested keep still for this long: a gyroscope's noise changes always."""
+"""A controller is frozen if values that never rested keep still for this long: a gyroscope's noise always changes."""
 _BEATS: Final = 9
-"""So many heartbeats show their period: to see one of them a cycle late changes it by an eighth of a cycle."""
+"""Heartbeats that give their period: one of them seen a cycle late changes it by an eighth of a cycle."""
 _PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
 
 
 class Commanded:
-    """What the robot was commanded, and the next frame and UART message.
+    """The commanded state, and the next frame and UART message.
 
     Where a power board feeds each servo by itself (`fed_singly`), that is a servo's start and its Stop. The UART starts
     the controller with the first of them, and shuts it down with the last.
@@ -43,14 +43,14 @@ class Commanded:
         """Servos that may be fed: their angles were on the wire, and then the UART sent start."""
 
     def shut_down(self) -> bytes:
-        """A Stop of all: the message that shuts down all servos. No start that waits comes after it."""
+        """Stop all servos, and drop waiting starts. Return the UART message to send."""
         self._to_start.clear()
         self._carried.clear()
         self.ready = frozenset()
         return elkapod.SHUTDOWN
 
     def stop(self, servo_ids: Collection[int]) -> bytes | None:
-        """A Stop of these. Returns the UART's message for it; None: others run, so only the board stops these."""
+        """Stop these servos. Return the UART message to send, or None if others run and only the board stops these."""
         for servo_id in servo_ids:
             self._to_start.pop(servo_id, None)
         self._carried.difference_update(servo_ids)
@@ -58,7 +58,7 @@ class Commanded:
         return None if self._fed_singly and (self.ready or self._to_start) else self.shut_down()
 
     def take(self, frames: Sequence[Frame]) -> None:
-        """Take frames that move: their angles are in the next frame, and starts of all eighteen servos are a start."""
+        """Take frames that move: the next frame has their angles. Starts of all eighteen servos are one start."""
         for frame in frames:
             for servo_id, op in frame.servos:
                 if op.op is OP_STOP:
@@ -82,13 +82,13 @@ class Commanded:
         return self.ready
 
     def frame(self) -> bytes:
-        """The next frame."""
+        """Return the next frame."""
         whole = self._fed_singly or len(self._to_start) == len(SERVO_IDS)
         self._carried = set(self._to_start) if whole else set()
         return elkapod.frame(self._angles_cdeg)
 
     def left(self) -> bytes | None:
-        """The frame has left. Returns the UART message that is to follow it at once, if one is."""
+        """Record that the frame has left. Return the UART message that must follow at once, or None."""
         for servo_id in self._carried:
             self._to_start[servo_id] += 1
         done = {servo_id for servo_id in self._carried if self._to_start[servo_id] >= START_CYCLES}
@@ -118,7 +118,7 @@ class Changes:
         self._rested: set[int] = set()
 
     def note(self, answer: bytes, now_ns: int) -> bool:
-        """Take a well-formed answer. Returns whether it is a measurement; False: the controller is frozen."""
+        """Take a well-formed answer. Return whether it is a measurement; False: the controller is frozen."""
         witnesses = self._changed - self._rested
         frozen = bool(witnesses) and now_ns - self._newest_ns >= FROZEN_NS
         if answer == self._answer:
@@ -155,11 +155,11 @@ class Beats:
 
     @property
     def newest_ns(self) -> int | None:
-        """When the newest was found."""
+        """When the newest heartbeat was found (ns); None: none was."""
         return self._came_ns[-1] if self._came_ns else None
 
     def take(self, data: bytes, now_ns: int) -> None:
-        """Take what the UART has received since the last look."""
+        """Take the bytes that the UART has received since the last call."""
         count, since_ns = self._heartbeats.feed(data), now_ns - self._looked_ns
         self._looked_ns = now_ns
         self._quiet_ns += min(since_ns, self._look_ns)
@@ -193,13 +193,13 @@ class SignsOfLife:
         """Why it counts as restarted; "": it does not. `anew` has the signs of its next life."""
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Take what the UART has received."""
+        """Take the bytes that the UART has received."""
         self._beats.take(data, now_ns)
         if self._beats.missing:
             self.restarted = "two of its heartbeats are missing"
 
     def answered(self, data: bytes, now_ns: int) -> Measured | None:
-        """Take an answer; None: it counts as none."""
+        """Take an answer. Return its values, or None if it is malformed or frozen."""
         try:
             found = elkapod.measured(data)
         except AnswerError as error:
@@ -214,16 +214,16 @@ class SignsOfLife:
         return found
 
     def anew(self) -> "SignsOfLife":
-        """Those of a controller that has restarted: its next signs are due as these would have been."""
+        """Return the signs of the restarted controller: its next signs are due when these would have been."""
         newest = [ns for ns in (self.answered_ns, self._beats.newest_ns) if ns is not None]
         return SignsOfLife(self._silent_ns, min(newest, default=self._begun_ns))
 
     def alive(self, now_ns: int) -> bool:
-        """Whether both have come, and go on."""
+        """Return whether answers and heartbeats have come and neither is overdue."""
         return self.answered_ns is not None and self._beats.newest_ns is not None and self.silent(now_ns) is None
 
     def silent(self, now_ns: int) -> str | None:
-        """A sentence that states what has not come for too long; None: it is alive."""
+        """Return a sentence that names what has been missing for too long, or None."""
         silent_ms = self._silent_ns // NS_PER_MS
         if now_ns - (self._begun_ns if self.answered_ns is None else self.answered_ns) >= self._silent_ns:
             return f"no well-formed answer of the controller for {silent_ms} ms (the last one: {self._why})"

@@ -1,4 +1,4 @@
-"""How long something took: percentiles of the last times, a histogram of all, and the worst.
+"""Latencies: percentiles of the last ones, a histogram of all, and the worst.
 
 Apart from the other metrics: `stop-servos` uses it too, and must load fast.
 """
@@ -16,7 +16,7 @@ BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_0
 
 
 def percentile(ordered: Sequence[float], share: float) -> float:
-    """The smallest value that at least `share` of the (sorted, non-empty) values do not exceed."""
+    """Return the smallest value that at least `share` (0 to 1) of the sorted, non-empty values do not exceed."""
     return ordered[max(0, -(-int(share * 1000) * len(ordered) // 1000) - 1)]
 
 
@@ -39,14 +39,14 @@ class Latency:
             self.max_us = latency_us
 
     def p50_p99_us(self) -> tuple[float, float] | tuple[None, None]:
-        """Percentiles of the last latencies; None before the first."""
+        """Return the percentiles 50 and 99 of the last latencies (µs); None before the first."""
         if not self.recent_us:
             return None, None
         ordered = sorted(self.recent_us)
         return percentile(ordered, 0.5), percentile(ordered, 0.99)
 
     def at_most_us(self, share: float) -> float | None:
-        """What that share of all did not exceed, as a bucket's upper end or the worst: coarse, but it sorts nothing."""
+        """Return a bound (µs) that `share` of all did not exceed: a bucket's end or the worst. Coarse, but fast."""
         left = share * sum(self.buckets)
         for bound_us, count in zip(BOUNDS_US, self.buckets, strict=False):
             left -= count
