@@ -1,1 +1,1 @@
-"""Simulated controllers, power board, battery and body: what `run --sim` puts in a robot's place."""
+"""Simulated controllers, power board, battery and body: they replace the robot in `run --sim`."""

@@ -1,18 +1,18 @@
-"""A simulated power board: it answers, switches, blocks and errs as its firmware does. Pure, time is an argument.
+"""A simulated power board: it answers, switches, blocks and errs as its firmware does. Pure; time is an argument.
 
-* A receive interrupt takes a frame at once. It answers questions, and switches off what a mask leaves out.
-* A main loop makes a pass every 1 to 2 ms. It counts the passes since something was to do: in the 26th it switches on
-  the first output that is wanted and off, and counts again; where none is left, it sends the mask (6B). So a mask is
-  answered after 26 passes, and 18 outputs that go on take 19 times 26.
-* The firmware counts once more behind an answer, and goes back to 0 only in a pass in which nothing is to do. A mask
-  that comes in that one pass meets 26 where 25 is waited for: 8 bits go round, and it waits for 256 passes.
-* An output that draws too much ten measurements running is switched off and blocked. Up to four kinds of error wait in
-  a queue: each 64 shows the next one, and 96 deletes the one shown last. **Then outputs of the newest mask that were
-  blocked go on by themselves**, as they do when somebody deletes the error at the board's own buttons.
-* A sensor at 70 °C switches converters off: the first one 1 to 3, the second 5, the third 4. While that lasts, the
-  board shows this error every 140 ms.
-* Without power it forgets everything, and is then in standby, in which it receives nothing, until its button is
-  pressed. Switched off by 66, it forgets nothing: the mask of before counts once something changes.
+* A receive interrupt takes a frame at once. It answers questions, and switches off the outputs that a mask leaves out.
+* A main loop makes a pass every 1 to 2 ms. It counts the passes since a change was pending. In the 26th it switches on
+  the first wanted output that is off, and counts again. If none is left, it sends the mask (6B). So a mask without a
+  new output is answered after 26 passes, one with 18 new outputs after 19 times 26.
+* The firmware counts once more after an answer, and resets the counter only in a pass without a pending change. A mask
+  that arrives in that one pass finds 26 where the firmware compares with 25: its 8 bits wrap, which takes 256 passes.
+* An output over the current limit in ten measurements in a row is switched off and blocked. Up to four kinds of error
+  wait in a queue: each 64 shows the next one, and 96 deletes the one shown last. **Blocked outputs of the newest mask
+  then go on by themselves**, also if somebody deletes the error at the board's own buttons.
+* A sensor at 70 °C switches converters off: the first one 1 to 3, the second 5, the third 4. Meanwhile the board shows
+  this error every 140 ms.
+* A power cut erases everything. The board is then in standby, and receives nothing until its button is pressed.
+  Switched off by 66, it keeps its state: the previous mask applies once something changes.
 
 Not simulated: the buzzer, the manipulator's converter, the other outputs, and the converters' settings.
 """
@@ -47,34 +47,34 @@ from gateway.model.power_board import (
 )
 
 PASS_NS: Final = 1_500_000
-"""The firmware waits for 1 ms and works for less than another."""
+"""The firmware waits for 1 ms, and then works for less than 1 ms."""
 WAITS_FOR: Final = 25
-"""Counted in the pass that acts: the 26th."""
+"""The counter's value in the pass that acts, the 26th."""
 COUNTER: Final = 256
 """Values of its 8 bits."""
 MEASURE_NS: Final = 10_000_000
 """Assumed: the firmware's timer is set in a file that is not published."""
 LIMIT_MA: Final = 3950.0
 MEASUREMENTS: Final = 10
-"""So many above the limit in a row block an output."""
+"""This many in a row above the limit block an output."""
 AWAKE_NS: Final = 160_000_000
-"""From the button to the first frame that it takes: ten delays of the firmware, one of them 150 ms."""
+"""From the button to the first frame it accepts: ten delays of the firmware, one of them 150 ms."""
 OFF_PASSES: Final = 1000
 """From 66 to standby."""
 OUTPUTS_PER_CONVERTER: Final = 6
 SERVO_MV: Final = 7400
-"""What converters 1 to 3 are set to at the start."""
+"""Setting of converters 1 to 3 at the start."""
 BATTERY_MV: Final = 14_800
 FIVE_VOLT_MA: Final = 900
 THREE_VOLT_MA: Final = 60
 STANDBY_MA: Final = 20
 TEMPERATURE_C: Final = 30
-"""Assumed, from the battery on."""
+"""Assumed, like the values above from the battery on."""
 TOO_HOT_C: Final = 70
 _HOT_CONVERTERS: Final = (0b00111, 0b10000, 0b01000)
 """Which converters each temperature sensor switches off."""
 HOT_NS: Final = 140_000_000
-"""Between two frames 65 about an overtemperature that lasts."""
+"""Between two frames 65 during an overtemperature."""
 
 _POWER_OFF: Final = CanFrame(0x66)
 _MASK_BYTES: Final = {CONVERTER_OVERCURRENT: 1, OVERTEMPERATURE: 1, SERVO_OVERCURRENT: 3}
@@ -97,18 +97,18 @@ class SimulatedBoard:
     def __init__(self, now_ns: int = 0, *, pass_ns: int = PASS_NS) -> None:
         """`pass_ns`: the length of a pass, always the same."""
         self.draws_ma = [0.0] * OUTPUTS
-        """What each output would draw while it is fed, and the battery's voltage (mV), for others to set."""
+        """The current of each output while it has supply. Callers set this, `battery_mv` and `temperatures_c`."""
         self.battery_mv = BATTERY_MV
         self.temperatures_c = [TEMPERATURE_C] * 3
         self.stuck = 0
-        """A fault: these outputs are fed whatever the board does, as behind a switch that has melted."""
+        """A fault, the mask of outputs that always have supply, as after a welded switch."""
 
         self._pass_ns = pass_ns
         self._pass_due_ns = now_ns + pass_ns
         self._measure_due_ns = now_ns + MEASURE_NS
         self._hot_due_ns = now_ns
         self._awake_ns: int | None = now_ns
-        """When it takes frames; None: in standby."""
+        """When it begins to accept frames; None: in standby."""
         self._forget()
 
     def _forget(self) -> None:
@@ -132,7 +132,7 @@ class SimulatedBoard:
 
     @property
     def due_ns(self) -> int:
-        """When it next does something by itself: to be given to `advance` then."""
+        """When the board next acts by itself, in ns: call `advance` then."""
         if self._show or self._say_cleared or self._say_pressed or self._off_passes:
             return min(self._measure_due_ns, self._pass_due_ns)
         if self._switches:
@@ -141,19 +141,19 @@ class SimulatedBoard:
         return self._measure_due_ns
 
     def press_button(self, now_ns: int) -> None:
-        """Its power button: it reports a press while it is awake (69), and wakes from standby."""
+        """Press the power button: the board reports this (69) if it is awake, and wakes from standby."""
         if self._awake_ns is None:
             self._awake_ns = now_ns + AWAKE_NS
         else:
             self._say_pressed = True
 
     def restart(self) -> None:
-        """Its own supply was interrupted."""
+        """Interrupt the board's own supply."""
         self._forget()
         self._awake_ns = None
 
     def fail(self, code: int, mask: int = 0) -> None:
-        """It finds an error of this code, `mask` as an error has it."""
+        """Let the board find an error. `mask`: its outputs with SERVO_OVERCURRENT, else its converters."""
         known = next((error for error in self._errors if error.code == code), None)
         error = _Error(code, mask | (known.mask if known else 0))
         self._errors = [error, *(each for each in self._errors if each is not known)]
@@ -162,13 +162,13 @@ class SimulatedBoard:
         self._apply_blocks()
 
     def clear_by_hand(self) -> None:
-        """Somebody holds the button that deletes the newest error."""
+        """Hold the board's button that deletes the newest error."""
         self._delete(0)
 
     # ---- the firmware
 
     def take(self, frame: CanFrame, now_ns: int) -> list[CanFrame]:
-        """A frame arrives. Returns what the board has sent up to now, its answer last."""
+        """Receive a frame. Return all frames sent since the last call, the answer last."""
         sent = self.advance(now_ns)
         if not self._is_awake(now_ns):
             return sent
@@ -191,7 +191,7 @@ class SimulatedBoard:
         return sent
 
     def advance(self, now_ns: int) -> list[CanFrame]:
-        """Passes of the main loop and measurements up to now. Returns what the board has sent meanwhile, in order."""
+        """Make the passes and measurements due up to now. Return the frames sent meanwhile, in order."""
         sent: list[CanFrame] = []
         while (due_ns := min(self._pass_due_ns, self._measure_due_ns)) <= now_ns:
             if due_ns == self._measure_due_ns:
@@ -226,7 +226,7 @@ class SimulatedBoard:
         return sent
 
     def _switch_in_turn(self) -> bool:
-        """Switch on one output at most; True where none is left, once."""
+        """Switch on at most one output. Return True once when none is left."""
         if not self._switches:
             self._count = 0
             return False
@@ -237,7 +237,7 @@ class SimulatedBoard:
                 self._count = 0
                 return False
             self._switches = False
-        self._count = (self._count + 1) % COUNTER  # behind the answer, too
+        self._count = (self._count + 1) % COUNTER  # after the answer, too
         return not self._switches
 
     def _retarget(self) -> None:
@@ -299,11 +299,11 @@ class SimulatedBoard:
 
 
 def _numbers(values: Iterable[float]) -> bytes:
-    """Each as the board sends it: whole, big endian, as much as 16 bits hold."""
+    """Each value truncated, limited to 16 bits, big-endian."""
     return b"".join(max(0, min(int(value), 0xFFFF)).to_bytes(2, "big") for value in values)
 
 
 def _outputs_of(converters: int) -> int:
-    """The mask of the outputs that these feed."""
+    """The mask of the outputs that these converters supply."""
     six = (1 << OUTPUTS_PER_CONVERTER) - 1
     return sum(six << OUTPUTS_PER_CONVERTER * place for place in range(3) if converters >> place & 1)

@@ -1,9 +1,9 @@
 """`python -m gateway.simulation.board_port JSON`: a simulated power board behind slcan, in a process of its own.
 
-Its first line on stdout is the path of a serial device, for python-can's `slcan`. The argument names, each with a
-default: `outputs` (the servo on each output), `page` and `sensed` (descriptors of the pages about simulated servos and
-of a simulated body), `folder` (where the device's path is; it is removed at the end), `record` (a file, see below). It
-ends with its standard input, on which lines of JSON are faults:
+Its first line on stdout is the path of a serial device, for python-can's `slcan`. The argument has these fields, each
+with a default: `outputs` (the servo on each output), `page` and `sensed` (descriptors of the pages about simulated
+servos and a simulated body), `folder` (contains the device's path; removed at the end), `record` (a file, see below).
+The process ends with its standard input, on which lines of JSON are faults:
 
 | line                                   | what happens                                                            |
 |----------------------------------------|-------------------------------------------------------------------------|
@@ -20,8 +20,8 @@ ends with its standard input, on which lines of JSON are faults:
 | `{"flood_hz": 8000, "flood": "t1000"}` | and this one so many times a second; 0: no more                         |
 | `{"unplug": true}`, `{"plug": true}`   | the adapter goes, and returns under the same path                       |
 
-The record has a line for each frame that the adapter receives (`<`) and sends (`>`) and each change of what is fed
-(`=`, a mask), behind nanoseconds of CLOCK_MONOTONIC.
+The record has a line for each frame that the adapter receives (`<`) or sends (`>`), and for each change of the outputs
+with supply (`=`, a mask). A line begins with nanoseconds of CLOCK_MONOTONIC.
 """
 
 import json
@@ -69,7 +69,7 @@ class SimulatedAdapter:
         self._line = bytearray()
 
     def take(self, data: bytes) -> tuple[list[CanFrame], bytes]:
-        """Bytes of its client arrive: the frames for the bus, and what it answers."""
+        """Receive bytes from the client. Return the frames for the bus, and the answer to the client."""
         frames: list[CanFrame] = []
         answers = bytearray()
         for byte in data:
@@ -81,7 +81,7 @@ class SimulatedAdapter:
         return frames, bytes(answers)
 
     def text(self, frame: CanFrame) -> bytes:
-        """What its client gets of a frame on the bus; nothing while the channel is closed."""
+        """Return the bytes that the client gets for a frame on the bus; none while the channel is closed."""
         return text_of(frame) if self._open else b""
 
     def _obey(self, line: bytes, frames: list[CanFrame]) -> bytes:
@@ -96,12 +96,12 @@ class SimulatedAdapter:
 
 
 def text_of(frame: CanFrame) -> bytes:
-    """`tIIILDD…` and a carriage return."""
+    """Return the frame as `tIIILDD…` and a carriage return."""
     return b"t%03X%d%s\r" % (frame.id, len(frame.data), frame.data.hex().upper().encode())
 
 
 def frame_of(line: bytes) -> CanFrame | None:
-    """The frame of `tIIILDD…`; None where the line is none."""
+    """Return the frame of a line `tIIILDD…`; None for any other line."""
     try:
         identifier, length, data = int(line[1:4], 16), int(line[4:5]), bytes.fromhex(line[5:].decode("ascii"))
     except ValueError:
@@ -113,11 +113,11 @@ def frame_of(line: bytes) -> CanFrame | None:
 
 WAITS_MA: Final = 8.0
 HOLDS_MA: Final = 200.0
-"""Its share of a robot that stands. More than a servo at rest may draw, so one that goes on holding is noticed."""
+"""A servo's share while the robot stands. Above the limit for a servo at rest, so a holding servo is noticed."""
 
 
 class SimulatedDraw:
-    """The currents, in mA by servo id. Times are of one monotonic clock."""
+    """Simulates the servos' currents. Times are of one monotonic clock."""
 
     def __init__(self) -> None:
         self._sent_deg: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
@@ -126,7 +126,10 @@ class SimulatedDraw:
     def draw_ma(
         self, sent_deg: Mapping[int, float | None], torques_nm: Sequence[float], now_ns: int
     ) -> dict[int, float]:
-        """Of servos that are sent there now (None: off). `torques_nm`: a body's, in the order of SERVO_IDS, or none."""
+        """Return the current of each servo, by id, with these targets (None: off).
+
+        `torques_nm`: a simulated body's, in the order of SERVO_IDS; empty without a body.
+        """
         drawn = {}
         for place, servo_id in enumerate(SERVO_IDS):
             angle_deg, before_deg = sent_deg[servo_id], self._sent_deg[servo_id]
@@ -145,16 +148,16 @@ class SimulatedDraw:
 
 NS_PER_S: Final = 1_000_000_000
 _MOST_UNSENT: Final = 4096
-"""Bytes that wait for a client that does not read; frames beyond are lost, as in an adapter."""
+"""Bytes kept for a client that does not read; further frames are lost, as in an adapter."""
 _MOST_READ: Final = 4096
 _MOST_HZ: Final = 20_000
 """Frames a second: the shortest ones at 1 Mbit/s."""
 _MOST_AT_ONCE: Final = 500
-"""Frames of a flood that are made up for at once, after this process had to wait for a processor."""
+"""Frames of a flood that are sent at once after this process was delayed."""
 
 
 class Device:
-    """The adapter's end of a serial line. The client's end is a link, which goes and comes as an adapter does."""
+    """The adapter's end of a serial line. `link` leads to the client's end while the adapter is plugged in."""
 
     def __init__(self, link: Path) -> None:
         self._link = link
@@ -163,15 +166,15 @@ class Device:
         self.unsent = b""
 
     def plug(self) -> None:
-        """From now on the device exists."""
+        """Make the device and its link; nothing if it exists."""
         if self.fd is None:
             self.fd, self._theirs = os.openpty()
-            tty.setraw(self._theirs)  # it stays open here, so that this end outlives each client
+            tty.setraw(self._theirs)  # stays open here, so that this end survives each client
             os.set_blocking(self.fd, False)
             self._link.symlink_to(os.ttyname(self._theirs))
 
     def unplug(self) -> None:
-        """It goes; a client that has it open finds its end."""
+        """Remove the device; a client that has it open gets an end of file or an error."""
         if self.fd is not None:
             self._link.unlink()
             os.close(self.fd)
@@ -179,14 +182,14 @@ class Device:
             self.fd, self.unsent = None, b""
 
     def read(self) -> bytes:
-        """What the client has sent."""
+        """Return the bytes that the client has sent; none if there are none. Never waits."""
         try:
             return os.read(self.fd, _MOST_READ) if self.fd is not None else b""
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send this, or nothing of it where too much waits for the client."""
+        """Send `data`, or drop all of it if too many bytes wait for the client. Never waits."""
         if self.fd is None or not (data or self.unsent):
             return
         if len(self.unsent) + len(data) <= _MOST_UNSENT:
@@ -198,7 +201,7 @@ class Device:
 
 
 class Simulation:
-    """The board, the adapter, what is between them, and the robot that the board feeds."""
+    """The board, the adapter, the bus between them, and the servos that the board supplies."""
 
     def __init__(self, given: dict[str, Any], device: Device, record: TextIO) -> None:
         self._outputs: tuple[int, ...] = tuple(given.get("outputs") or SERVO_IDS)
@@ -209,7 +212,7 @@ class Simulation:
         self._board = SimulatedBoard(time.monotonic_ns())
         self._adapter = SimulatedAdapter()
         self._answers = b""
-        """What the adapter has for its client."""
+        """Bytes for the adapter's client."""
         self._silent = False
         self._draw = SimulatedDraw()
         self._drawn_anyway_ma: dict[int, float] = {}
@@ -218,7 +221,7 @@ class Simulation:
         self.step()
 
     def step(self) -> int:
-        """Do all that is due. Returns when the next thing is, in nanoseconds."""
+        """Do all that is due. Return when the next call is due, in ns of CLOCK_MONOTONIC."""
         now_ns = time.monotonic_ns()
         frames, answers = self._adapter.take(self._device.read())
         self._answers += answers
@@ -235,14 +238,14 @@ class Simulation:
         return min(self._board.due_ns, self._flood_due_ns) if self._flood_ns else self._board.due_ns
 
     def do(self, line: bytes) -> None:
-        """A fault, or its end."""
+        """Apply a line of faults, as in the table above. Raises ValueError, TypeError or AttributeError for others."""
         order: dict[str, Any] = json.loads(line)
         for name, value in order.items():
             self._do(name, value)
         self.step()
 
     def _do(self, name: str, value: Any) -> None:
-        """What somebody does to the board."""
+        """Apply a fault of the board."""
         board = self._board
         match name:
             case "press_off":
@@ -265,7 +268,7 @@ class Simulation:
                 self._do_between(name, value)
 
     def _do_between(self, name: str, value: Any) -> None:
-        """What happens between board and client."""
+        """Apply a fault of the bus or the adapter."""
         now_ns = time.monotonic_ns()
         match name:
             case "silent":
@@ -286,7 +289,7 @@ class Simulation:
                 raise ValueError(f"{name} is no fault")
 
     def _put(self, frame: CanFrame, now_ns: int) -> None:
-        """Another node's frame reaches both."""
+        """Put another node's frame on the bus."""
         self._pass_on(frame, now_ns)
         self._answer(self._board.take(frame, now_ns), now_ns)
 
@@ -330,7 +333,7 @@ def _frame(text: str) -> CanFrame:
 
 
 def serve(given: dict[str, Any], folder: Path, record: TextIO) -> None:
-    """Simulate until standard input ends."""
+    """Simulate, with the device in `folder`, until standard input ends."""
     device = Device(folder / "can")
     device.plug()
     simulation = Simulation(given, device, record)
@@ -356,7 +359,10 @@ def serve(given: dict[str, Any], folder: Path, record: TextIO) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Ctrl-C and the terminal's end are for the gateway, whose end ends this. SIGTERM leaves nothing either."""
+    """Simulate until the gateway ends, or SIGTERM; then remove the folder. Return exit code 0.
+
+    SIGINT and SIGHUP are ignored: they are for the gateway.
+    """
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))

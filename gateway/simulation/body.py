@@ -21,12 +21,15 @@ _USERS: Final = "transport/auth/usrpwd/dictionary_file"
 
 
 def endpoint(folder: Path) -> str:
-    """The gateway's endpoint for the simulation, a Unix socket in `folder`."""
+    """Return the gateway's endpoint for the simulation, a Unix socket in `folder`."""
     return f"{_LINK}/{folder / 'socket'}"
 
 
 def admit(config: zenoh.Config, folder: Path) -> None:
-    """Allow processes that can enter `folder` to publish the body. Raises ConfigError in Zenoh's client mode."""
+    """Change `config` so that processes that can enter `folder` may publish the body.
+
+    Raises ConfigError in Zenoh's client mode, or if Zenoh rejects a value.
+    """
     if get(config, "mode") == "client":
         raise ConfigError('--sim=physics needs mode: "peer" in the Zenoh file: a client cannot be reached')
     insert(config, "listen/endpoints", [*listen_endpoints(config), endpoint(folder)], "zenoh.listen")
@@ -45,7 +48,7 @@ def admit(config: zenoh.Config, folder: Path) -> None:
 
 
 def client_config(gateway: zenoh.Config, folder: Path, zenoh_id: str) -> zenoh.Config:
-    """The simulation's configuration, for a gateway that `admit` has configured."""
+    """Return the simulation's configuration, for a gateway that `admit` has configured. Raises ConfigError."""
     config = zenoh.Config()
     values = {
         "mode": "client",

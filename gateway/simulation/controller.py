@@ -6,10 +6,10 @@ What it takes from that firmware (docs/protocol.md):
   them. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
 * Chip select means nothing: bytes are one stream, so a lost byte misaligns everything after it, until a pause.
 * A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
-* A receive that takes 1000 ms is given up. The firmware counts ticks of a millisecond (HAL_GetTick), from the tick in
-  which the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` is how much of a tick was over
-  at time 0 of the clock. The published firmware then still executes what has arrived, with zeros for the rest, so half
-  of a ONE SERVO Start starts its servo. The controller that follows the document drops it.
+* A receive times out after 1000 ms. The firmware counts ticks of a millisecond (HAL_GetTick), from the tick in which
+  the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` is the part of a tick that had passed
+  at time 0 of the clock. The published firmware then executes the bytes received, with zeros for the rest, so half of
+  a ONE SERVO Start starts its servo. The controller that follows the document drops them.
 * A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
 * The firmware dies (`dead`) of a record with an operation whose id has the table index 252 to 255 (ids 0 to 3 and 10):
   a bus fault. It also dies of a 69th byte in its receive buffer: bytes 65 to 68 do no harm, the SPI handle lies behind
@@ -48,49 +48,49 @@ from schemas.robot import SERVO_IDS
 
 @dataclass(slots=True)
 class ServoState:
-    """One servo: PWM output on or off, where it is sent (None before the first), and where its horn is, 0° to 180°."""
+    """One servo: PWM output on or off, its target (None before the first), and its horn's angle, 0° to 180°."""
 
     energised: bool = False
     target_deg: float | None = None
-    angle_deg: float = 90.0  # before it is first energised, a horn stands wherever it was left
-    pulse_us: int | None = None  # where its controller counts one
+    angle_deg: float = 90.0  # assumed: before a servo is first energised, its horn may stand anywhere
+    pulse_us: int | None = None  # None: its controller computes none
     fed: bool = True  # until a simulated power board reports otherwise
 
     @property
     def driven(self) -> bool:
-        """Whether it holds where it is sent: its output is on, and it has supply."""
+        """Whether it drives to its target: its output is on, and it has supply."""
         return self.energised and self.fed
 
     @property
     def moves(self) -> bool:
-        """Whether it is on its way."""
+        """Whether it has not reached its target."""
         return self.driven and self.target_deg is not None and self.target_deg != self.angle_deg
 
 
 class SimulatedServos(dict[int, ServoState]):
-    """The 18 by id. Times are of one monotonic clock."""
+    """The 18 servos by id. Times are of one monotonic clock."""
 
     def __init__(self, now_ns: int, page: ServoPage | None) -> None:
-        """All off. Into `page` goes where each is sent; which also has the servos with supply."""
+        """All off. `page` gets each target, and states which servos have supply; None: all have."""
         super().__init__((servo_id, ServoState()) for servo_id in SERVO_IDS)
         self._page = page
         self._moved_ns = now_ns
 
     def send(self, servo_id: int, target_deg: float | None, *, start: bool) -> None:
-        """Send it there, as far as its horn goes. One that is off stays off unless `start`."""
+        """Set a target, limited to 0° to 180°; None: none. A servo that is off stays off unless `start`."""
         servo = self[servo_id]
         servo.target_deg = None if target_deg is None else max(0.0, min(target_deg, 180.0))
         servo.energised = servo.energised or start
         self._show(servo_id, servo)
 
     def stop(self, servo_id: int) -> None:
-        """Its output goes off, and its horn stays."""
+        """Switch its output off; the horn stays."""
         servo = self[servo_id]
         servo.energised = False
         self._show(servo_id, servo)
 
     def move(self, now_ns: int) -> None:
-        """Where their horns are by now, without load."""
+        """Move the horns up to `now_ns`, at the speed without load."""
         reach_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9
         self._moved_ns = now_ns
         fed = self.keys() if self._page is None else self._page.fed
@@ -128,7 +128,7 @@ _DONE: Final = {Op.START: "started at", Op.SET: "set to"}
 
 
 class SimulatedController(ByteDevice):
-    """A device with a controller and its servos behind it; to close it releases nothing, and stops no servo."""
+    """A device with a simulated controller and its servos. Closing it stops no servo."""
 
     def __init__(
         self,
@@ -139,13 +139,12 @@ class SimulatedController(ByteDevice):
         tick_phase_ns: int = 0,
         page: ServoPage | None = None,
     ) -> None:
-        """`clock` gives nanoseconds. `on_change` gets a line on what each executed frame did; into `page` goes
-        where each servo is sent."""
+        """`clock` returns ns. `on_change` gets a line on each executed frame and on a crash, `page` the targets."""
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         self.executed = 0
         self.corruptions: collections.Counter[str] = collections.Counter()
         self.dead: str | None = None
-        """What it died of; it receives nothing until `reset`."""
+        """Why the firmware died; None: it runs. A dead one receives nothing."""
         self._announced = framing is Framing.LENGTH_PREFIXED
         self._clock = clock
         self._on_change = on_change
@@ -268,7 +267,7 @@ def _float32(value: float) -> float:
 
 @functools.cache
 def pulse_us(whole_deg: int, hundredths: int) -> int:
-    """The compare value, in µs, that the firmware sets for INT PART and FLOAT PART: 544 at 0°, 2550 at 180°.
+    """Return the compare value, in µs, that the firmware sets for INT PART and FLOAT PART: 544 at 0°, 2550 at 180°.
 
     Rounded to single precision after each operation, in the firmware's order, then truncated.
     """

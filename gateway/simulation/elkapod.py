@@ -1,25 +1,24 @@
-"""A simulated controller that speaks `elkapod-2025`: SPI in full duplex, a UART, 18 servos and what it measures.
+"""A simulated controller that speaks `elkapod-2025`: SPI in full duplex, a UART, 18 servos and sensors.
 
-Its firmware is not published. What is known of it (docs/protocol.md) is done here:
+Its firmware is not published. The simulation does what is known of it (docs/protocol.md):
 
 * A transfer of 80 bytes from 7E to 0F sends all servos to its angles; any other transfer changes nothing.
 * Each transfer returns the measurement prepared at the transfer before; the first one after power-up returns garbage.
-* START on the UART drives all servos to the newest frame's angles, SHUTDOWN makes all slack. Neither is answered. Bytes
-  that are neither are skipped.
-* A heartbeat leaves every 50 ms.
+* START on the UART drives all servos to the newest frame's angles, SHUTDOWN makes all slack. Neither is answered. Other
+  bytes are skipped.
+* It sends a heartbeat every 50 ms.
 
-Where nothing is known, it does what harms most:
+Where nothing is known, the simulation does what harms most:
 
-* Frames that stop coming change nothing: the last angles hold for ever.
-* Angles are not checked: a servo goes as far as its horn does, and one that is not a number leaves it where it is sent.
-  Both are counted in `corruptions`. So is a START before any frame: what servos then do is not known. Here they wait
-  for the first frame.
+* If frames stop, the last angles hold for ever.
+* Angles are not checked. A servo stops at the end of its range, and an angle that is not a number leaves its target.
+  Both are counted in `corruptions`. So is a START before any frame: its effect is not known. Here the servos wait for
+  the first frame.
 
-What it measures comes from the simulated body, where there is one; after the end of its process it stays what it was.
-Without a body the robot is at rest and level, each of the six feet carries a sixth of the assumed weight while servos
-are driven and nothing while they are slack (it then lies on its belly), and servos draw current while they move. The
-sensors are noisy, as real ones are: no two answers are the same. The unit of forces on this wire is written nowhere;
-here it is the newton.
+Measurements come from the simulated body, if there is one; after the end of its process they stay constant. Without a
+body the robot is at rest and level, and servos draw current while they move. Each foot carries a sixth of the assumed
+weight while servos are driven, and nothing while they are slack: the robot then lies on its belly. The sensors are
+noisy, so no two answers are equal. The unit of forces on this wire is not documented; here it is the newton.
 """
 
 import collections
@@ -43,17 +42,17 @@ from schemas.robot import LEGS, SERVO_IDS
 
 FULL_V: Final = 8.4
 EMPTY_V: Final = 6.4
-"""Two cells at rest: 4.2 V each, and 3.2 V, where a pack is switched off."""
+"""Two cells at rest: full at 4.2 V each, and switched off at 3.2 V each."""
 RESISTANCE_OHM: Final = 0.06
 """Of the pack, its plug and its wires."""
 CAPACITY_AS: Final = 5.0 * 3600
 
 BASE_A: Final = 1.0
-"""The computer and the controller, whatever the servos do."""
+"""The computer and the controller, without servos."""
 
 
 class SimulatedBattery:
-    """`charge`: 1 full, 0 empty."""
+    """A battery of two cells. `charge`: 1 full, 0 empty."""
 
     def __init__(self, charge: float = 1.0) -> None:
         self.charge = charge
@@ -66,20 +65,20 @@ class SimulatedBattery:
 
     @property
     def voltage_v(self) -> float:
-        """At its plug, under the load of now."""
+        """At its plug, under the present load."""
         return EMPTY_V + (FULL_V - EMPTY_V) * self.charge - RESISTANCE_OHM * self.current_a
 
     @property
     def percent(self) -> float:
-        """By the voltage, as simple boards count it: it falls under load, and comes back."""
+        """Charge estimated from the voltage, as simple boards do, 0 to 100: it falls under load, and recovers."""
         return max(0.0, min(100.0, 100 * (self.voltage_v - EMPTY_V) / (FULL_V - EMPTY_V)))
 
 
 HEARTBEAT_NS: Final = 50_000_000
 MOST_HEARTBEATS: Final = 4096 // elkapod.HEARTBEAT_BYTES
-"""As many as a terminal's buffer holds: what nobody reads is lost."""
+"""As many as a terminal's buffer holds; further ones are lost."""
 GARBAGE: Final = bytes(range(FRAME_BYTES))
-"""The first answer after power-up, whose first byte alone shows that it is none."""
+"""The first answer after power-up. Only its first byte shows that it is no measurement."""
 
 _ANGLES: Final = struct.Struct(f"<{len(SERVO_IDS)}f")
 _LONGEST: Final = max(len(START), len(SHUTDOWN))
@@ -92,7 +91,7 @@ _ACCELEROMETER_NOISE_M_S2: Final = 0.02
 
 
 class SimulatedElkapod(DuplexDevice):
-    """The controller, its servos and its battery. Each method may be called from any thread, and takes microseconds."""
+    """The controller, its servos and its battery. Thread-safe; each call takes microseconds."""
 
     def __init__(
         self,
@@ -103,9 +102,10 @@ class SimulatedElkapod(DuplexDevice):
         sensed: SensedPage | None = None,
         battery: SimulatedBattery | None = None,
     ) -> None:
-        """Switched on now, servos slack. `clock` gives nanoseconds. `on_change` gets a line on what changed; into
-        `page` goes where each servo is sent, which also states what a power board feeds; `sensed` has what a simulated
-        body feels."""
+        """Switched on now, servos slack. `clock` returns ns. `on_change` gets a line on each change.
+
+        `page` gets the targets, and states which servos a power board supplies. `sensed`: a simulated body's senses.
+        """
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         """The newest on SPI, with their times."""
         self.messages: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
@@ -114,7 +114,7 @@ class SimulatedElkapod(DuplexDevice):
         self.silent = False
         """A fault: no heartbeats."""
         self.frozen = False
-        """A fault: each answer is the one before."""
+        """A fault: each answer repeats the previous one."""
         self.garbage: bytes | None = None
         """A fault: these bytes in place of each measurement."""
 
@@ -122,7 +122,7 @@ class SimulatedElkapod(DuplexDevice):
         self._on_change = on_change
         self._sensed = sensed
         self._battery = SimulatedBattery() if battery is None else battery
-        self._noise = random.Random(0)  # noqa: S311  (a sensor's, no secrets)
+        self._noise = random.Random(0)  # noqa: S311  (sensor noise, no secrets)
         self._lock = threading.Lock()
         now_ns = clock()
         self._begun_ns = self._advanced_ns = self._beat_ns = self._on_ns = now_ns
@@ -133,7 +133,7 @@ class SimulatedElkapod(DuplexDevice):
     # ---- the wires
 
     def exchange(self, data: bytes) -> bytes:
-        """One transfer: as many bytes as came go back."""
+        """Make one transfer. Return as many bytes as `data` has; zeros before the controller is on."""
         with self._lock:
             now_ns = self._clock()
             self.transfers.append((now_ns, data))
@@ -150,7 +150,7 @@ class SimulatedElkapod(DuplexDevice):
         return answer[: len(data)].ljust(len(data), b"\0")
 
     def uart_write(self, data: bytes) -> None:
-        """Bytes arrive, in whatever portions."""
+        """Receive bytes, in portions of any length."""
         with self._lock:
             now_ns = self._clock()
             self._advance(now_ns)
@@ -164,14 +164,14 @@ class SimulatedElkapod(DuplexDevice):
             self._received = self._received[1 - _LONGEST :]
 
     def uart_read(self) -> bytes:
-        """The bytes that it has sent since the last call."""
+        """Return the bytes that the controller has sent since the last call."""
         with self._lock:
             due = max(0, (self._clock() - self._beat_ns) // HEARTBEAT_NS)
             self._beat_ns += due * HEARTBEAT_NS
             return b"" if self.silent else elkapod.heartbeat() * min(due, MOST_HEARTBEATS)
 
     def close(self) -> None:
-        """Nobody talks to it any more, which changes nothing."""
+        """Change nothing: the controller and its servos stay on."""
 
     # ---- what a person at the robot sees and does
 
@@ -216,7 +216,7 @@ class SimulatedElkapod(DuplexDevice):
     # ---- what it measures
 
     def _advance(self, now_ns: int) -> None:
-        """Let servos move, and the battery empty, up to now."""
+        """Move the servos and discharge the battery up to now."""
         self._servos.move(now_ns)
         self._battery.draw(self._current_a(), (now_ns - self._advanced_ns) / 1e9)
         self._advanced_ns = now_ns
@@ -276,11 +276,11 @@ class SimulatedUart(Uart):
         return self._controller.uart_read()
 
     def close(self) -> None:
-        """Nobody listens any more, which changes nothing."""
+        """Change nothing: the controller stays on."""
 
 
 def _first_message(received: bytes) -> tuple[bytes, bytes] | None:
-    """The first message in these bytes, and what follows it."""
+    """The first message in these bytes, and the bytes after it; None: no message."""
     places = {received.find(message): message for message in (START, SHUTDOWN) if message in received}
     if not places:
         return None
