@@ -6,11 +6,11 @@ import sys
 
 def main() -> None:
     """The console script. `stop-servos` runs first, without the imports of other commands."""
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # looking for them takes 30 ms, before the first Stop
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # the search for plug-ins takes 30 ms, before the first Stop
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
-            # The stream is closed, and the next file would get its number: the SPI device must never become stderr. So
-            # the number stays taken, even if this object is replaced.
+            # The stream is closed, and the next file would get its number: the SPI device must never become stderr.
+            # closefd=False keeps the number taken, even if this object is replaced.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+", closefd=False))
     if sys.argv[1:2] == ["stop-servos"]:
         from gateway.onboard import stop

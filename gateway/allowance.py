@@ -13,13 +13,13 @@ class Allowance:
     __slots__ = ("_all_ns", "_each_ns", "_full_ns")
 
     def __init__(self, a_second: float, at_once: int) -> None:
-        """At most `at_once` + T * `a_second` are taken in any T seconds. `a_second` may be a fraction."""
+        """Allow at most `at_once` + T * `a_second` tokens in any T seconds. `a_second` may be a fraction."""
         self._each_ns = ceil(NS_PER_S / a_second)
         self._all_ns = at_once * self._each_ns
         self._full_ns = 0
 
     def take(self, now_ns: int, count: int = 1) -> bool:
-        """Take `count` tokens; False: fewer are left, and none is taken."""
+        """Take `count` tokens. Return False, and take none, if fewer are left."""
         full_ns = max(self._full_ns, now_ns) + count * self._each_ns
         if full_ns > now_ns + self._all_ns:
             return False
@@ -27,20 +27,20 @@ class Allowance:
         return True
 
     def wait_ns(self, now_ns: int) -> int:
-        """Time until one token may be taken."""
+        """Return the time in ns until one token is left; 0: now."""
         return max(0, self._full_ns + self._each_ns - self._all_ns - now_ns)
 
     def is_full(self, now_ns: int) -> bool:
-        """Whether the bucket is full."""
+        """Return whether the bucket is full."""
         return self._full_ns <= now_ns
 
 
 MOST_SOURCES: Final = 64
-"""Sources that have an allowance of their own at a time: as many as there may be sessions."""
+"""Most sources with an allowance of their own at a time: the limit of sessions."""
 
 
 class AllowanceBySource:
-    """The same allowance for each source. Memory is bounded: further sources share one, since anybody may claim any."""
+    """The same allowance for each source. Sources beyond MOST_SOURCES share one, since anybody may claim any name."""
 
     def __init__(self, a_second: float, at_once: int) -> None:
         self._each = a_second, at_once
@@ -48,7 +48,7 @@ class AllowanceBySource:
         self._left_out: dict[str | None, int] = {}
 
     def admit(self, source: str | None, now_ns: int) -> int | None:
-        """Return how many of this source were left out before this one, which is taken; None: leave it out, too."""
+        """Take one token of this source. Return how many were rejected since the last success; None: rejected."""
         if source not in self._known and len(self._known) >= MOST_SOURCES:
             self._known = {name: known for name, known in self._known.items() if not known.is_full(now_ns)}
             self._left_out = {name: count for name, count in self._left_out.items() if name in self._known}

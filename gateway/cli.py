@@ -39,7 +39,7 @@ _PANELS = {
     "People": ("certs",),
     "Files": ("decode",),
 }
-"""Commands as `--help` groups them, the urgent ones first."""
+"""The groups of `--help`, the urgent commands first."""
 
 
 class _Commands(TyperGroup):
@@ -105,7 +105,7 @@ class Sim(StrEnum):
 
 
 class _SimMayStandAlone(TyperCommand):
-    """`--sim` is `--sim=controller`."""
+    """Takes `--sim` without a value as `--sim=controller`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, [f"--sim={Sim.CONTROLLER}" if each == "--sim" else each for each in args])
@@ -385,7 +385,7 @@ def send_servo(
 
 
 def main() -> None:
-    """All commands."""
+    """Run the command line. An error becomes one line per fault on stderr and an exit code."""
     try:
         app(prog_name="hexapod-gateway")  # also as `python -m gateway`
     except GatewayError as error:

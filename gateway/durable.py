@@ -17,7 +17,7 @@ def _nothing(_descriptor: int) -> None:
 
 
 def staged_for(path: Path) -> Path:
-    """The temporary file that replaces `path`; it remains only if the process was interrupted."""
+    """Return the path of the temporary file that replaces `path`. The file remains only if the process was killed."""
     return path.with_name(f".{path.name}.new")
 
 
@@ -41,7 +41,7 @@ def replacing(path: Path, staged: Path | None = None) -> Iterator[Path]:
 def read(path: Path, most_bytes: int) -> bytes | None:
     """Return a file's content; None: there is no file. Waits only for the disk: a FIFO is rejected without blocking.
 
-    Raises OSError, and ValueError with a sentence for what is no file, or is larger than `most_bytes`.
+    Raises OSError, and ValueError with a sentence if `path` is no regular file or has over `most_bytes`.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | _NONBLOCK | _CLOEXEC)
@@ -78,15 +78,16 @@ def write(
 
 
 def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
-    """Like `write`, with exactly this mode; of several concurrent processes, the last wins."""
+    """Like `write`, with exactly this mode. Several processes may write: the last wins. Raises OSError."""
     with replacing(path, path.with_name(f".{path.name}.{secrets.token_hex(4)}")) as staged:
         create(staged, data, mode, prepare=prepare)
 
 
 def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
-    """Write a new file with exactly this mode, regardless of the umask; all of it or none. Raises OSError.
+    """Write a new file with exactly this mode, regardless of the umask; all of it or none.
 
-    The mode is set before the content is written, so that a key is never readable by others.
+    The mode is set before the content is written, so that a key is never readable by others. Raises OSError, and
+    FileExistsError if the file exists.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NOFOLLOW | _CLOEXEC, 0o600)
     try:
@@ -101,7 +102,7 @@ def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]
 
 
 def like_the_folder(path: Path, descriptor: int) -> None:
-    """As root, give the file to the folder's owner, so that the service can write it later."""
+    """As root, give the open file to the owner of its folder, so that the service can write it. Raises OSError."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         folder = path.parent.stat()
         os.fchown(descriptor, folder.st_uid, folder.st_gid)

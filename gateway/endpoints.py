@@ -1,15 +1,15 @@
-"""Zenoh's endpoints, such as `tls/192.168.1.7:7447`: which of them only this machine reaches. Pure."""
+"""Parses Zenoh's endpoints, such as `tls/192.168.1.7:7447`. Pure."""
 
 import ipaddress
 from typing import Final
 
 _LOCAL_LINKS: Final = frozenset({"unixsock-stream", "unixpipe"})
-"""Links that do not leave the machine; who may use them is a matter of file permissions."""
+"""Links that do not leave the machine; file permissions control who may use them."""
 _IP_LINKS: Final = frozenset({"tcp", "udp", "tls", "quic", "ws"})
 
 
 def is_local(endpoint: str) -> bool:
-    """Whether only this machine reaches it: `tcp/127.0.0.1:7447`, `tcp/[::1]:7447`, a Unix socket."""
+    """Return whether only this machine reaches it: `tcp/127.0.0.1:7447`, `tcp/[::1]:7447`, a Unix socket."""
     link, ip = endpoint.partition("/")[0], ip_of(endpoint)
     if link in _LOCAL_LINKS:
         return True
@@ -19,13 +19,13 @@ def is_local(endpoint: str) -> bool:
 
 
 def host_and_port(endpoint: str) -> tuple[str, str]:
-    """Of `tls/[::1]:7447?…#…`: `::1` and `7447`. An endpoint without an address, such as a Unix socket, has no host."""
+    """Return `::1` and `7447` of `tls/[::1]:7447?…#…`. The host of an endpoint without a port is ""."""
     host, _, port = endpoint.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
     return host.removeprefix("[").removesuffix("]"), port
 
 
 def ip_of(endpoint: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Its IP address; None for a name: its address may change."""
+    """Return the endpoint's IP address; None for a name, whose address may change, and for a Unix socket."""
     try:
         ip = ipaddress.ip_address(host_and_port(endpoint)[0])
     except ValueError:

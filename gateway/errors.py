@@ -6,14 +6,14 @@ from typing import ClassVar
 
 
 class GatewayError(Exception):
-    """Ends the program with `exit_code`; its text is one sentence (or one line per fault) for a person."""
+    """An error that ends a command with `exit_code`. Its text is one sentence, or one line per fault, for a person."""
 
     exit_code: ClassVar[int] = 1
     """Exit code of a command that ends with it. @private"""
 
     @property
     def lasting(self) -> str:
-        """The text, without what changes as time passes: for a page that shows it for long. @private"""
+        """The text without times that pass, for a page that shows it for long. @private"""
         return str(self)
 
 
@@ -30,11 +30,11 @@ class SpiError(GatewayError):
 
 
 class ControllerSilentError(SpiError):
-    """The controller gives no signs of life, over a wire that brings some back."""
+    """The controller gives no signs of life, on a wire that receives some."""
 
 
 class ControllerRestartedError(ControllerSilentError):
-    """The controller may have restarted, and its servos be slack while the gateway believes that they run."""
+    """The controller may have restarted: its servos may be slack while the gateway counts them as running."""
 
 
 class BatchRejectedError(SpiError):
@@ -70,7 +70,7 @@ class RejectedError(GatewayError):
 
 
 class OutOfRangeError(RejectedError, ValueError):
-    """A leg, servo or angle that no robot has, rejected before anything was sent; `reason` is `invalid`."""
+    """A leg, servo or angle is out of range; nothing was sent. `reason` is `invalid`."""
 
     def __init__(self, detail: str) -> None:
         """A sentence."""
@@ -78,7 +78,7 @@ class OutOfRangeError(RejectedError, ValueError):
 
 
 class LeaseError(RejectedError):
-    """The gateway rejected a request for its lease; `holder` drives; None: unknown."""
+    """The gateway rejected a request for its lease. `holder`: who drives; None: unknown."""
 
     def __init__(self, reason: str, detail: str, holder: str | None = None) -> None:
         """As RejectedError."""
@@ -91,16 +91,16 @@ class LeaseLostError(LeaseError):
 
 
 class StoppedError(GatewayError):
-    """`legs` that a program moved were stopped, or the gateway accepts no commands.
+    """The `legs` that a program moved were stopped, or the gateway accepts no commands.
 
     `cause`: `stop` (somebody's Stop), else the kind of the event (docs/interface.md), such as `watchdog_expired`.
-    `by`: who sent the Stop or the emergency stop; None: nobody, or somebody without a name.
+    `by`: who sent the Stop or the emergency stop; None: nobody, or a sender without a name.
     """
 
     def __init__(
         self, detail: str, legs: Iterable[int], by: str | None = None, cause: str = "", at_s: float | None = None
     ) -> None:
-        """A sentence, the legs' numbers, who, why, and when (monotonic; the text states how long ago)."""
+        """`detail`: a sentence. `at_s`: monotonic time of the stop, from which the text states how long ago it was."""
         super().__init__(detail)
         self.legs = tuple(sorted(legs))
         self.by = by
@@ -123,6 +123,6 @@ class AddressTakenError(GatewayError):
 
 
 class WalkError(GatewayError, ValueError):
-    """A walk that this robot's geometry does not allow, with the limit; or an invalid velocity, height or gait."""
+    """A walk that the geometry does not allow (the text has the limit), or an invalid velocity, height or gait."""
 
     exit_code = 2

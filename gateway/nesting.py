@@ -29,7 +29,7 @@ _APART: Final = re.compile(
 
 
 def check(data: bytes) -> None:
-    """Raises ValueError with one sentence for JSON5 (or JSON) that is too large or too deep."""
+    """Raises ValueError with one sentence if JSON5 (or JSON) is too large or nested too deep."""
     _check_size(data)
     level = 0
     for found in _APART.finditer(data):
@@ -42,7 +42,7 @@ def check(data: bytes) -> None:
 
 
 def read_toml(data: bytes) -> dict[str, Any]:
-    """Parse TOML, also with the byte order mark of some editors. Raises ValueError with one sentence."""
+    """Return the values of TOML, also with a byte order mark. Raises ValueError with one sentence."""
     _check_size(data)
     if any(line.count(b".") > MOST_DOTS for line in data.splitlines()):
         raise ValueError(f"has a line with more than {MOST_DOTS} dots")

@@ -1,4 +1,4 @@
-"""Commands of this program in messages: as this process was called, and with the gateway that they need."""
+"""Commands in messages: named as this process was called, with the options that reach its gateway."""
 
 import os
 import shlex
@@ -16,13 +16,13 @@ _options: Final[dict[str, str]] = {}
 
 
 def plain(endpoints: Sequence[str]) -> str | None:
-    """The endpoint to connect to without a certificate, of those that a gateway listens on; None: there is none."""
+    """Return the endpoint, of those a gateway listens on, that needs no certificate; None: there is none."""
     found = [endpoint for endpoint in endpoints if not endpoint.startswith(("tls/", "quic/"))]
     return DEFAULT_ENDPOINT if DEFAULT_ENDPOINT in found else next(iter(found), None)
 
 
 def reach_by(**options: str | Path | None) -> None:
-    """Add `--connect`, `--zenoh-config` (as `connect`, `zenoh_config`) to the commands of later messages; None: not."""
+    """Add the options `connect` and `zenoh_config` to the commands of later messages; None removes an option."""
     for name, value in options.items():
         option = _option(name)
         _options.pop(option, None)
@@ -31,7 +31,7 @@ def reach_by(**options: str | Path | None) -> None:
 
 
 def this_command() -> str:
-    """The name by which this program was called, to be copied from messages: `.venv/bin/…` after `make run`."""
+    """Return the name by which this program was called, for commands to copy: `.venv/bin/…` after `make run`."""
     called, found = sys.argv[0], shutil.which("hexapod-gateway")
     here = Path(called).name == "hexapod-gateway" and (
         found is None or Path(called).absolute() != Path(found).absolute()
@@ -40,9 +40,9 @@ def this_command() -> str:
 
 
 def command(arguments: str, **given: str | Path | None) -> str:
-    """A command that reaches the gateway of this process: `hexapod-gateway reset --connect tcp/192.0.2.7:7447`.
+    """Return a command that reaches this process's gateway: `hexapod-gateway reset --connect tcp/192.0.2.7:7447`.
 
-    `given`: in place of those of `reach_by`, for another gateway than the command line's.
+    `given` replaces the options of `reach_by`, for another gateway than the command line's.
     """
     default = {} if CONNECT_VARIABLE in os.environ else {"--connect": DEFAULT_ENDPOINT}
     options = (f"{option} {value}" for option, value in _options.items() if default.get(option) != value)

@@ -33,9 +33,9 @@ RETRY: Final = {"period_init_ms": 100, "period_max_ms": 500, "period_increase_fa
 
 
 def load_config(path: Path) -> zenoh.Config:
-    """The configuration at `path` (.json5 .json .yaml .toml) with absolute paths, ready for `zenoh.open`.
+    """Return the configuration at `path` (.json5 .json .yaml .toml) with absolute paths, ready for `zenoh.open`.
 
-    Raises ConfigError, one line, for a typo, or a named file that is missing or unreadable.
+    Raises ConfigError, one line, if it is malformed, or a file that it names is missing or unreadable.
     """
     path = path.absolute()
     try:
@@ -56,8 +56,8 @@ def load_config(path: Path) -> zenoh.Config:
 
 
 def load_client_config(path: Path) -> zenoh.Config:
-    """A laptop's configuration (`--zenoh-config`). Raises ConfigError as `load_config` does, and for the gateway's own
-    file and an expired certificate, for which `zenoh.open` would only report that it cannot connect."""
+    """Return a laptop's configuration (`--zenoh-config`). Raises ConfigError as `load_config` does, and for the
+    gateway's own file or an expired certificate: `zenoh.open` would only report that it cannot connect."""
     config = load_config(path)
     if config.get_json(f"{_TLS}/listen_private_key") != "null":
         raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
@@ -70,8 +70,9 @@ def load_client_config(path: Path) -> zenoh.Config:
 
 
 def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Config:
-    """A client's configuration: the file's, with `endpoint` in place of its endpoints; by default, for this machine's
-    gateway. Raises ConfigError.
+    """Return a client's configuration: the file's, with `endpoint` in place of its endpoints.
+
+    Without both, it reaches this machine's gateway. Raises ConfigError.
     """
     if endpoint is None and file is None:
         endpoint = DEFAULT_ENDPOINT
@@ -90,7 +91,7 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
 
 
 def certificate_files(config: zenoh.Config) -> list[Path]:
-    """The certificates named in a configuration of `load_config`, the CA first."""
+    """Return the certificates named in a configuration of `load_config`, the CA first."""
     named = (get(config, setting) for setting in _CERTIFICATES)
     return [Path(file) for file in dict.fromkeys(named) if isinstance(file, str)]
 
@@ -103,9 +104,9 @@ class Expiry(NamedTuple):
 
 
 def first_expiry(config: zenoh.Config) -> Expiry | None:
-    """The first certificate to expire of a configuration of `load_config`; None: it names none. Raises ConfigError.
+    """Return the first certificate to expire in a configuration of `load_config`; None: it names none.
 
-    Of a chain, the first certificate counts, the owner's; of several CAs, the last to expire.
+    In a chain, the owner's counts, the first; of several CAs, the last to expire. Raises ConfigError.
     """
     ca = get(config, _CA)
     found = []
@@ -121,7 +122,7 @@ def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
 
 
 def get(config: zenoh.Config, key: str) -> Any:
-    """One value of a configuration; None: unset."""
+    """Return one value of a configuration; None: unset or unknown."""
     try:
         return json.loads(config.get_json(key))
     except zenoh.ZError:
@@ -129,12 +130,12 @@ def get(config: zenoh.Config, key: str) -> Any:
 
 
 def listen_endpoints(config: zenoh.Config) -> list[str]:
-    """The listen endpoints of this configuration, in its mode."""
+    """Return the endpoints that this configuration listens on, in its mode."""
     return _endpoints(config, "listen")
 
 
 def connect_endpoints(config: zenoh.Config) -> list[str]:
-    """The endpoints that this configuration dials, in its mode."""
+    """Return the endpoints that this configuration dials, in its mode."""
     return _endpoints(config, "connect")
 
 
@@ -146,12 +147,12 @@ def _endpoints(config: zenoh.Config, direction: str) -> list[str]:
 
 
 def one_line(error: BaseException) -> str:
-    """Zenoh's reason without its source position."""
+    """Return Zenoh's reason without its source position."""
     return " ".join(str(error).split()).partition(" at /")[0]
 
 
 def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
-    """Set one value. Raises ConfigError, which calls it `setting`."""
+    """Set one value. Raises ConfigError, with the name `setting`, if Zenoh rejects it."""
     try:
         config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
@@ -181,7 +182,7 @@ CANNOT_CONNECT: Final = "Unable to connect"
 
 
 def why_not_opened(text: str, endpoints: object) -> str:
-    """Zenoh's `text` as a sentence with a remedy."""
+    """Return Zenoh's `text` as a sentence with a remedy."""
     where = ", ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
     if "Address already in use" in text:
         return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"

@@ -16,9 +16,9 @@ LAPTOP_ROLES: Final = (OPERATOR, OBSERVER, BUTTON)
 CA_DAYS: Final = 3650
 LEAF_DAYS: Final = 730
 CONSOLE_DAYS: Final = 459
-"""Apple's browsers accept a server's certificate of at most 825 days, and ours begin a year in the past."""
+"""Apple's browsers accept a server's certificate for at most 825 days; ours begin 365 days in the past."""
 WARN_DAYS: Final = 60
-"""Before a certificate expires: long enough to find the person who has the CA's key."""
+"""Warn this long before a certificate expires: enough to find the person with the CA's key."""
 
 __all__ = ["authority", "files", "folder", "proof", "revocation", "zenoh_files"]
 
@@ -31,7 +31,7 @@ def __getattr__(name: str) -> ModuleType:
 
 
 def expires_soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
-    """`gateway.pem expires on 2028-11-22, in 59 days`; None while more than WARN_DAYS are left."""
+    """Return `gateway.pem expires on 2028-11-22, in 59 days`; None while WARN_DAYS or more are left."""
     left_days = (end - now) // dt.timedelta(days=1)
     if end <= now:
         return f"{name} expired on {end:%Y-%m-%d}"
@@ -40,12 +40,12 @@ def expires_soon(name: str, end: dt.datetime, now: dt.datetime) -> str | None:
 
 
 def how_to_renew(file: str, role: str, name: str) -> str:
-    """How to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
+    """Return how to renew the certificate in `file`; `role` and `name` as `folder.describe` returns them."""
     if role == "ca":
         return "hexapod-gateway certs init --host ROBOT --dir DIR in another folder, and issue all certificates again"
     return f"{renewal(role if role == 'gateway' else name)}, and copy {file} here"
 
 
 def renewal(holder: str) -> str:
-    """The command that renews a certificate; DIR is for a person to fill in."""
+    """Return the command that renews a certificate. A person fills in DIR."""
     return f"where ca.key is: hexapod-gateway certs renew {holder} --dir DIR"

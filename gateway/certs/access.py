@@ -22,11 +22,11 @@ from schemas import keys
 from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, CALIBRATION, ESTOP, PUBLISHED, SIM_BODY, SIM_UPRIGHT
 
 MOST: Final = 1000
-"""Common names of each role. A laptop keeps its common name for ever, also once it is revoked."""
+"""Common names of each role. A laptop keeps its common name for ever, also when it is revoked."""
 
 NOBODY: Final = "(nobody)"
-"""A common name without a certificate, for a subject whose names are all revoked: Zenoh takes one without names as
-everyone."""
+"""A common name without a certificate, for a subject whose names are all revoked: to Zenoh, a subject without names
+means everyone."""
 
 _COMMON_NAME: Final = re.compile(rf"({'|'.join(LAPTOP_ROLES)})-\d{{2,3}}")
 
@@ -83,7 +83,7 @@ BODY: Final = (
     Traffic("that it can be set upright", True, ("declare_queryable", "reply"), (SIM_UPRIGHT,)),
     Traffic("setting it upright", False, ("query",), (SIM_UPRIGHT,)),
 )
-"""Between a gateway and the process that simulates its robot's body."""
+"""Traffic between a gateway and the process that simulates its robot's body."""
 
 
 def rules() -> str:
@@ -102,7 +102,7 @@ def rules_for(*roles: str) -> str:
 
 
 def rule(each: Traffic, namespace: str) -> dict[str, Any]:
-    """Return one rule with the fields of Zenoh's configuration."""
+    """Return one rule with the fields of Zenoh's configuration, its keys in `namespace` ("": none)."""
     return {
         "id": each.what,
         "permission": "allow",

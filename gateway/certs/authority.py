@@ -27,15 +27,15 @@ GATEWAY = "gateway"
 CA = "ca"
 CONSOLE = "console"
 
-# A robot without a network and a battery-backed clock starts with the time of its last shutdown, or of its image, when
-# a certificate of today is not valid yet. So all certificates start a year early.
+# A robot without a network and a battery-backed clock starts with the time of its last shutdown or of its image. At
+# that time, a certificate of today is not valid yet. So all certificates start a year early.
 BACKDATE = dt.timedelta(days=365)
 
 _Kind = TypeVar("_Kind", bound=x509.ExtensionType)
 _ORGANIZATION = "hexapod-gateway"
 _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
 _Extension = tuple[x509.ExtensionType, bool]
-"""And whether it is critical."""
+"""An extension, and whether it is critical."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class KeyPair:
 
 
 def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
-    """A CA for leaf certificates only; its name has a random part, so that two CAs are never confused.
+    """Return a new CA for leaf certificates only. Its name has a random part, so that two CAs are never confused.
 
-    With `hosts` it is for browsers, and valid only for these as servers: with its key nobody can pose as another site.
+    With `hosts` the CA is for browsers, and valid only for these servers: its key is worthless for any other host.
     """
     key = ec.generate_private_key(ec.SECP256R1())
     extensions: list[_Extension] = [(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)]
@@ -76,7 +76,7 @@ def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
 
 
 def make_leaf(ca: KeyPair, common_name: str, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
-    """The certificate of a robot (GATEWAY), a web console (CONSOLE) or a laptop, as a server valid for `hosts`."""
+    """Return a new certificate of a robot (GATEWAY), console (CONSOLE) or laptop; as a server valid for `hosts`."""
     key = ec.generate_private_key(ec.SECP256R1())
     return KeyPair(sign(ca, _name(common_name, name), key.public_key(), hosts, days, now), key)
 
@@ -84,7 +84,7 @@ def make_leaf(ca: KeyPair, common_name: str, name: str, hosts: Sequence[str], da
 def sign(
     ca: KeyPair, subject: x509.Name, key: CertificatePublicKeyTypes, hosts: Sequence[str], days: int, now: dt.datetime
 ) -> x509.Certificate:
-    """A leaf certificate of this holder and key, with a new serial number, as a server valid for `hosts`."""
+    """Return a leaf certificate of this holder and key with a new serial number; as a server valid for `hosts`."""
     issuer, common_name = ca.certificate, _attribute(subject, NameOID.COMMON_NAME)
     days = min(days, CONSOLE_DAYS) if common_name == CONSOLE else days
     # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
@@ -98,7 +98,7 @@ def sign(
 
 
 def _usage(common_name: str) -> x509.ExtendedKeyUsage:
-    """A robot also dials other Zenoh programs. A laptop is a client only, so that none can pose as the robot."""
+    """A robot also dials other Zenoh programs. A laptop is only a client, so it cannot pose as the robot."""
     server, client = ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH
     return x509.ExtendedKeyUsage({GATEWAY: [server, client], CONSOLE: [server]}.get(common_name, [client]))
 
@@ -123,7 +123,7 @@ def _signed(
 
 
 def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
-    """Whether this CA signed the certificate."""
+    """Return whether this CA signed the certificate."""
     try:
         certificate.verify_directly_issued_by(ca)
     except (ValueError, TypeError, InvalidSignature):
@@ -132,13 +132,13 @@ def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
 
 
 def is_ca(certificate: x509.Certificate) -> bool:
-    """Whether the certificate may sign others."""
+    """Return whether the certificate may sign others."""
     found = _extension(certificate, x509.BasicConstraints)
     return found is not None and found.ca
 
 
 def parse_hosts(texts: Sequence[str]) -> list[str]:
-    """Host names in lower case and plain IP addresses, each once; raises ConfigError for anything else."""
+    """Return host names in lower case and plain IP addresses, each once. Raises ConfigError for any other text."""
     return list(dict.fromkeys(map(_parse_host, texts)))
 
 
@@ -156,13 +156,13 @@ def _parse_host(text: str) -> str:
 
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
-    """The names and addresses that a gateway's certificate is good for, in the order they were given."""
+    """Return the names and addresses that a gateway's certificate is valid for, in the order they were given."""
     names = _extension(certificate, x509.SubjectAlternativeName) or ()
     return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
 
 
 class Holder(NamedTuple):
-    """Both, since one person may have several certificates."""
+    """The holder of a certificate. One person may have several, each with a common name of its own."""
 
     common_name: str
     name: str
@@ -174,7 +174,7 @@ class Holder(NamedTuple):
 
 
 def holder_of(certificate: x509.Certificate) -> Holder:
-    """("ca", its name), ("gateway", its first host), or a laptop's (common name, name); "" if absent."""
+    """Return ("ca", its name), ("gateway", its first host), or a laptop's (common name, name); "" if absent."""
     common = _attribute(certificate.subject, NameOID.COMMON_NAME)
     unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
     if is_ca(certificate):

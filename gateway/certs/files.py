@@ -37,12 +37,12 @@ UNREADABLE: Final = (
 
 
 def read_certificate(path: Path) -> x509.Certificate:
-    """The first certificate of a PEM file; of a chain, the owner's. Raises ConfigError."""
+    """Return the first certificate of a PEM file; of a chain, the owner's. Raises ConfigError."""
     return read_certificates(path)[0]
 
 
 def read_certificates(path: Path) -> list[x509.Certificate]:
-    """All certificates of a PEM file, at least one. Raises ConfigError."""
+    """Return all certificates of a PEM file, at least one. Raises ConfigError."""
     try:
         found = x509.load_pem_x509_certificates(read_file(path, "certificate"))
         for each in found:
@@ -53,7 +53,7 @@ def read_certificates(path: Path) -> list[x509.Certificate]:
 
 
 def read_private_key(path: Path) -> PrivateKeyTypes:
-    """An unencrypted key of a PEM file. Raises ConfigError."""
+    """Return the unencrypted key of a PEM file. Raises ConfigError."""
     try:
         return serialization.load_pem_private_key(read_file(path, "key"), password=None)
     except (ValueError, TypeError) as error:  # TypeError: it is encrypted
@@ -61,7 +61,7 @@ def read_private_key(path: Path) -> PrivateKeyTypes:
 
 
 def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """An unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
+    """Return the unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
     key = read_private_key(path)
     if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise ConfigError(f"{path} is not the elliptic-curve key that `certs init` makes: restore it from a copy")
@@ -69,7 +69,7 @@ def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
 
 
 def read_file(path: Path, what: str) -> bytes:
-    """The content of a regular file. Raises ConfigError, which calls the file `what`."""
+    """Return the content of a regular file. Raises ConfigError, which calls the file `what`."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # a FIFO would block for ever
             raise ConfigError(f"{path} is not a file: the {what} should be there")
@@ -88,7 +88,7 @@ class FileContent:
 
 
 def publish(files: Mapping[Path, FileContent]) -> None:
-    """Write new files in order. Raises ConfigError if one exists or cannot be written, and then leaves none."""
+    """Write new files in order. If one exists or cannot be written, remove the others and raise ConfigError."""
     with contextlib.ExitStack() as undo:
         for path, content in files.items():
             with _explained(path):
@@ -104,7 +104,7 @@ def publish(files: Mapping[Path, FileContent]) -> None:
 
 
 def replace(path: Path, content: FileContent) -> None:
-    """Replace the file at `path` atomically. Raises ConfigError."""
+    """Replace the file at `path` atomically. Raises ConfigError if it cannot be written."""
     with _explained(path):
         durable.write_with_mode(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))
 

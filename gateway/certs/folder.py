@@ -26,13 +26,13 @@ from gateway.errors import ConfigError
 
 ROBOT: Final = "robot"
 ROBOT_FILES: Final = ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem")
-"""All that a robot needs of its folder."""
+"""The files that a robot needs."""
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
-_WEB_CA: Final = "-ca"  # behind a console's name in the names of its CA's files
+_WEB_CA: Final = "-ca"  # follows a console's name in the names of its CA's files
 _NO_SERIAL: Final = 1
-"""Of a revoked laptop whose files are gone. Our serial numbers are random, so no certificate has it."""
+"""For a revoked laptop without files. Our serial numbers are random, so no certificate has this one."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Certificate:
     not_after: dt.datetime
 
     def days_left(self, now: dt.datetime) -> int:
-        """Whole days until it expires; negative once it has."""
+        """Return the whole days until it expires; negative after that."""
         return (self.not_after - now) // dt.timedelta(days=1)
 
 
@@ -84,8 +84,8 @@ def issue(
 ) -> list[Path]:
     """Make the files of a laptop, a further robot or a web console; return the paths. Raises ConfigError.
 
-    A laptop gets a Zenoh file for each robot, and all it needs in the zip `bundle`; a robot, a folder; a console, which
-    browsers reach by `hosts`, a CA of its own: unlike ca.pem, it is valid for these hosts only.
+    A laptop gets a Zenoh file for each robot, and a robot a folder; the zip `bundle` has all that either needs. A
+    console gets a CA of its own, valid only for the `hosts` by which browsers reach it.
     """
     now = now or now_utc()
     _check_name(name)
@@ -183,7 +183,7 @@ def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> Rev
 def newest(directory: Path, there: str | None, *, now: dt.datetime | None = None) -> RevocationList:
     """Return the folder's list for a robot that has the list `there` (PEM). Raises ConfigError if there is none.
 
-    If only the robot's list has some entry, as after a backup of the folder was restored, a newer list has both.
+    If the robot's list has an entry that the folder's lacks, as after a restored backup, sign a list with both.
     """
     known = revoked(directory)
     if known is None:
@@ -207,13 +207,13 @@ def _sign(
 
 
 def revoked(directory: Path) -> RevocationList | None:
-    """Return the list of revoked certificates in this folder, or None if there is none."""
+    """Return the list of revoked certificates in this folder; None: there is none. Raises ConfigError."""
     path = directory / revocation.REVOCATION_FILE
     return revocation.read(path, [read_certificate(directory / "ca.pem")]) if path.exists() else None
 
 
 def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
-    """Return all certificates with their states: good, expired, revoked. Works on a robot and on a laptop, too."""
+    """Return all certificates with their states: good, expired, revoked. Needs no CA key. Raises ConfigError."""
     known, found = revoked(directory), expiries(directory)
     listed = {each.common_name for each in found}
     for each in known.entries if known else ():
@@ -248,7 +248,7 @@ def describe(path: Path) -> Certificate:
 
 
 def hosts_of(path: Path) -> list[str]:
-    """Return the names and addresses that the robot's certificate at `path` is good for. Raises ConfigError."""
+    """Return the names and addresses that the robot's certificate at `path` is valid for. Raises ConfigError."""
     return authority.hosts_of(read_certificate(path))
 
 
@@ -259,7 +259,7 @@ def robots_of(directory: Path) -> dict[str, Path]:
 
 
 def port_of(config: Path) -> int:
-    """Return the port in a robot's gateway.json5, so that a laptop's file follows changes there."""
+    """Return the port in a robot's gateway.json5, where a person may have changed it. Raises ConfigError."""
     try:
         nesting.check(read_file(config, "Zenoh configuration"))
         endpoints = zenoh.Config.from_file(str(config)).get_json("listen/endpoints")

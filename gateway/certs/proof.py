@@ -46,7 +46,7 @@ class ProofChecker:
         self._cas = [ca for ca in cas if is_ca(ca)]
 
     def clock_fault(self, now: dt.datetime) -> str | None:
-        """A sentence if this robot's clock must be wrong; None: it may be right."""
+        """Return a sentence if this robot's clock must be wrong; None: it may be right."""
         if any(now >= ca.not_valid_before_utc for ca in self._cas) or not self._cas:
             return None
         first = min(ca.not_valid_before_utc for ca in self._cas)
@@ -56,7 +56,7 @@ class ProofChecker:
         )
 
     def fault(self, proof: Proof, do: str, source: str, now: dt.datetime, purpose: Purpose = DRIVING) -> str | None:
-        """Why the proof does not show that `source` sent this request; None: it does. The nonce is not checked."""
+        """Return why the proof does not show that `source` sent this request; None: it does. Ignores the nonce."""
         wrong_clock = self.clock_fault(now)
         if wrong_clock is not None:
             return wrong_clock
@@ -90,12 +90,12 @@ class ProofChecker:
 
 
 def holder(proof: Proof) -> Holder:
-    """The holder of the certificate in an accepted proof."""
+    """Return the holder of the certificate in an accepted proof."""
     return holder_of(x509.load_pem_x509_certificates(proof.certificate.encode())[0])
 
 
 def sign(key_file: Path, text: bytes) -> bytes:
-    """The signature of a certificate's key under `text`. Raises ConfigError."""
+    """Sign `text` with a certificate's key, and return the signature. Raises ConfigError."""
     key = read_private_key(key_file)
     if isinstance(key, ec.EllipticCurvePrivateKey):
         return key.sign(text, ec.ECDSA(hashes.SHA256()))

@@ -24,7 +24,7 @@ from gateway.errors import ConfigError
 
 REVOCATION_FILE: Final = "revoked.crl"
 MAX_LIST_BYTES: Final = 1_000_000
-"""Of a file: one entry takes some 125 bytes."""
+"""Of the file; one entry takes some 125 bytes."""
 
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
 """`operator-07/alice` as UTF8String. The identifier is made from a UUID (ITU-T X.667), which needs no registration."""
@@ -34,7 +34,7 @@ _SHORT: Final = 128  # DER lengths below this take one byte; common name and per
 
 
 class ForeignListError(ConfigError):
-    """None of the CAs has signed the list."""
+    """None of the robot's CAs has signed the list."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class RevocationList:
         return frozenset(entry.common_name for entry in self.entries)
 
     def holds(self, common_name: str, serial: int) -> bool:
-        """Whether a certificate with this common name, or this serial number, is revoked."""
+        """Return whether a certificate with this common name, or this serial number, is revoked."""
         return any(common_name == entry.common_name or serial == entry.serial for entry in self.entries)
 
 
 def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime) -> RevocationList:
-    """Sign a list of these certificates."""
+    """Return a signed list of these certificates. Raises ConfigError if a name does not fit an entry."""
     kept, name = tuple(entries), ca.certificate.subject
     end = ca.certificate.not_valid_after_utc
     builder = x509.CertificateRevocationListBuilder().issuer_name(name).last_update(now).next_update(end)
@@ -84,7 +84,7 @@ def sign(ca: KeyPair, number: int, entries: Iterable[Revoked], now: dt.datetime)
 
 
 def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
-    """Parse PEM `data`, signed by one of these CAs. Raises ConfigError with one sentence."""
+    """Return the list in PEM `data`, signed by one of these CAs. Raises ConfigError, or its ForeignListError."""
     try:
         found = x509.load_pem_x509_crl(data)
         number = found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
@@ -98,7 +98,7 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
 
 
 def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
-    """Read the list at `path`; None: there is no file. Raises ConfigError, naming the file."""
+    """Return the list at `path`; None: there is no file. Raises as `parse` does, with the file's name."""
     try:
         data = durable.read(path, MAX_LIST_BYTES)
         return None if data is None else parse(data, cas)
@@ -111,7 +111,7 @@ def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
 
 
 def why_not_newer(found: RevocationList, known: RevocationList | None) -> str | None:
-    """Why `found` must not take the place of `known`; None: it may."""
+    """Return why `found` must not replace `known`; None: it may."""
     if known is None or found.number > known.number:
         return None
     if found.number == known.number:

@@ -128,7 +128,7 @@ def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, file: st
 
 
 def endpoint(host: str, port: int) -> str:
-    """Zenoh's endpoint, with brackets for an IPv6 address."""
+    """Return Zenoh's TLS endpoint, with brackets for an IPv6 address."""
     return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
 
 

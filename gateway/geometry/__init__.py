@@ -1,6 +1,6 @@
 """The shape of a robot: its joints, the relation of servo and joint angles, and a URDF.
 
-The numbers come from one file (default: elkapod.json), for the console, recordings and examples.
+One file (default: elkapod.json) has the numbers for the console, recordings and examples.
 """
 
 from gateway.geometry.kinematics import FramePose, joint_name, transforms

@@ -30,17 +30,17 @@ class FramePose(NamedTuple):
 
 
 def joint_name(servo_id: int) -> str:
-    """`joint_32`: the joint that servo 32 moves, in joint states and in the URDF."""
+    """Return the name of a servo's joint in joint states and the URDF: `joint_32` of servo 32."""
     return f"joint_{servo_id}"
 
 
 def link_name(leg: int, link: str) -> str:
-    """The link's name in the robot's description, such as `leg_3_femur`."""
+    """Return a link's name in the URDF, such as `leg_3_femur`."""
     return f"leg_{leg}_{link}"
 
 
 def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[FramePose]:
-    """Each frame in its parent's, from the body outward; a joint missing in `joints_rad` is at 0."""
+    """Yield each frame in its parent's, from the body outward. `joints_rad`: by servo id; a missing joint is at 0."""
     for leg in LEGS:
         mount = geometry.leg_mounts[leg]
         at_m, turned = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))
@@ -66,7 +66,7 @@ def plus(first: Vector, second: Vector) -> Vector:
 
 
 def times(first: Quaternion, second: Quaternion) -> Quaternion:
-    """The product of two rotations: `second` in the frame rotated by `first`."""
+    """Return the product of two rotations: `second` in the frame rotated by `first`."""
     x1, y1, z1, w1 = first
     x2, y2, z2, w2 = second
     return (
@@ -78,19 +78,19 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 
 
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
-    """`vector`, turned by the unit quaternion."""
+    """Return `vector` turned by the unit quaternion `rotation`."""
     x, y, z, w = rotation
     turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
     return turned[:3]
 
 
 def about(axis: Vector, angle_rad: float) -> Quaternion:
-    """The rotation about a unit axis."""
+    """Return the rotation about a unit axis."""
     sine = math.sin(angle_rad / 2)
     return axis[0] * sine, axis[1] * sine, axis[2] * sine, math.cos(angle_rad / 2)
 
 
 def from_rpy(rpy_rad: Vector) -> Quaternion:
-    """Roll, pitch and yaw as in a URDF: about the parent's x, then y, then z."""
+    """Return the rotation of roll, pitch and yaw as in a URDF: about the parent's x, then y, then z."""
     roll, pitch, yaw = rpy_rad
     return times(times(about((0, 0, 1), yaw), about((0, 1, 0), pitch)), about((1, 0, 0), roll))

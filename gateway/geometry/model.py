@@ -14,10 +14,10 @@ ELKAPOD: Final = Path(__file__).with_name("elkapod.json")
 """The default robot."""
 
 MAX_FILE_BYTES: Final = 1_000_000
-"""The default file has 4000. A recording given by mistake is not read whole."""
+"""The default file has 4000. The limit keeps a recording, given by mistake, from being read whole."""
 
 MAX_SPEED_DEG_S: Final = 300.0
-"""Of a servo without a speed in the settings; an MG996R without load reaches 353."""
+"""Of a servo without a speed in the settings. An MG996R without load reaches 353."""
 
 MAX_M: Final = 100.0
 """Longer than any robot: a larger number is in other units."""
@@ -28,7 +28,7 @@ Vector = tuple[Metres, Metres, Metres]
 
 
 class Part(BaseModel):
-    """Frozen; unknown fields of the file, such as remarks, are ignored."""
+    """Base of all parts of the file. Frozen; unknown fields, such as remarks, are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -70,11 +70,11 @@ class JointServo(Part):
     direction: Literal[1, -1]
 
     def joint_rad(self, servo_deg: float) -> float:
-        """The joint's angle with the servo at `servo_deg`."""
+        """Return the joint's angle with the servo at `servo_deg`."""
         return math.radians(servo_deg - self.zero_deg) * self.direction
 
     def servo_deg(self, joint_rad: float) -> float:
-        """The servo's angle for the joint at `joint_rad`; outside 0 to 180 the servo cannot reach it."""
+        """Return the servo's angle with the joint at `joint_rad`. The servo reaches only 0 to 180."""
         return self.zero_deg + self.direction * math.degrees(joint_rad)
 
 
@@ -115,12 +115,12 @@ class Geometry(Part):
         return self.chain[3]
 
     def joint_rad(self, servo_id: int, servo_deg: float) -> float:
-        """The angle of a servo's joint with the servo at `servo_deg`."""
+        """Return the angle of a servo's joint with the servo at `servo_deg`. Raises KeyError for an unknown id."""
         return self.servos[servo_id].joint_rad(servo_deg)
 
 
 def load(path: Path | None = None) -> Geometry:
-    """The geometry in `path` (default: ELKAPOD). Raises ConfigError with a line for each fault."""
+    """Return the geometry in `path` (default: ELKAPOD). Raises ConfigError with a line for each of up to 10 faults."""
     found = path or ELKAPOD
     try:
         with found.open("rb") as file:
@@ -151,7 +151,7 @@ def _list(numbers: dict[int, Mount] | set[int]) -> str:
 
 
 class Masses(NamedTuple):
-    """Each part's mass is spread evenly over its box in the URDF."""
+    """The masses of the body and of one leg's links, each spread evenly over its box in the URDF."""
 
     body_kg: float = 1.30
     coxa_kg: float = 0.09

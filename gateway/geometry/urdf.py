@@ -11,7 +11,7 @@ from schemas.robot import JOINTS, LEGS
 _LIMB_M: Final = 0.025
 _FOOT_M: Final = 0.012
 _TIP_M: Final = 0.005
-"""Radius for collisions, smaller than the drawn one, with which the foot would roll 4 mm further each step."""
+"""Radius for collisions. With the larger drawn radius, the foot would roll 4 mm further each step."""
 BODY_HEIGHT_M: Final = 0.05
 _EFFORT_NM: Final = 1.0
 """Required by URDF, not used here."""
@@ -25,7 +25,7 @@ _COLOURS: Final = {
 
 
 def urdf(geometry: Geometry) -> str:
-    """The URDF as text. Joints are named as in joint states, links as the frames of `transforms`."""
+    """Return the URDF. Joints are named as in joint states, links as the frames of `transforms`."""
     robot = Xml.Element("robot", name=geometry.name)
     for name, rgba in _COLOURS.items():
         Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=rgba)
@@ -74,7 +74,7 @@ def _limb(link: Xml.Element, material: str, end_m: Vector, mass_kg: float) -> No
 
 
 def _box(link: Xml.Element, material: str, size_m: Vector, middle_m: Vector, rpy_rad: Vector, mass_kg: float) -> None:
-    """Add a box to draw, for collisions, and of homogeneous mass."""
+    """Add a box for drawing and collisions, with homogeneous mass."""
     for kind in ("visual", "collision"):
         Xml.SubElement(_shape(link, kind, material, middle_m, rpy_rad), "box", size=_numbers(*size_m))
     inertial = Xml.SubElement(link, "inertial")
