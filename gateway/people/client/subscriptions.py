@@ -25,7 +25,7 @@ _ASK_AGAIN_S: Final = 0.2
 _ANSWER_S: Final = 1.0
 NO_CONFIG: Final = (
     "hexapod/state is answered and hexapod/config is not: the access rules are of an older release; "
-    "on the robot, `hexapod-gateway check` names their file"
+    "on the robot, `sudo hexapod-gateway check` names their file"
 )
 
 
