@@ -18,6 +18,8 @@ from tests.net.namespaces import BUFFER_BYTES, Network
 
 pytestmark = pytest.mark.net
 
+SLOT_MS = 20.0
+"""Of `limits.leg_rate_hz`."""
 CUTS = 5
 HZ = 50
 FIRST, LAST = (1, 2, 3), (4, 5, 6)
@@ -153,7 +155,8 @@ def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(
 def check_lateness(what: str, late_ms: list[float]) -> None:
     median = statistics.median(late_ms)
     print(f"{what}: {len(late_ms)} Stops, late by p50 {median:.2f}, max {max(late_ms):.2f}, min {min(late_ms):.2f} ms")
-    assert min(late_ms) > -5
+    # The watchdog counts from a command, and here time counts from its frame, which may have waited for its slot.
+    assert min(late_ms) > -SLOT_MS - 5
     if len(late_ms) > len(LEGS):  # Stops of one moment are one measurement, and a machine may be away for 20 ms
         assert median <= 5
     assert max(late_ms) <= 50
