@@ -114,10 +114,11 @@ def _is_set_up() -> bool:
     """Whether the configuration states a wire, or the service is enabled without one."""
     try:
         stated = tomllib.loads(CONFIGURATION.read_text())
-    except ValueError:  # the trial names the fault
+        other = stated.get("wire", {}).get("name", FRAMED) != FRAMED
+        framing = stated.get("spi", {}).get("framing")
+    except (ValueError, AttributeError):  # the trial names the fault
         return True
-    other = stated.get("wire", {}).get("name", FRAMED) != FRAMED
-    return bool(stated.get("spi", {}).get("framing")) or other or _is_enabled()
+    return bool(framing) or other or _is_enabled()
 
 
 def _try(release: Path) -> None:

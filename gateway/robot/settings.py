@@ -223,7 +223,7 @@ _WHICH_FRAMING: Final = (
 
 def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
     wire, spi = tables.get("wire", {}), tables.get("spi", {})
-    framed = isinstance(wire, Mapping) and WireSettings(wire.get("name", FRAMED)).framed
+    framed = isinstance(wire, Mapping) and wire.get("name", FRAMED) == FRAMED
     if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))

@@ -21,6 +21,8 @@ PREVENTING = [
     (FRAMED + 'spi.speed_hz = "5"\n', "spi.speed_hz"),
     (FRAMED + 'spi.device = "spidev0.0"\n', "spi.device"),
     (FRAMED + 'wire.name = "elkapod"\n', "wire"),
+    ('wire.name = ["hexapod-1.0"]\n', "wire.name"),
+    ("wire = 3\n", "wire: 3"),
     (FRAMED + 'spi.protocol = "elkapod-2025"\n', "spi.protocol"),
     ('wire.name = "hexapod-1.0"\n', "spi.framing: is not set"),
     ('wire.name = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n', "controller.uart"),
