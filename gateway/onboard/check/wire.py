@@ -28,7 +28,7 @@ from gateway.model import power_board
 from gateway.model.elkapod import FRAME_BYTES, Heartbeats
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.model.protocols import BUILT_IN, FRAMED, WITH_UART, SpiProtocol
+from gateway.model.protocols import FRAMED, WITH_UART
 from gateway.onboard.check.table import RESTART, CheckedRobot, Fault, Probe, Seen, failure, text, warning
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import SLOW_S, load, path_to_read
@@ -109,14 +109,9 @@ def _locked_by(path: str) -> str:
     return f"{text(Path(f'/proc/{found[1]}/comm'))} (process {found[1]})" if found else "another program"
 
 
-def _protocol(robot: CheckedRobot) -> SpiProtocol | None:
-    """What is spoken over SPI; None: a plug-in has no SPI of the gateway's."""
-    return BUILT_IN.get(robot.settings.wire.name)
-
-
 def _device(robot: CheckedRobot) -> Seen | None:
     """Set it up as the service does it, and close it at once."""
-    spi, protocol = robot.settings.spi, _protocol(robot)
+    spi, protocol = robot.settings.spi, robot.settings.wire.built_in
     if protocol is None:
         return None
     seen, held = node(robot, spi.device), False
@@ -139,7 +134,7 @@ def _device(robot: CheckedRobot) -> Seen | None:
 
 def _carrier(robot: CheckedRobot) -> Seen | None:
     """Computer, kernel, driver and chip select; and whether this kernel loses clock edges."""
-    if _protocol(robot) is None:
+    if robot.settings.wire.built_in is None:
         return None
     device, root = robot.settings.spi.device, robot.root
     release, built = machine.kernel(root)
@@ -152,7 +147,7 @@ def _carrier(robot: CheckedRobot) -> Seen | None:
 
 def _neighbours(robot: CheckedRobot) -> Seen | None:
     """Drivers of other devices on the same bus."""
-    if _protocol(robot) is None:
+    if robot.settings.wire.built_in is None:
         return None
     found = machine.neighbours(robot.settings.spi.device, robot.root)
     return Seen(others=", ".join(f"{each} (driver {driver})" for each, driver in found))
@@ -160,7 +155,7 @@ def _neighbours(robot: CheckedRobot) -> Seen | None:
 
 def _speed(robot: CheckedRobot) -> Seen | None:
     """The clock that the kernel gives where nobody has set one, as device tree and controller allow."""
-    if _protocol(robot) is None:
+    if robot.settings.wire.built_in is None:
         return None
     with suppress(OSError):
         fd = os.open(robot.settings.spi.device, os.O_RDWR | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -176,7 +171,7 @@ def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
 
     `takes_ms`: six Stops on the wire; where these do not go over SPI, a frame.
     """
-    spi, runs, protocol = robot.settings.spi, robot.gateway_runs, _protocol(robot) or FRAMED
+    spi, runs, protocol = robot.settings.spi, robot.gateway_runs, robot.settings.wire.built_in or FRAMED
     differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
     slowest_hz = min(spi.speed_hz, given_hz or spi.speed_hz)
     transfers = 1 + (spi.framing is Framing.LENGTH_PREFIXED)

@@ -177,15 +177,20 @@ def test_starts_wait_for_each_other_and_an_emergency_stop_for_nothing() -> None:
     assert not [line for line in steps.time(100) if "start" in line]
 
 
-def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stands() -> None:
-    rules = Rules(repeats=0, rest_runs=0, power=True, angles_first=True, takeover_cdeg_s=180_00)
-    steps = Steps(rules)
-    robot: Supervisor = steps.supervisor
+def stopped_at_20_degrees(*, supply_starts: bool) -> Steps:
+    """Servo 31 of a robot with a power board ran until 100 ms."""
+    steps = Steps(Rules(repeats=0, rest_runs=0, power=True, angles_first=supply_starts, takeover_cdeg_s=180_00))
     steps.board(1, fed=())
     steps.command(10, servo_to(31, "start 20"), source="anna")
     steps.board(20)
     steps.command(100, servo_to(31, "stop"), source="anna")
     steps.board(110, fed=())
+    return steps
+
+
+def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stands() -> None:
+    steps = stopped_at_20_degrees(supply_starts=True)
+    robot: Supervisor = steps.supervisor
     steps.command(150, servo_to(31, "start 160"), source="anna")
     assert robot.to_feed() == {31: 20_00}
     steps.command(160, servo_to(31, "set 170"), source="anna")
@@ -197,12 +202,7 @@ def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stan
 def test_the_angle_at_which_supply_starts_a_servo_stays_however_long_it_waits(
     supply_starts: bool, at_cdeg: int
 ) -> None:
-    steps = Steps(Rules(repeats=0, rest_runs=0, power=True, angles_first=supply_starts, takeover_cdeg_s=180_00))
-    steps.board(1, fed=())
-    steps.command(10, servo_to(31, "start 20"), source="anna")
-    steps.board(20)
-    steps.command(100, servo_to(31, "stop"), source="anna")
-    steps.board(110, fed=())
+    steps = stopped_at_20_degrees(supply_starts=supply_starts)
     steps.command(1500, servo_to(31, "start 160"), source="anna")
     steps.command(2150, servo_to(31, "set 170"), source="bert")
     assert steps.supervisor.to_feed() == {31: at_cdeg}
