@@ -13,20 +13,20 @@ SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")
 
 
 def state_directory(path: str) -> Path | None:
-    """The folder of what outlasts the gateway: the setting `state.path`, else the one that systemd made.
+    """Return the folder for state that outlasts the gateway: `path` (`state.path`), else the one that systemd made.
 
-    None: nothing outlasts it, since systemd did not start this process, or made no such folder.
+    None: `path` is empty, and systemd did not start this process or made no such folder.
     """
     return Path(path) if path else _named("STATE_DIRECTORY")
 
 
 def state_to_read(path: str) -> Path | None:
-    """The same for a program that reads it: also the service's folder, if systemd did not start this program."""
+    """Return the state folder for a reader: `state_directory`, else the service's folder if it exists, else None."""
     return state_directory(path) or (SERVICE_STATE if SERVICE_STATE.is_dir() else None)
 
 
 def runtime_directory() -> Path | None:
-    """The runtime directory, likewise; it is in memory, and a reboot empties it."""
+    """Return the runtime directory that systemd made, or None. It is in memory, and a reboot empties it."""
     return _named("RUNTIME_DIRECTORY")
 
 

@@ -1,4 +1,4 @@
-"""A lock on a file that ends with its process: only one writes to it, and readers see whether one does."""
+"""A lock for a file's only writer. The lock ends with its process, and readers can see whether a writer runs."""
 
 import fcntl
 import os
@@ -9,7 +9,7 @@ _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, l
 
 
 def lock_to_write(fd: int) -> None:
-    """Become the file's only writer, until this descriptor is closed. Raises OSError where another process is it."""
+    """Become the file's only writer, until this descriptor is closed. Raises OSError if another process is."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
     except OSError as error:
@@ -17,6 +17,6 @@ def lock_to_write(fd: int) -> None:
 
 
 def written_by_anyone(fd: int) -> bool:
-    """Whether a process has called `lock_to_write` for this file and still runs."""
+    """Return whether a process has called `lock_to_write` for this file and still runs."""
     answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

@@ -14,9 +14,9 @@ _MOUNTS: Final = Path("/proc/self/mountinfo")
 
 
 def mount_of(path: Path, mounts: str | None = None) -> tuple[str, str]:
-    """Where the path's file system is mounted, and of which kind it is.
+    """Return the mount point and the kind of the file system that holds an absolute `path`.
 
-    A bind mount is on the same device as what is above it, so the paths are compared.
+    `mounts` replaces /proc/self/mountinfo. Paths are compared, since a bind mount has the same device as its parent.
     """
     lines = (line.split() for line in (_MOUNTS.read_text() if mounts is None else mounts).splitlines())
     found = [(words[4].replace("\\040", " "), words[words.index("-") + 1]) for words in lines]
@@ -25,7 +25,7 @@ def mount_of(path: Path, mounts: str | None = None) -> tuple[str, str]:
 
 
 def forgets(folder: Path) -> str:
-    """The kind of a file system that a boot empties; "" if the folder is on another one, or it is unknown."""
+    """Return the kind of the folder's file system if a boot empties it, else "" (also if the kind is unknown)."""
     try:
         kind = mount_of(folder.resolve())[1]
     except (OSError, ValueError):
@@ -37,7 +37,7 @@ _LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
 
 
 def listening(port: int, kind: socket.SocketKind) -> Iterator[tuple[str, int]]:
-    """Address and user (a number) of each socket of this machine that listens on a port."""
+    """Yield the address and the user id of each socket of this machine that listens on `port`."""
     for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
         with suppress(OSError):
             for line in Path("/proc/net", file).read_text().splitlines()[1:]:

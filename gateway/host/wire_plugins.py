@@ -8,7 +8,7 @@ from gateway.wire import GROUP, Capabilities, ServoWire
 
 
 def load(name: str, options: Mapping[str, object], built_in: tuple[str, ...]) -> ServoWire:
-    """The plug-in of this name, made with these options. Raises ValueError with a sentence."""
+    """Load the plug-in `name` and return its wire. Raises ValueError if it is missing, broken or rejects `options`."""
     found = {each.name: each for each in entry_points(group=GROUP)}
     if name not in found:
         known = ", ".join(f'"{each}"' for each in (*built_in, *sorted(found.keys() - {*built_in})))

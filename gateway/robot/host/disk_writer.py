@@ -1,4 +1,4 @@
-"""Writes to a disk that may hang: on a thread of its own, and the owner of the state learns how it went."""
+"""Writes to a disk that may hang, on a separate thread. The owner of the state receives the result."""
 
 import asyncio
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from gateway.robot.host.ownership import Ownership
 
 
 class DiskWriter:
-    """A worker that writes to a disk. A write that never ends keeps its own caller waiting and nobody else."""
+    """A worker that writes to a disk. A write that never ends delays only later writes of this worker."""
 
     def __init__(self, name: str, loop: asyncio.AbstractEventLoop, owner: Ownership) -> None:
         self._loop = loop
@@ -18,9 +18,9 @@ class DiskWriter:
         self._worker = Worker(name)
 
     def write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
-        """Call `write`, and then, as owner of the state, `then`: with a sentence where it raised ConfigError.
+        """Queue `write` and return at once. `then` is called afterwards by the owner of the state.
 
-        Returns at once.
+        `then` receives None, or the text of the ConfigError that `write` raised.
         """
         self._worker.do(lambda: self._write(write, then))
 
@@ -38,6 +38,6 @@ class DiskWriter:
 
 
 def report_mistake(loop: asyncio.AbstractEventLoop, what: str, error: Exception) -> None:
-    """As if it had happened on the loop, which ends the service after a mistake of our own. From any thread."""
+    """Report `error` to the loop's exception handler, which ends the service. May be called from any thread."""
     with suppress(RuntimeError):  # the loop is closed: the service has ended
         loop.call_soon_threadsafe(loop.call_exception_handler, {"message": what, "exception": error})
