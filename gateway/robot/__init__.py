@@ -1,1 +1,1 @@
-"""What runs between Zenoh and SPI; it imports nothing of `gateway.people`."""
+"""The service between Zenoh and SPI. Nothing here imports `gateway.people`."""

@@ -64,8 +64,8 @@ if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
 
 BEAT_S = 0.1
-"""Period of measuring the loop's lag, notifying systemd, and publishing the state and telemetry, which people and pages
-can follow so; unless systemd's watchdog needs a shorter one."""
+"""Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
+page. A systemd watchdog may need a shorter period."""
 
 T = TypeVar("T")
 
@@ -76,30 +76,30 @@ class Physics(NamedTuple):
     """The process that simulates the robot's body."""
 
     page: ServoPage
-    """Shared memory in which it reads the servos' commanded angles."""
+    """Shared memory from which the process reads the servos' commanded angles."""
     sensed: SensedPage
-    """Shared memory in which it writes what its sensors feel."""
+    """Shared memory to which the process writes its sensors' values."""
     zenoh_id: str
     folder: Path
-    """Private folder of the socket through which it reaches the gateway."""
+    """Private folder of the socket that connects the process with the gateway."""
 
 
 class PowerBoardAt(NamedTuple):
     """A simulated power board."""
 
     channel: str
-    """The serial device at which it answers, as slcan."""
+    """The serial device (slcan) on which the board answers."""
     page: ServoPage
-    """Shared memory in which it reads where the servos are sent, and writes which are fed."""
+    """Shared memory from which the board reads the servos' targets, and to which it writes which servos are powered."""
 
 
 def _speed_cdeg_s(deg_s: float) -> int:
-    """A speed in hundredths of a degree a second; only 0 is 0, since that means no limit."""
+    """Return a speed in hundredths of a degree a second. Only 0 gives 0, since 0 means no limit."""
     return max(1, centidegrees(deg_s)) if deg_s else 0
 
 
 def rules(settings: Settings) -> Rules:
-    """The supervisor's rules: the settings in ns and hundredths of a degree."""
+    """Return the supervisor's rules: the settings in ns, mV and hundredths of a degree."""
     return Rules(
         timeout_ns=round(settings.watchdog.timeout_ms * NS_PER_MS),
         whole_robot=settings.watchdog.scope == "robot" or settings.starts_whole,
@@ -132,7 +132,7 @@ def rules(settings: Settings) -> Rules:
 
 
 def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
-    """The black box, with the facts of this start."""
+    """Return the black box, with the facts of this start."""
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
@@ -153,7 +153,12 @@ def run(
     board: PowerBoardAt | None = None,
     on_ready: Callable[[zenoh.Config], None] = lambda _: None,
 ) -> None:
-    """Run the service until SIGTERM or SIGINT. Raises SpiError, ZenohError or ConfigError."""
+    """Run the service until SIGTERM or SIGINT, then leave the process.
+
+    `physics` and `board` are simulated parts, if any. `on_ready` is called with Zenoh's configuration once commands are
+    accepted. Raises ConfigError for a wrong setting or file, SpiError if the bus does not open or no Stop is written,
+    ZenohError if Zenoh does not open.
+    """
     descriptors.ensure()
     realtime.prefer_process()
     realtime.limit_malloc_arenas()
@@ -171,13 +176,16 @@ def run(
         end = runner.run(made(on_ready=on_ready))
         if end.failure is not None:
             recorder.ended(end.failure)
-    end.leave()  # without the interpreter's own end, which aborts while a thread is inside Zenoh
+    end.leave()  # the interpreter's own exit would abort while a thread is inside Zenoh
 
 
 def _configured(
     settings: Settings, physics: Physics | None
 ) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
-    """Zenoh's configuration, and if it names a CA, the checker of proofs and the revocations. Raises ConfigError."""
+    """Return Zenoh's configuration; if it names a CA, also the checker of proofs and the revocations.
+
+    Raises ConfigError if the Zenoh file or a certificate cannot be used.
+    """
     config = service_config(settings.zenoh)
     shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
@@ -255,17 +263,17 @@ async def _run(
         ended.cancel()
         (session, late), _ = opening.result()
         outbox.open(session)
-        with owner:  # its threads receive at once, and have to wait until the conductor is connected
+        with owner:  # the inbox's threads receive at once; they wait until the conductor is connected
             inbox = _inbox(session, loop, conductor, checker, settings, calibrations, revocations)
         realtime.freeze_gc()
-        # Only now: Zenoh's threads inherit the priority of the thread that starts them, and must not have this one.
+        # After Zenoh has opened: its threads inherit the priority of the thread that starts them, and must not get it.
         logger.info(
             "real-time priority %s", "granted" if realtime.prefer_thread(realtime.LOOP_PRIORITY) else "not allowed"
         )
         with owner:
             for part in (conductor.reports, keeper, calibrations):
                 part.announce_start()
-        on_ready(config)  # first, so what `make run` prints when it is notified comes after this
+        on_ready(config)  # before the notification, on which `make run` prints its own lines
         notifier.ready("takes commands")
         connection_limiter, upkeep = _attendants(session, config, conductor, notifier, shut_out, late)
         beat = asyncio.create_task(
@@ -307,7 +315,7 @@ async def _run(
 
 
 def _is_kept(state: Path | None) -> bool:
-    """Whether what is in the state directory is there after the next boot; log it if a boot empties that."""
+    """Return whether the state directory survives a boot. Log a warning if a boot empties it."""
     kind = "" if state is None else forgets(state)
     if kind:
         logger.warning(
@@ -325,15 +333,15 @@ def _wire(settings: Settings, *, simulated: bool, physics: Physics | None, board
 
 
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
-    """Start what runs beside the commands: the cycle of a wire that has one."""
+    """Start the cycle of a wire that has one, and warn of an unsuitable driver."""
     if isinstance(bus, CyclicBus):
         Cycle(bus, conductor, end.mistake).start()
     wires.warn_of_driver(settings.wire, settings.spi, simulated=simulated)
 
 
 def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
-    """With the calibration from the file. If that cannot be used, no servo can be started; the service runs, since
-    Stops need no calibration."""
+    """Load the calibration from its file. Without a usable file no servo can be started, but the service runs: Stops
+    need no calibration."""
     path = calibration_file.path_of(settings)
     if path is None:
         return Calibrations(conductor, None, loop)
@@ -346,10 +354,10 @@ def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.Abstra
 
 
 def _open(settings: Settings, config: zenoh.Config, conductor: Conductor) -> tuple[zenoh.Session, LateAddresses]:
-    """Open the metrics page and Zenoh. Waits for name servers, and for routers if the Zenoh file demands it."""
+    """Open the metrics page and Zenoh. Wait for name servers, and for routers if the Zenoh file demands it."""
     late, metrics = LateAddresses(conductor.reports.has_missing), settings.telemetry.metrics
     if metrics:
-        from gateway.robot.runtime import prometheus  # noqa: PLC0415  (slow to load, and most have no such page)
+        from gateway.robot.runtime import prometheus  # noqa: PLC0415  (slow to load, and rarely used)
 
         late.serve(metrics, partial(prometheus.serve, metrics, conductor))
     return late.open(config), late
@@ -364,7 +372,7 @@ def _inbox(
     calibrations: Calibrations,
     revocations: Revocations,
 ) -> Inbox:
-    """The inbox, connected with the conductor."""
+    """Return the inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
     inbox = Inbox(
@@ -400,7 +408,7 @@ def _attendants(
     shut_out: RevocationState | None,
     late: LateAddresses,
 ) -> tuple[ConnectionLimiter, Upkeep]:
-    """The threads that watch the session."""
+    """Start the threads that watch the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock, late)
     conductor.reports.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
@@ -408,7 +416,7 @@ def _attendants(
 
 
 def _reports(settings: Settings, conductor: Conductor) -> dict[str, Callable[[], None]]:
-    """What is published at each beat, by key."""
+    """Return the functions that publish a report at each beat, by key."""
     measured = {TELEMETRY: conductor.telemetry.publish} if settings.measures else {}
     return {STATE: conductor.reports.publish, **measured}
 
@@ -423,10 +431,10 @@ async def _beat(
     servos: ServosFile,
     end: ServiceEnd,
 ) -> None:
-    """Measure the loop's lag, detect `stop-servos`, and notify systemd that the loop and the receiver threads run.
-    Publish the reports that somebody listens to, by key (changes of mode are published as they happen).
+    """At each beat: measure the loop's lag, detect `stop-servos`, publish the reports that have a subscriber.
 
-    It needs the state: while another thread keeps that, systemd gets no notification.
+    Notify systemd if the loop and the receiver threads make progress. A beat owns the state for a moment: if another
+    thread never releases the state, systemd gets no notification. Changes of mode are published as they happen.
     """
     loop = asyncio.get_running_loop()
     period_s = min(BEAT_S, notifier.ping_period_s or BEAT_S)
@@ -448,7 +456,7 @@ async def _beat(
         lag_ns = round((loop.time() - due_s) * 1e9)
         found = unknown_keys.poll()
         wanted = [publish for key, publish in reports.items() if outbox.anyone_listens(key)]
-        with conductor.owner:  # it also orders reports: an older state must not follow a newer one
+        with conductor.owner:  # this also keeps reports in order: an older state must not follow a newer one
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)
             if found is not None:
@@ -459,7 +467,7 @@ async def _beat(
 
 
 def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
-    """Call it in a daemon thread: those of `asyncio.to_thread` would keep the process from ending."""
+    """Call it in a daemon thread: a thread of `asyncio.to_thread` would keep the process from ending."""
     loop = asyncio.get_running_loop()
     result: asyncio.Future[T] = loop.create_future()
 

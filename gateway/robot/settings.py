@@ -1,7 +1,7 @@
-"""The service's settings: frozen, checked, with units in their names; each fault is one line naming its place.
+"""The service's settings: frozen, checked, with units in their names. Each fault is one line that names its place.
 
-A TOML file gives them and environment variables override it (`HEXAPOD_SPI__DEVICE`). docs/interface.md lists them.
-`stop-servos` reads them here as well, so nothing slow is imported.
+They come from a TOML file; environment variables (`HEXAPOD_SPI__DEVICE`) override it. docs/interface.md lists them.
+`stop-servos` reads its settings here, too, so nothing slow is imported.
 """
 
 import json
@@ -71,33 +71,33 @@ class Settings:
 
     @property
     def starts_whole(self) -> bool:
-        """Whether only the whole robot can be started and stopped: where a board's supply starts servos, each can."""
+        """Whether only the whole robot can be started and stopped. A board whose supply starts servos starts each."""
         singly = self.wire.supply_starts and self.power.interface
         return self.wire.capabilities.whole_robot and not singly
 
     @property
     def measures(self) -> bool:
-        """Whether telemetry comes back, over the wire or from a power board."""
+        """Whether the wire or a power board measures anything for telemetry."""
         return self.wire.capabilities.measures or bool(self.power.interface)
 
     @property
     def protocol(self) -> str:
-        """What the wire's frames are, as the gateway reports it: HexapodProtocol's version, or the wire's name."""
+        """The protocol that the gateway reports: HexapodProtocol with its version, or the wire's name."""
         return self.spi.framing.protocol if self.wire.framed else self.wire.name
 
     @property
     def framing(self) -> str:
-        """The framing in use, as the gateway reports it: "none" where the wire needs none."""
+        """The framing that the gateway reports, or "none" if the wire has none."""
         return self.spi.framing if self.wire.framed else "none"
 
     @property
     def device(self) -> str:
-        """Where the frames go: a device, or a plug-in's name."""
+        """The device to which frames are written, or a plug-in's name."""
         return self.wire.name if self.wire.built_in is None else self.spi.device
 
     @property
     def spoken(self) -> str:
-        """What the controller has to understand, in a word."""
+        """The framing, or the wire's name, that the controller has to understand."""
         return self.spi.framing if self.wire.framed else self.wire.name
 
     def __post_init__(self) -> None:
@@ -109,7 +109,7 @@ class Settings:
 
     @classmethod
     def of(cls, tables: Mapping[str, Any]) -> Self:
-        """Settings from tables as of a file. Raises ConfigError with a line for each fault."""
+        """Return settings from a TOML file's tables. Raises ConfigError with one line for each fault."""
         faults: list[SettingFault] = []
         found = read(cls, tables, faults)
         faults = faults or list(found.faults())
@@ -118,7 +118,7 @@ class Settings:
         return found
 
     def faults(self) -> Iterable[SettingFault]:
-        """What does not go together, of sections that are each right."""
+        """Yield the faults between settings that are valid alone but not together."""
         wire = self.wire.name
         if self.spi.too_fast:
             yield SettingFault(("spi",), self.spi.too_fast, together=True)
@@ -129,7 +129,7 @@ class Settings:
         if self.limits.start_stagger_ms >= self.watchdog.timeout_ms:
             sentence = f"a leg's start may not wait for as long as watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
             yield SettingFault(("limits", "start_stagger_ms"), sentence)
-        # A plug-in cannot hand measurements over, whatever it states: a limit on them would never stop anything.
+        # A plug-in has no way to pass measurements on, so a limit on them would never stop anything.
         measured = self.wire.built_in is not None and self.wire.capabilities.measures
         for each in fields(self.safety):
             if getattr(self.safety, each.name) and not measured:
@@ -142,19 +142,19 @@ class Settings:
 
 
 class FramingNotSetError(ConfigError):
-    """spi.framing is not set; the text lists all other faults as well."""
+    """spi.framing is not set. The text lists all other faults, too."""
 
 
 Variables = Mapping[Place, tuple[str, Any]]
-"""The environment's variables and their values, by what they set."""
+"""Environment variables and their values, by the setting that they set."""
 
 
 def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
-    """Settings from `path` (else the default file, if there is one) and the environment.
+    """Return the settings from `path` (None: the default file, if there is one) and the environment.
 
-    Raises ConfigError with one line per fault, naming the file's entry or the environment variable. Unless the
-    controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, and no
-    Stop reaches its servos until its reset.
+    Raises ConfigError with one line for each fault; the line names the file's entry or the variable. Unless the
+    controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, after
+    which no Stop reaches its servos until a reset.
     """
     lines: list[str] = []
     tables: dict[str, Any] = {}
@@ -176,9 +176,9 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
 
 
 def load_for_stops(path: Path | None = None) -> ForStops:
-    """What `stop-servos` needs of the same. Raises ConfigError where [spi] or the UART is wrong.
+    """Return the settings that `stop-servos` needs. Raises ConfigError if [spi] or the UART is wrong.
 
-    All else is ignored, settings of earlier versions too. What the framing allows: `SpiSettings.within_limits`.
+    Everything else is ignored, even removed settings. `SpiSettings.within_limits` adds the framing's limits.
     """
     variables, misnamed = _environment()
     merged = _merged(_read(path), variables)
@@ -200,12 +200,12 @@ def _faults(tables: Mapping[str, Any]) -> list[SettingFault]:
 
 
 def _said(fault: SettingFault) -> SettingFault:
-    """The same, with what takes the place of a removed setting."""
+    """Return the fault; if the setting was removed, its sentence names the replacement."""
     return fault._replace(sentence=_REMOVED.get(fault.place, NO_SETTING)) if fault.sentence == NO_SETTING else fault
 
 
 def _harmless(fault: SettingFault) -> bool:
-    """Whether it is a setting of an earlier version without which a Stop is written all the same."""
+    """Return whether the fault is a removed setting that no Stop needs."""
     return fault.place in _REMOVED and fault.place != _PROTOCOL
 
 
@@ -230,7 +230,7 @@ def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[s
 
 
 def overrides(variables: Mapping[str, str]) -> dict[str, str]:
-    """Those that override what a file states of what a Stop needs."""
+    """Return those of `variables` that override a file's settings for Stops."""
     prefixes = tuple(f"{ENV_PREFIX}{section.upper()}__" for section in FOR_STOPS)
     return {name: value for name, value in variables.items() if name.upper().startswith(prefixes)}
 
@@ -276,11 +276,11 @@ _REMOVED: Final[Mapping[Place, str]] = {
     ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
     ("power", "settle_ms"): "was removed: a stopped servo may draw current for 300 ms",
 }
-"""Settings, and whole sections, of earlier versions, and what takes their place."""
+"""Removed settings and sections, each with the sentence that names its replacement."""
 
 
 def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
-    """The same without removed sections that set nothing: the file that was installed earlier has their names."""
+    """Return the tables without empty removed sections, whose names an earlier installed file still contains."""
     return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
 
 
@@ -288,9 +288,9 @@ def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
 
 
 def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
-    """Variables that begin with ENV_PREFIX, and those of them that are wrong.
+    """Return the variables that begin with ENV_PREFIX, and the faults in them.
 
-    A variable that names no setting is a fault, but for CONNECT_VARIABLE, which is for client commands.
+    A variable that names no setting is a fault. CONNECT_VARIABLE is for client commands and is skipped.
     """
     found: dict[Place, tuple[str, Any]] = {}
     faults: list[tuple[str, SettingFault]] = []
@@ -312,7 +312,7 @@ def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
 
 
 def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
-    """The file's tables with what the environment sets."""
+    """Return the file's tables, overridden by the environment."""
     merged = dict(tables)
     for place, (_, value) in variables.items():
         merged = _put(merged, place, value)
@@ -320,7 +320,7 @@ def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
 
 
 def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
-    """A copy of the table with the value at this place."""
+    """Return a copy of the table with the value at this place."""
     name, *rest = place
     below = table.get(str(name))
     return {
@@ -330,7 +330,7 @@ def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
 
 
 def _kind(place: tuple[str, ...]) -> Any:
-    """The type of the setting at this place; None: there is none."""
+    """Return the type of the setting at this place, or None if there is none."""
     match place:
         case ("limits", "servos", servo, name) if servo in SERVOS:
             return _kinds(ServoLimits).get(name)
@@ -351,7 +351,7 @@ _NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections
 
 
 def _variables_at(place: Place, variables: Variables) -> list[str]:
-    """The variables that set the value at `place`, a part of it, or a table that contains it."""
+    """Return the variables that set the value at `place`, a part of it, or a table that contains it."""
     return [
         variable
         for set_place, (variable, _) in variables.items()

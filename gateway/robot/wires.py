@@ -1,4 +1,4 @@
-"""Makes the wire to the controller that the settings name, real or simulated."""
+"""Makes the wire that the settings name, to a real or a simulated controller."""
 
 import logging
 from collections.abc import Callable
@@ -22,14 +22,14 @@ from gateway.robot.spi.plugin import PluginBus
 from gateway.robot.spi.uart import SerialUart, Uart
 
 BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
-"""How long the repeats of the first shutdown hold back elkapod-2025's frames."""
+"""elkapod-2025's first frame waits this long, until the first shutdown has been repeated."""
 
 logger = logging.getLogger(__name__)
 _simulator = logging.getLogger("gateway.simulation.controller")
 
 
 def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None = None) -> Callable[[], SpiDevice]:
-    """A function that opens the bus's device; a simulated controller keeps its state when it is reopened."""
+    """Return a function that opens the bus's device. A simulated controller keeps its state when it is reopened."""
     if not simulated:
         spare = Spare()
         return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
@@ -46,7 +46,7 @@ def wire(
     page: ServoPage | None = None,
     sensed: SensedPage | None = None,
 ) -> Wire:
-    """The way to the robot's controller, not yet open. `page`, `sensed`: a simulated body's."""
+    """Return the wire to the robot's controller, not yet open. `page` and `sensed` belong to a simulated body."""
     protocol = settings.wire.built_in
     if protocol is None and not simulated:
         return PluginBus(settings.wire)
@@ -73,7 +73,7 @@ def wire(
 
 
 def warn_of_driver(wire: WireSettings, spi: SpiSettings, *, simulated: bool) -> None:
-    """Log a driver that may not release chip select between the transfers of a call, as `plain` framing needs."""
+    """Warn if the driver may not release chip select between the transfers of a call, as `plain` framing needs."""
     if simulated or wire.built_in is None:
         return
     if ioctls.are_used():

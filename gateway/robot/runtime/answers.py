@@ -1,4 +1,4 @@
-"""Outcomes of commands: counted, recorded and answered; rejections are published as well."""
+"""Counts, records and answers the outcome of each command. Rejections are published, too."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 
@@ -10,32 +10,33 @@ from gateway.robot.runtime.event_publisher import EventPublisher
 from schemas.telemetry import Ack, Kind, Reason
 
 Confirm = Callable[[Collection[int], int, Callable[[bool, float | None], None]], None]
-"""Whether the supply of these servos is off, asked for at this time (ns): calls back once, with how many ms it took."""
+"""Asks the power board to confirm that these servos are off, for a Stop received at this time (ns). Calls back once:
+whether they are confirmed off, and after how many ms."""
 
 
 class PendingCommands:
-    """Numbers commands and answers each once. Called by the owner of the state."""
+    """Numbers commands and answers each once. For the owner of the state."""
 
     def __init__(self, events: EventPublisher, confirm: Confirm | None = None) -> None:
-        """`confirm`: the power board's, where there is one; the answer to a Stop waits for it."""
+        """Answers to Stops wait for the power board's `confirm`. None: there is no board."""
         self._number = 0
         self._metrics = events.metrics
         self._events = events
         self._confirm = confirm
 
     def next_number(self) -> int:
-        """The number of the next request to the supervisor."""
+        """Return the number for the next request to the supervisor."""
         self._number += 1
         return self._number
 
     def take(self, results: Sequence[Result]) -> None:
-        """Count and answer what a step has ended."""
+        """Count and answer the requests that a step has ended."""
         for request, verdict, detail in results:
             if type(verdict) is Reason:
                 self.end(request, verdict, detail)
                 continue
             if isinstance(request, Command) and request.lost:
-                continue  # nobody's, so nobody counts it
+                continue  # no client sent it
             coalesced = verdict == COALESCED
             self._metrics.accepted += 1
             self._metrics.coalesced += coalesced
@@ -47,7 +48,7 @@ class PendingCommands:
                     request.reply(ack.model_dump_json().encode())
 
     def stopped(self, servo_ids: Collection[int], request: Request, ack: Ack) -> None:
-        """Answer a request that has stopped these servos: where a power board can confirm it, once that has."""
+        """Answer a request that has stopped these servos. With a power board, wait for its confirmation."""
         reply = request.reply
         if reply is None:
             return
@@ -61,11 +62,11 @@ class PendingCommands:
         self._confirm(servo_ids, request.received_ns, confirmed)
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
-        """Reject a message without a command: on a key that nothing reads, or on a key for `get` only."""
+        """Reject a message on a key that takes no commands: an unknown key, or a key for `get` only."""
         self.reject(Request(key=echo_of(key), source=source), reason, detail)
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
-        """Reject a message before the supervisor decides; `received`: the command, if it was read."""
+        """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
         self._events.recorder.step(received, (), ((request, reason, detail),))
         self.end(request, reason, detail)
 
@@ -88,5 +89,5 @@ class PendingCommands:
 
 
 def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:
-    """The legs of these servos, ascending."""
+    """Return the legs of these servos, ascending."""
     return tuple(sorted({leg_of(servo_id) for servo_id in servo_ids}))

@@ -1,4 +1,4 @@
-"""The calibration's two keys: publishes what is in force; a change is decided, written, and then acknowledged."""
+"""The calibration's two keys: publishes the calibration in force; decides, writes, then acknowledges a change."""
 
 import asyncio
 import logging
@@ -21,7 +21,7 @@ from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason
 
 WriteAndThen = Callable[[RobotCalibration, Callable[[str | None], None]], None]
-"""Returns at once; calls back as owner of the state: None once the calibration is on the disk, else why it is not."""
+"""Returns at once. Calls back as owner of the state: None if the calibration is on the disk, else the fault."""
 
 HANGS: Final = (
     f"the disk has not answered for {SLOW_S:g} s; if it does not come back, restart the gateway, and look at the "
@@ -32,14 +32,14 @@ logger = logging.getLogger(__name__)
 
 
 class Calibrations(RequestAnswers):
-    """Answers requests for a change, and publishes what is in force."""
+    """Answers requests for a change, and publishes the calibration in force."""
 
     key = keys.CALIBRATION_CMD
     ack = Ack
     pause_s = PAUSE_S
 
     def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
-        """Without `keep`, a calibration lives as long as the process."""
+        """`keep` writes a calibration to the disk. None: changes last until the process ends."""
         super().__init__(conductor)
         self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
         self._keep = keep
@@ -47,19 +47,19 @@ class Calibrations(RequestAnswers):
         self._written_of: RobotCalibration | None = None
 
     def announce_start(self) -> None:
-        """Publish what is in force at the start; log if it is in memory only."""
+        """Publish the calibration at the start. Log if it is kept in memory only."""
         if self._keep is None:
             logger.info("the calibration is kept in memory only, until this process ends (state.path)")
         self.publish()
 
     def publish(self) -> None:
-        """Publish and record what is in force."""
+        """Publish and record the calibration in force."""
         self._conductor.recorder.calibration(self._in_force)
         self._conductor.events.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
 
     def answer(self, reply: Reply) -> None:
-        """Answer a `get` on what is in force."""
-        if self._written_of is not self._in_force:  # cached, since anyone may ask at any rate
+        """Answer a `get` with the calibration in force."""
+        if self._written_of is not self._in_force:  # cached, since clients may ask at any rate
             self._written_of = self._in_force
             self._written = report_of(self._in_force).model_dump_json().encode()
         reply(self._written)
@@ -71,7 +71,7 @@ class Calibrations(RequestAnswers):
         return partial(self.change, command, calibration_intake.change_of(command), command.source or source, reply)
 
     def change(self, command: CalibrationCommand, change: CalibrationChange, source: str | None, reply: Reply) -> None:
-        """Have the supervisor decide; answer after the write, or the rejection."""
+        """Let the supervisor decide. The answer follows the write, or the rejection."""
         conductor, answers = self._conductor, self._conductor.answers
         now_ns = conductor.record_alive()
         event = Calibrate(
@@ -96,7 +96,7 @@ class Calibrations(RequestAnswers):
             self._keep(keep.calibration, kept)
 
     def _note_delay(self) -> None:
-        """The write takes too long: until its result is known, no other change can be accepted."""
+        """Report a slow write. No other change is accepted until its result is known."""
         self._conductor.supervisor.calibrating.note_delay(HANGS)
         logger.warning("a change of the calibration is not kept yet: %s; what runs goes on", HANGS)
 

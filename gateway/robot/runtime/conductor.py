@@ -1,7 +1,6 @@
-"""Takes what came in, asks the supervisor, and has its effects carried out; opens the bus again; knows what is due.
+"""Takes received messages, asks the supervisor, and has its effects carried out. Reopens the bus, and keeps the timer.
 
-Everything here is called by the owner of the state (`robot.host.ownership`), on whatever thread. Nothing waits but a
-transfer.
+The owner of the state (`robot.host.ownership`) makes all calls here, on any thread. Only a transfer waits.
 """
 
 import asyncio
@@ -52,15 +51,15 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
 REOPEN_S: Final = 0.02
-"""Between two tries to open a device that is at fault, and never longer: until the Stops behind the opening are
-written, nobody knows that a leg is stopped. The first try comes at once: what a controller needs after a fault is the
-preamble ahead of these Stops (docs/protocol.md), and no pause."""
+"""Pause between two attempts to open a failed device. It does not grow: until the device is open and Stops are written,
+it is not known whether the legs are stopped. The first attempt comes at once, since after a fault a controller needs
+the preamble ahead of these Stops (docs/protocol.md), and no pause."""
 
 _KINDS: Final[dict[type[SpiError], Kind]] = {
     ControllerSilentError: Kind.CONTROLLER_SILENT,
     ControllerRestartedError: Kind.CONTROLLER_RESTARTED,
 }
-"""Which event reports a fault; any other is of the bus."""
+"""The event that reports a fault; every other fault is a BUS_FAULT."""
 _LOST: Final = Verb.LOST  # see `frames.OP_STOP`
 
 logger = logging.getLogger(__name__)
@@ -85,14 +84,14 @@ class Conductor:
         calibration_kept: bool = False,
         supply: RobotSupply | None = None,
     ) -> None:
-        """`physics`: Zenoh id of the process that simulates the robot's body, if one does.
+        """`physics` is the Zenoh id of the process that simulates the robot's body, if there is one.
 
-        `supply`: the servos', where a power board switches it.
+        `clock` returns the monotonic time in ns. `supply` is the power board's; None: there is no board.
         """
         self.supervisor = supervisor
         self.bus = bus
         self.owner = owner or Ownership()
-        """Callers hold it."""
+        """Callers own the state while they call."""
         self.metrics = Metrics()
         self.recorder = recorder
         self.telemetry = LatestTelemetry(outbox, clock, supply)
@@ -129,14 +128,14 @@ class Conductor:
         self._in_fault = self._closed = False
         self._engaged = 0  # the number of the emergency stop; 0: none is engaged
         self.on_latch: Callable[[], None] = lambda: None
-        """Called as owner, behind its Stops, when an emergency stop is engaged or left."""
+        """Called as owner when an emergency stop has been engaged, after its Stops, or left."""
         self.done = asyncio.Event()
-        """Set once, after `shut_down`, nothing is left to send: the Stops and their repeats are written."""
+        """Set after `shut_down`, once the Stops and their repeats are written."""
 
     # ---- start and end
 
     def start(self) -> None:
-        """Open the bus, write the preamble, stop all six legs. Raises SpiError."""
+        """Open the bus, write the preamble, stop all six legs. Raises SpiError if any of that fails."""
         self.bus.open()
         fault = self._executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
         if fault is not None:
@@ -145,19 +144,19 @@ class Conductor:
         self._arm()
 
     def connect(self, messages: Messages) -> None:
-        """From now on, take what comes there."""
+        """Take messages from `messages` from now on."""
         self._messages = messages
 
     def shut_down(self) -> bool:
-        """Reject all commands from now on, and stop all six legs: whether all Stops were written without a fault."""
+        """Reject all further commands and stop all six legs. Return whether all Stops were written."""
         if self.supervisor.mode is Mode.BUS_FAULT:
-            self._reopen()  # a last attempt: the Stops below are worth it
+            self._reopen()  # a last attempt, so that the Stops below can be written
         stop_frames = self._step(ShutDown()).stop_frames(Cause.SHUTDOWN)
         self._arm()
         return stop_frames >= len(LEGS) and not self._in_fault
 
     def close(self) -> None:
-        """Release the bus and the timers. A receiver thread that becomes owner after that does nothing."""
+        """Release the bus and the timers. A receiver thread that becomes owner afterwards does nothing."""
         self._closed = True
         for timer in (self._timer, self._reopen_timer, self._preamble):
             if timer is not None:
@@ -170,11 +169,14 @@ class Conductor:
 
     @property
     def closed(self) -> bool:
-        """Whether nothing is written any more."""
+        """Whether the conductor is closed and writes nothing more."""
         return self._closed
 
     def tick(self) -> None:
-        """Take what came in and do what is due. A tick is (part of) an instant: nobody knows the order of what came."""
+        """Take the received messages and do what is due.
+
+        A tick is an instant or a part of one: the order of an instant's messages is unknown.
+        """
         if self._closed:
             return
         instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else self._clock()
@@ -196,7 +198,7 @@ class Conductor:
         self._arm()
 
     def serve_estops(self) -> None:
-        """Carry out the emergency stops that no tick has. What waits in the rings belongs to a later instant."""
+        """Carry out emergency stops without a tick. Messages that wait in the rings belong to a later instant."""
         estops = self._messages.estops
         if self._closed or not estops:
             return
@@ -207,14 +209,14 @@ class Conductor:
         self._arm()
 
     def record_alive(self) -> int:
-        """Return now (ns) and record that the process is alive, ten times a second: so a stopped process notices it."""
+        """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
         now_ns = self._clock()
         if self._staleness is not None:
             self._staleness.record_alive(now_ns)
         return now_ns
 
     def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved | EstopKept) -> Outcome:
-        """Let the supervisor take what commands nothing that moves."""
+        """Let the supervisor take an event that moves no servo. Return the outcome; it is empty once closed."""
         if self._closed:
             return Outcome()
         outcome = self._step(event)
@@ -222,15 +224,15 @@ class Conductor:
         return outcome
 
     def too_old(self, request: Request, now_ns: int, instant_ns: int) -> str | None:
-        """Why a request was, or may have been, delayed for too long; None: it was not."""
+        """Return why a request was, or may have been, delayed for too long, or None if it was not."""
         judge = self._staleness
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
     def look_outside(self) -> None:
-        """Look for `stop-servos` on the same device, for changed settings, and for servos that draw current."""
+        """Check for `stop-servos` on the same device, changed settings, and stopped servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self._clock()):
             self.power_changed()
-        silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from looking
+        silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from this check
         if silent is not None:
             self.bus_failed(silent)
         meddled = self.bus.put_right()
@@ -239,31 +241,31 @@ class Conductor:
             self._meddled(meddled)
             self.reports.publish_mode()
             self._arm()
-            return  # whether `stop-servos` is at work is asked once the device is open again
+            return  # the check for `stop-servos` follows once the device is open again
         self._look_for_stop_servos()
 
     def _look_for_stop_servos(self) -> None:
-        """Take over what the device knows of `stop-servos`; what it does not know (it is closed) changes nothing."""
+        """Report a start or an end of `stop-servos` to the supervisor. A closed device shows neither."""
         at_work = self.bus.stop_servos_at_work()
         if at_work is not None and at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
             self._arm()
 
     def measured(self, values: Measured, now_ns: int) -> None:
-        """Take what the robot measured: one well-formed answer of its controller."""
+        """Take the measurements of one well-formed answer of the controller, received at `now_ns`."""
         if self._closed:
             return
         self.telemetry.note(values, now_ns)
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
-            self.supply.after_step(self.supervisor)  # the frame may have had the angle of a servo that is to be fed
+            self.supply.after_step(self.supervisor)  # the frame may contain the angle of a servo that is to be powered
         if self.supervisor.body.watches:
             tilt_cdeg = None if values.tilt_deg is None else round(values.tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
             self._arm()
 
     def power_changed(self) -> None:
-        """Take the news of the power board."""
+        """Take the changes that the power board has reported."""
         if self._closed or self.supply is None:
             return
         event, announcements = self.supply.take_news()
@@ -294,7 +296,7 @@ class Conductor:
         now_ns = self._clock()
         judge = self._staleness
         too_old = None if judge is None else judge.too_old(command.source, command.sent_ms, now_ns, instant_ns)
-        if too_old is not None and not command.only_stops:  # to stop once too often harms nobody
+        if too_old is not None and not command.only_stops:  # a late Stop does no harm
             if type(command) is not Command or not command.stops:
                 self.answers.reject(command, Reason.STALE, too_old, command)
                 return
@@ -303,13 +305,13 @@ class Conductor:
         try:
             outcome = self._step(command, instant_ns, now_ns, command)
         except Exception:
-            self.recorder.step(command, (), ())  # what broke the gateway
+            self.recorder.step(command, (), ())  # the command that broke the gateway
             raise
         if self._losses.key and not outcome.rejects(command):
             self._losses.accepted(command.targets)
 
     def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
-        """Reject what could not be read, and stop what it may stop."""
+        """Reject a message that could not be read. Carry out the Stops that it may contain."""
         unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
         stops = stops_in(received)
         if not stops:
@@ -331,7 +333,7 @@ class Conductor:
             self.events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
-        # Nothing of the payload is looked at before the Stops: whatever it is, somebody wants the robot to stop.
+        # The payload is read after the Stops: even a malformed one means that somebody wants the robot to stop.
         self.events.note_estop(received)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
@@ -352,7 +354,7 @@ class Conductor:
     def _step(
         self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, command: Request | None = None
     ) -> Outcome:
-        """Let the supervisor take an event, and carry out what it wants. `command`: the one that the event is."""
+        """Let the supervisor take an event, and carry out its effects. `command` is the event's request, to record."""
         now_ns = self._clock() if now_ns is None else now_ns
         outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
         if outcome.fault is not None:
@@ -367,7 +369,7 @@ class Conductor:
         return outcome
 
     def _latch_changed(self, number: int) -> None:
-        """The emergency stop with this number is engaged (0: it was left); its Stops are written."""
+        """Record that the emergency stop `number` is engaged (0: left). Its Stops are written."""
         if not (number and self._engaged):
             self.reports.estop_since = self.reports.estop_since or wall_clock() if number else None
         self._engaged = number
@@ -387,10 +389,10 @@ class Conductor:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
 
     def _meddled(self, found: str) -> None:
-        """Another program had changed the device's settings, so nobody knows what the controller made of the frames.
+        """Treat changed device settings as a bus fault: the controller may not have understood the frames.
 
-        Nothing more is needed where Stops for all legs have just been written with the right ones: behind an opening,
-        and at the end, when nothing would open the bus again for their repeats.
+        No fault is needed after an opening or at the end of the service. There, Stops for all legs have just been
+        written with the right settings, and at the end nothing would reopen the bus for their repeats.
         """
         if not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
             self._bus_failed(SpiError(found))
@@ -410,7 +412,7 @@ class Conductor:
             logger.debug("the SPI device does not answer yet: %s", error)
             self._reopen_timer.set_in(REOPEN_S)
             return
-        self._look_for_stop_servos()  # before commands are taken: its next Stop would undo a start unseen
+        self._look_for_stop_servos()  # before commands: otherwise its next Stop would undo a start unnoticed
         self._step(BusOpened())
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False
@@ -420,7 +422,7 @@ class Conductor:
     # ---- time
 
     def _arm(self) -> None:
-        """Wake up when the supervisor wants to."""
+        """Set the timer to the supervisor's next deadline."""
         due_ns = self.supervisor.due_ns
         if self._preamble is not None:
             due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)

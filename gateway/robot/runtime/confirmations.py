@@ -1,8 +1,8 @@
-"""Who waits for the power board to confirm that servos are off. Called by the owner of the state.
+"""Answers that wait until the power board confirms that servos are off. For the owner of the state.
 
-While a question is open, it serves all who ask for the same servos. Each waiting answer keeps a query of Zenoh's, and
-with it up to 64 KiB in which the query was received. So a flood of acknowledged emergency stops with a silent board
-would take all memory: only MOST_ASKERS wait for a question, and further ones learn at once that nothing is confirmed.
+An open question serves everyone who asks about the same servos. A waiting answer keeps a Zenoh query and up to 64 KiB
+of its receive buffer. With a silent board, a flood of acknowledged emergency stops would fill the memory. Therefore at
+most MOST_ASKERS wait for a question; further ones are answered at once that nothing is confirmed.
 """
 
 from collections.abc import Callable, Collection
@@ -13,17 +13,17 @@ from gateway.allowance import NS_PER_MS
 from gateway.robot.power.offs import Confirmed
 
 MOST_ASKERS: Final = 64
-"""As many as there are sessions (`limits.MAX_SESSIONS`); they keep 4 MiB at most."""
+"""One for each session (`limits.MAX_SESSIONS`); together they keep 4 MiB at most."""
 MOST_QUESTIONS: Final = 32
-"""Open at a time: each leg, each servo and the whole robot, 25, and some that were fed and stopped again."""
+"""Open at a time: 25 for each leg, each servo and the whole robot, and some for servos powered and stopped again."""
 
 Then = Callable[[bool, float | None], None]
-"""Called once: whether the board has confirmed it, and how many ms after it was asked for."""
+"""Called once: whether the board has confirmed it, and how many ms after the Stop was received (None: it has not)."""
 
 
 @dataclass(slots=True)
 class _Question:
-    """Whether these servos are off, and who asks: since when (ns), and the callback."""
+    """A question whether these servos are off; for each asker, when its Stop was received (ns), and its callback."""
 
     servos: frozenset[int]
     asked_ns: int
@@ -35,13 +35,16 @@ class Confirmations:
     """The open questions to a power board."""
 
     def __init__(self, ask: Callable[[frozenset[int], int, int], None]) -> None:
-        """`ask` the board about these servos, since this time (ns), by this token."""
+        """`ask(servos, since_ns, token)` asks the board; its answer carries the token."""
         self._ask = ask
         self._token = 0
         self._open: dict[int, _Question] = {}
 
     def wait(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
-        """Call `then` once the board has confirmed that these are off, or it is too late for it."""
+        """Call `then` once the board has confirmed that these servos are off, or the time for that is over.
+
+        `asked_ns` is when the Stop was received. With too many questions or askers, `then` is called at once.
+        """
         wanted = frozenset(servos)
         question = next((each for each in self._open.values() if each.takes_more and each.servos == wanted), None)
         full = len(self._open) >= MOST_QUESTIONS if question is None else len(question.askers) >= MOST_ASKERS
@@ -55,13 +58,13 @@ class Confirmations:
         question.askers.append((asked_ns, then))
 
     def feeds(self, servos: frozenset[int]) -> None:
-        """These are to be fed: a later Stop of them needs a question of its own."""
+        """Record that these servos are powered again. A later Stop of them needs a new question."""
         for each in self._open.values():
             if not servos.isdisjoint(each.servos):
                 each.takes_more = False
 
     def answered(self, answer: Confirmed) -> None:
-        """The board's answer, or that it is too late for one."""
+        """Take the board's answer, or the end of the time for one."""
         question = self._open.pop(answer.token, None)
         if question is None:
             return
@@ -73,6 +76,6 @@ class Confirmations:
                 then(answer.confirmed, ms)
 
     def close(self) -> None:
-        """Nobody waits any longer: nothing is confirmed."""
+        """Call all callbacks: nothing is confirmed."""
         for token in tuple(self._open):
             self.answered(Confirmed(token, confirmed=False, ms=None))

@@ -1,7 +1,7 @@
-"""The thread of a wire that exchanges a frame each cycle, whether or not somebody commands.
+"""The thread of a wire that exchanges a frame each cycle, with or without commands.
 
-It owns the state before and behind a transfer, never during one: a transfer that hangs delays no Stop, which goes over
-the UART.
+It owns the state before and after a transfer, not during one. Stops go over the UART, so a transfer that hangs delays
+no Stop.
 """
 
 import threading
@@ -16,7 +16,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.spi.cyclic import CyclicBus
 
 CYCLE_HZ: Final = 50.0
-"""Of the robot's own driver, and of the servos' PWM: more frames change nothing."""
+"""The rate of the robot's own driver and of the servos' PWM; a higher rate would change nothing."""
 
 
 class Cycle:
@@ -30,7 +30,7 @@ class Cycle:
         *,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`failed` is called, on its thread, with a mistake in the gateway that ended it."""
+        """`failed` is called on the cycle's thread with the unexpected exception that ended it."""
         self._bus = bus
         self._conductor = conductor
         self._cycle_ns = round(NS_PER_S / CYCLE_HZ)
@@ -39,7 +39,7 @@ class Cycle:
         self._thread = threading.Thread(target=self._run, name="cycle", daemon=True)
 
     def start(self) -> None:
-        """The bus is open."""
+        """Start the thread. The bus must be open."""
         self._thread.start()
 
     def _run(self) -> None:
@@ -48,20 +48,20 @@ class Cycle:
         try:
             while not self._conductor.closed:
                 self.exchange()
-                # A frame that is late is not made up for: two in a row would give the controller nothing new.
+                # A late frame is not made up for: two in a row would give the controller nothing new.
                 due_ns = max(due_ns + self._cycle_ns, self._clock())
                 time.sleep(max(0, due_ns - self._clock()) / 1e9)
         except Exception as error:
             self._failed(error)
 
     def exchange(self) -> None:
-        """One cycle, without the state."""
+        """Run one cycle. The caller must not own the state."""
         conductor = self._conductor
         with conductor.owner:
             frame = self._bus.begin_cycle(self._clock())
         if frame is not None:
             self._exchange(frame)
-        with conductor.owner:  # only now: what came while this process was delayed has been read
+        with conductor.owner:  # after the transfer: answers that arrived while this process was delayed count
             silent = self._bus.silent(self._clock())
             if silent is not None:
                 conductor.bus_failed(silent)

@@ -1,6 +1,6 @@
-"""Keeps the emergency stop in the state directory: behind its Stops, on a thread of its own.
+"""Keeps the emergency stop in the state directory: after its Stops, on a thread of its own.
 
-One write is on its way at a time, and the next one writes what holds by then, so no older state follows a newer one.
+Only one write runs at a time. The next one writes the latest state, so an older state never follows a newer one.
 """
 
 import asyncio
@@ -22,11 +22,11 @@ from schemas.keys import ESTOP
 from schemas.telemetry import Kind
 
 READ_S: Final = 2.0
-"""How long the start waits for the disk: it answers within milliseconds, a worn card within a second."""
+"""How long the start waits for the disk. A disk answers within milliseconds, a worn card within a second."""
 PAUSE_S: Final = 0.1
-"""Between two writes that change no more than the number: a flood of requests must not wear out the card."""
+"""Between two writes that change only the number, so that a flood of requests does not wear out the card."""
 RETRY_S: Final = 1.0
-"""A disk that is full may have space again."""
+"""Between attempts after a failed write: a full disk may have space again."""
 FLUSH_S: Final = 0.2
 """How long the end of the service waits for a write."""
 _LOOK: Final = "look that nobody is in danger, then reset it"
@@ -35,17 +35,17 @@ logger = logging.getLogger(__name__)
 
 
 class EstopKeeper:
-    """Reads what an earlier run has left, and writes what changes. Without a folder it keeps nothing."""
+    """Reads the emergency stop that an earlier run left, and writes each change. Without a folder it keeps nothing."""
 
     def __init__(self, conductor: Conductor, folder: Path | None, loop: asyncio.AbstractEventLoop) -> None:
-        """Begin to read: on another thread, so that no first Stop waits for the disk."""
+        """Begin to read, on another thread, so that the first Stops do not wait for the disk."""
         self._conductor = conductor
         self._folder = folder
         self._wanted: KeptEstop | None = None
         self._written: KeptEstop | None = None
         self._writing: KeptEstop | None = None
         self._unknown: str | None = None
-        """Why it is not known what an earlier run has left; until a reset."""
+        """Why an earlier run's emergency stop is not known, until a reset. None: it is known."""
         self._fault: str | None = None
         """Why the latest write failed."""
         self._idle = threading.Event()
@@ -70,7 +70,7 @@ class EstopKeeper:
             self._read.set_result(found)
 
     async def known(self) -> None:
-        """Return once the supervisor knows what an earlier run has left, READ_S later at most. Before any command."""
+        """Report the earlier run's emergency stop to the supervisor, before any command. Takes READ_S at most."""
         if self._folder is None:
             return
         try:
@@ -107,7 +107,7 @@ class EstopKeeper:
     # ---- what changes
 
     def _changed(self) -> None:
-        """Behind the Stops of an emergency stop, and behind a reset."""
+        """Have a new emergency stop (its Stops are written) or a reset written to the disk."""
         latch = self._conductor.supervisor.latch
         if latch.since_ns is None:
             self._unknown = None
@@ -137,7 +137,7 @@ class EstopKeeper:
         self._slow.cancel()
         self._report(fault)
         if fault is not None:
-            self._idle.set()  # nobody waits for the next try
+            self._idle.set()  # `flush` does not wait for the next attempt
             self._next.set_in(RETRY_S)
             return
         self._written = writing
@@ -152,7 +152,7 @@ class EstopKeeper:
         self._report(f"the disk has not answered for {SLOW_S:g} s")
 
     def _report(self, fault: str | None) -> None:
-        """Publish why the emergency stop, or its end, is not kept; or that it is."""
+        """Publish why the emergency stop, or its end, is not kept. None: it is kept."""
         before, self._fault = self._fault, fault
         if self._conductor.closed or before == fault:
             return
@@ -171,7 +171,7 @@ class EstopKeeper:
     # ---- the end
 
     def flush(self) -> None:
-        """Wait until all is written, FLUSH_S at most. For a thread that does not own the state."""
+        """Wait until all is written, FLUSH_S at most. The caller must not own the state."""
         with self._conductor.owner:
             self._ending = True
             if not self._idle.is_set():
@@ -180,5 +180,5 @@ class EstopKeeper:
 
 
 def _only_number(on_disk: KeptEstop | None, wanted: KeptEstop | None) -> bool:
-    """Whether an emergency stop is engaged on the disk, and still is."""
+    """Return whether an emergency stop is engaged both on the disk and now, so that only its number may differ."""
     return on_disk is not None and on_disk.engaged and wanted is not None and wanted.engaged

@@ -49,7 +49,7 @@ def wall_clock() -> datetime:
 
 
 class EventPublisher:
-    """Called by the owner of the state."""
+    """Publishes events. For the owner of the state; `clock` returns the monotonic time in ns."""
 
     def __init__(self, outbox: Outbox, recorder: Recorder, metrics: Metrics, clock: Callable[[], int]) -> None:
         self.outbox = outbox
@@ -61,19 +61,19 @@ class EventPublisher:
         self._estop_source: str | None = None
 
     def note_estop(self, received: Received) -> None:
-        """Note an emergency stop request. Its payload is parsed later: its Stops come first."""
+        """Keep an emergency stop request. Its payload is parsed after its Stops."""
         self._unread = received
 
     @property
     def estop_source(self) -> str | None:
-        """The source of the latest emergency stop; read it after its Stops are written."""
+        """The source of the latest emergency stop. Reading it parses a payload, so read it after the Stops."""
         if self._unread is not None:
             self._estop_source = named_source(self._unread.payload) or self._unread.source
             self._unread = None
         return self._estop_source
 
     def restore_estop(self, source: str | None) -> None:
-        """Take the source of an emergency stop that an earlier run has left engaged."""
+        """Set the source of an emergency stop that an earlier run left engaged."""
         self._estop_source = source
 
     def announce(self, what: Announce) -> None:

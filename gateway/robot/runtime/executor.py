@@ -1,4 +1,4 @@
-"""Carries out what a step of the supervisor wants: the one place for each effect. Nothing waits but a transfer."""
+"""Carries out the effects of a supervisor's step. Only a transfer waits."""
 
 import logging
 from collections.abc import Sequence
@@ -35,27 +35,27 @@ _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
 
 @dataclass(slots=True)
 class Outcome:
-    """A step's result: its frames, what became of its requests, and what its caller has to do."""
+    """A step's result: its frames, the requests that it ended, and what its caller has to do."""
 
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
-    """Why not all frames were written. It rejects the commands of those that were not."""
+    """Why some frames were not written. The commands of those frames are rejected."""
     meddled: str | None = None
-    """What another program had set on the device, until just before these frames were written."""
+    """The device settings that another program had changed, found just before these frames were written."""
     results: list[Result] = field(default_factory=list)
-    """The requests that the step has ended: what the black box, the answers and the metrics read."""
+    """The requests that the step has ended, for the black box, the answers and the metrics."""
     answer: RequestAnswer | None = None
-    """For the caller to send."""
+    """The answer that the caller has to send."""
     keep: SaveCalibration | None = None
-    """For the caller to write to the disk."""
+    """The calibration that the caller has to write to the disk."""
 
     def failed(self, effects: Sequence[Effect]) -> Sequence[Transmit]:
-        """The frames that the controller is not known to have been sent."""
+        """Return the frames of `effects` that are not known to have left for the controller."""
         received = {id(transmit) for transmit, sent in self.written if sent.received}
         return [each for each in effects if type(each) is Transmit and id(each) not in received]
 
     def rejects(self, request: Request) -> bool:
-        """Whether the step has rejected this request; False also while it is pending."""
+        """Return whether the step has rejected this request. A pending request is not rejected."""
         return any(each is request and type(verdict) is Reason for each, verdict, _ in self.results)
 
     @property
@@ -64,7 +64,7 @@ class Outcome:
         return any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in self.results)
 
     def stop_frames(self, cause: Cause) -> int:
-        """How many frames with this cause a controller is known to have been sent."""
+        """Return how many frames with this cause are known to have left for the controller."""
         return sum(sent.received and transmit.cause is cause for transmit, sent in self.written)
 
 
@@ -91,10 +91,10 @@ class Executor:
         self._supply = supply
 
     def carry_out(self, effects: Sequence[Effect], command: Request | None = None) -> Outcome:
-        """The frames first, as batches; then the record, answers and events. `command`: the one that this step takes.
+        """Write the frames in batches, then record, answer and publish. Return the outcome.
 
-        No answer, no record and no event stands before a frame of the same step. The power board is asked for what is
-        to be off before the frames, and for what is to be on behind them.
+        `command` is the request of this step. The power board cuts servos before the frames, and powers servos after
+        them.
         """
         supply = self._supply
         if supply is None:
@@ -103,7 +103,7 @@ class Executor:
         outcome = self._carry_out(effects, command)
         if outcome.resets:
             supply.reset()
-        if outcome.fault is None:  # else it follows, and feeds nothing
+        if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
             supply.after_step(self._supervisor)
         for each in cuts:
             self._events.announce(each)
@@ -126,7 +126,7 @@ class Executor:
                 case Transmit() | Completed() | Rejected():
                     pass  # written, and answered
                 case Announce(kind=Kind.BUS_RECOVERED | Kind.CONTROLLER_RETURNED) if outcome.fault is not None:
-                    pass  # it opened, but did not take six Stops: the fault goes on, and has been published
+                    pass  # the device opened but did not take six Stops: the fault lasts, and has been published
                 case Announce():
                     self._events.announce(effect)
                 case RequestAnswer():
@@ -140,10 +140,10 @@ class Executor:
         return outcome
 
     def _write(self, effects: Sequence[Effect], outcome: Outcome) -> None:
-        """Write a step's frames: first Stops in one batch, repeated ones in one, then what moves, unless one failed.
+        """Write a step's frames in three batches: first Stops, repeated Stops, moves. Stop at the first fault.
 
-        A repeated run of Stops has a preamble, for which no first Stop waits. Legs at rest are stopped in the first
-        call, behind the Stops that it is for.
+        Repeated Stops have a preamble, for which a first Stop must not wait. The repeats for legs at rest join the
+        first batch, after its own Stops.
         """
         first: list[Transmit] = []
         repeated: list[Transmit] = []

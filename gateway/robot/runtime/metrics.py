@@ -1,4 +1,4 @@
-"""The service's counters and latencies: plain numbers, written by the state's owner, exposed by `prometheus`."""
+"""The service's counters and latencies: plain numbers that the state's owner writes and `prometheus` serves."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -16,20 +16,20 @@ class Metrics:
     overflows: int = 0
     """Times that a ring overflowed, so that messages of its key were lost."""
     lost: int = 0
-    """Messages skipped undecoded after an overflow: at least so many were lost."""
+    """Messages skipped undecoded after an overflow: the least number that was lost."""
     rejected: Counter[Reason] = field(default_factory=Counter)
     frames: Counter[Cause] = field(default_factory=Counter)
     events: Counter[Kind] = field(default_factory=Counter)
-    """Published, or left out for their rate."""
+    """Events published, or omitted by the rate limit."""
     watchdog_stops: Latency = field(default_factory=Latency)
-    """From a deadline to its Stop written."""
+    """From a deadline until its Stop is written."""
     emergency_stops: Latency = field(default_factory=Latency)
-    """From the request received to the sixth Stop written, of requests whose Stops were written."""
+    """From a received request until its sixth Stop is written; without requests whose Stops failed."""
     sessions: int = 0
     """Open Zenoh sessions: laptops, routers, programs on this machine."""
     loop_lag: Latency = field(default_factory=Latency)
     """How late the loop's timers run."""
 
     def count_sessions(self, number: int) -> None:
-        """Without owning the state: no decision depends on it."""
+        """Set the number of open sessions. The caller need not own the state: no decision depends on the number."""
         self.sessions = number

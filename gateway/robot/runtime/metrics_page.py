@@ -1,8 +1,7 @@
-"""Serves the metrics over HTTP, on one thread, with a bounded number of connections a second.
+"""Serves the metrics over HTTP, on one thread with its own loop, with at most MOST_A_SECOND connections a second.
 
-A thread for each connection would delay Stops on a busy machine: starting one takes the interpreter's lock, and so does
-each of its system calls; one client that reconnects all the time started a thousand in a second. Here one thread has a
-loop of its own. It accepts MOST_A_SECOND connections, and the work for each is bounded.
+A thread for each connection would delay Stops: its start and each of its system calls take the interpreter's lock, and
+one client that keeps reconnecting started a thousand threads in a second.
 """
 
 import asyncio
@@ -21,15 +20,15 @@ if TYPE_CHECKING:
     from _typeshed.wsgi import WSGIApplication
 
 MOST_REQUESTS: Final = 8
-"""At once: one Prometheus needs one, a person with a browser another."""
+"""Open at once. A Prometheus server needs one, a browser another."""
 MOST_A_SECOND: Final = 25
-"""Connections. Each may ask for a page, which takes 5 ms: an eighth of a processor at most, at a low priority."""
+"""Connections. A page takes 5 ms, so they take an eighth of a processor at most, at a low priority."""
 WAITING: Final = 32
-"""Connections that the kernel queues: a scrape waits for them for 1.3 s at most, of Prometheus's ten."""
+"""Connections that the kernel queues. They delay a scrape by 1.3 s at most; Prometheus waits ten seconds."""
 REQUEST_S: Final = 5.0
 """A scrape takes 5 ms; Prometheus itself gives up after ten seconds."""
 MAX_REQUEST_BYTES: Final = 8192
-"""Prometheus sends some 300, a browser 1000."""
+"""Prometheus sends about 300 bytes, a browser 1000."""
 NO_DESCRIPTOR_S: Final = 0.5
 """Pause after an accept that failed because the process has no file descriptor left."""
 
@@ -40,9 +39,9 @@ class MetricsPage:
     """A listening socket, and the page that it serves."""
 
     def __init__(self, address: str, page: "WSGIApplication") -> None:
-        """Raises ConfigError if `address` (`host:port`) cannot be opened.
+        """Listen on `address` (`host:port`). Raises ConfigError if it cannot be opened.
 
-        May wait for a name server, so not for the loop's thread.
+        May wait for a name server, so do not call it on the loop's thread.
         """
         host, _, port = address.rpartition(":")
         try:
@@ -100,7 +99,7 @@ class MetricsPage:
                 await loop.sock_sendall(connection, self._response_to(request, connection.getsockname()[0]))
 
     def _response_to(self, request: bytes, reached: str) -> bytes:
-        """`reached`: our address that the client dialled; the socket may listen on all of them."""
+        """`reached` is the address of ours that the client dialled; the socket may listen on all addresses."""
         first, _, rest = request.partition(b"\r\n")
         method, target, _ = first.decode("latin-1").split(" ")
         path, _, query = target.partition("?")

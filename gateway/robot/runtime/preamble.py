@@ -1,7 +1,7 @@
-"""Writes the bus's preamble in the pauses of a stream, in parts, with the loop running between them.
+"""Writes the bus's preamble in the pauses of a stream, in parts; the loop runs between the parts.
 
-Otherwise the bus writes it ahead of a frame. In parts it delays no Stop by more than one part, and is complete before
-Stops are repeated.
+A preamble in parts delays a Stop by one part at most, and is complete before Stops are repeated. Without a pause, the
+bus writes it ahead of a frame.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from gateway.robot.spi.bus import Bus
 
 
 class PreambleInPauses:
-    """Schedules the parts. Call `arm` after each frame; `failed` gets the fault of a part."""
+    """Schedules the parts. Call `arm` after each frame; `failed` is called with the fault of a part."""
 
     def __init__(
         self,
@@ -30,9 +30,9 @@ class PreambleInPauses:
         self._repeat_ns: int | None = None
 
     def arm(self, due_ns: int | None, repeat_ns: int | None) -> int | None:
-        """Begin if a preamble is due, for a stream or for the Stops repeated at `repeat_ns`.
+        """Begin if a preamble is due, for a stream or for the Stops that are repeated at `repeat_ns`.
 
-        Returns the time of the next call: when that preamble has to begin, or else `due_ns`.
+        Return when to call again (ns): the start of that preamble or `due_ns`, the earlier one.
         """
         self._repeat_ns = repeat_ns
         if not self._timer.armed and self._wanted():
@@ -53,7 +53,7 @@ class PreambleInPauses:
 
     def _write_part(self) -> None:
         if not self._wanted():
-            return  # a frame has been written since, with its preamble
+            return  # a frame was written meanwhile, with its preamble
         try:
             more = self._bus.write_zeros()
         except SpiError as fault:

@@ -38,7 +38,7 @@ logger = logging.getLogger(__name__)
 
 
 class Numbers(Collector):
-    """Reads the numbers at each scrape. It takes no lock, so that no Stop waits for it."""
+    """Reads the numbers at each scrape. It takes no lock, so it delays no Stop."""
 
     def __init__(self, conductor: Conductor) -> None:
         self._conductor = conductor
@@ -71,7 +71,7 @@ class Numbers(Collector):
             "log_lines_dropped", "Lines of the log that were not written, since nobody read it", logs.dropped()
         )
         holder = InfoMetricFamily(f"{_PREFIX}_lease", "Who holds the lease, or to whom it is handed over")
-        name = lease.holder  # read once: this thread owns nothing
+        name = lease.holder  # read once: this thread does not own the state
         if name is not None:
             holder.add_metric([], {"holder": name, "verified": str(lease.verified).lower()})
         yield holder
@@ -98,7 +98,7 @@ class Numbers(Collector):
 
 
 def _measured(conductor: Conductor) -> Iterator[Metric]:
-    """What the robot measures, and how its controller is; without values until there are some."""
+    """Yield the robot's measurements and its controller's health; without values before the first measurement."""
     events, alive, telemetry = conductor.metrics.events, conductor.bus.controller_alive, conductor.telemetry
     values = telemetry.newest and telemetry.newest.values
     age_s = telemetry.age_s(conductor.bus.answered_ns)
@@ -126,7 +126,7 @@ POWER_CHANGES: Final = tuple(kind for kind in Kind if kind.startswith(("power_",
 
 
 def powered(power: PowerReport, measured: Telemetry | None, events: Mapping[Kind, int]) -> Iterator[Metric]:
-    """What the board feeds, and what each servo draws; without values until there are some."""
+    """Yield which servos the board powers, and the current of each; without values before the first measurement."""
     yield _gauge("power_alive", "1: the power board answers", power.alive)
     yield _gauge("power_confirmed", "1: the board has confirmed all offs that are asked of it", power.confirmed)
     yield _gauge(
@@ -149,7 +149,7 @@ def _family(
     numbers: float | Mapping[Any, float],
     label: str = "",
 ) -> Metric:
-    """One number, or one for each value of `label`."""
+    """Return one number, or one for each value of `label`."""
     if not isinstance(numbers, Mapping):
         return family(f"{_PREFIX}_{name}", help_text, float(numbers))
     found = family(f"{_PREFIX}_{name}", help_text, labels=[label])
@@ -172,9 +172,9 @@ def _histogram(name: str, help_text: str, latency: Latency) -> HistogramMetricFa
 
 
 def is_one_of(host: str | None, ours: Collection[str]) -> bool:
-    """Whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these hosts, which are in lower case.
+    """Return whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these lower-case hosts.
 
-    The port is not compared: a tunnel has another, and no page can choose the host that its browser sends.
+    The port is not compared, since a tunnel changes it. A page cannot choose the host that its browser sends.
     """
     name = (host or "").lower()
     if name.startswith("["):
@@ -185,18 +185,19 @@ def is_one_of(host: str | None, ours: Collection[str]) -> bool:
 
 
 def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
-    """Whether a request comes from no page (`origin` is None), or from our own.
+    """Return whether a request comes from our own page, or from no page (`origin` is None).
 
-    A page of another site reaches every port of its browser's machine: under its own origin, or by a name of its own
-    that resolves to this machine (DNS rebinding), which `host` shows.
+    A page of another site can reach every port of its browser's machine. Its `origin` shows that; or, if one of its own
+    names resolves to this machine (DNS rebinding), `host` does.
     """
     return is_one_of(host, ours) and (origin is None or origin == f"http://{host}")
 
 
 def _guarded(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication":
-    """The page at its path; 404 elsewhere, where prometheus_client would serve it too.
+    """Serve `page` at METRICS_PATH, and 404 elsewhere: prometheus_client would serve it at every path.
 
-    403 for requests that name neither one of these hosts nor the address that they reached, and of foreign web pages.
+    Requests from other sites' pages get 403, and so do requests for a host that is neither in `ours` nor the address
+    that they reached.
     """
 
     def answer(environ: "WSGIEnvironment", start_response: "StartResponse") -> Iterable[bytes]:
@@ -215,8 +216,8 @@ def _guarded(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication
 def serve(address: str, conductor: Conductor) -> None:
     """Serve the numbers on `address` (`host:port`) from a thread of its own.
 
-    A request may name that host, the loopback, or this machine (its host name, also with `.local`).
-    Raises ConfigError if the address cannot be opened. May wait for a name server, so not for the loop's thread.
+    A request may name that host, the loopback, or this machine's host name (also with `.local`). Raises ConfigError if
+    the address cannot be opened. May wait for a name server, so do not call it on the loop's thread.
     """
     registry = CollectorRegistry()
     registry.register(Numbers(conductor))

@@ -1,4 +1,4 @@
-"""Makes the states, whose parts are the payloads of `hexapod/state` and `hexapod/config`."""
+"""Makes the state; its parts are the payloads of `hexapod/state` and `hexapod/config`."""
 
 import logging
 from dataclasses import asdict
@@ -48,7 +48,7 @@ logger: Final = logging.getLogger(__name__)
 
 
 class StateReports:
-    """Makes and publishes the state and the configuration of one run. Called by the owner of the state."""
+    """Makes and publishes the state and the configuration of one run. For the owner of the state."""
 
     def __init__(
         self,
@@ -79,25 +79,25 @@ class StateReports:
         self.measures = wire.capabilities.measures
         self.protocol = settings.protocol
         self.certificate: CertificateReport | None = None
-        """The first certificate in use to expire; None: none is in use."""
+        """The certificate in use that expires first, or None."""
         self._missing: tuple[str, ...] = ()
         self.estop_since: datetime | None = None
-        """Since when the emergency stop is engaged; None: it is not."""
+        """When the emergency stop was engaged; None: it is not engaged."""
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: RevocationsReport | None = None
-        """The list in force; None: there is none."""
+        """The list in force, or None."""
         self.payloads = Payloads()
         self._published: ConfigReport | None = None
         self.published_mode: Mode | None = None
-        """None until the start is announced: until then the mode is not published."""
+        """The mode last published; None until the start is announced."""
 
     def has_missing(self, endpoints: tuple[str, ...]) -> None:
-        """Report these as not listened on yet. Callable from any thread."""
+        """Set the endpoints on which the gateway does not listen yet. For any thread."""
         self._missing = endpoints
 
     def announce_start(self) -> None:
-        """Publish that commands are taken from now on."""
+        """Publish that commands are accepted from now on."""
         self._events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
         self.published_mode = Mode.STARTING
         self.publish_mode()
@@ -112,7 +112,7 @@ class StateReports:
             self.publish()
 
     def publish(self) -> None:
-        """Publish the state, and before it the configuration if that has changed."""
+        """Publish the state. If the configuration has changed, publish that first."""
         report, config = self.payloads.of(self.state())
         if config != self._published:
             self._published = config
@@ -120,11 +120,11 @@ class StateReports:
         self._events.outbox.publish(keys.STATE, report)
 
     def answer_state(self, reply: Reply) -> None:
-        """Answer a `get` on the state."""
+        """Answer a `get` with the state."""
         reply(self.payloads.of(self.state())[0].model_dump_json().encode())
 
     def answer_config(self, reply: Reply) -> None:
-        """Answer a `get` on the configuration."""
+        """Answer a `get` with the configuration."""
         reply(self.payloads.of(self.state())[1].model_dump_json().encode())
 
     def state(self) -> GatewayState:
@@ -190,7 +190,7 @@ class StateReports:
 
 
 def limits_of(settings: Settings) -> LimitsReport:
-    """The settings' limits, as in the state."""
+    """Return the settings' limits as the state reports them."""
     limits = settings.limits
     each = {name: limits.servos.get(name, ServoLimits()) for name in map(str, SERVO_IDS)}
     servos = {name: ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}

@@ -1,7 +1,7 @@
-"""Requests on the keys that take `get` only: parsed, and their proof checked, without owning the robot's state.
+"""Requests on the keys that take `get` only. Each key has a `RequestAnswers` and a receiver thread.
 
-Each key has a `RequestAnswers` and a receiver thread, which parses one request after the other; then an owner of the
-state decides and answers.
+The receiver thread parses one request after another and checks its proof, without owning the robot's state. Then an
+owner of the state decides and answers.
 """
 
 import datetime as dt
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
 
 PAUSE_S: Final = 0.05
-"""Between two requests that may write a file: 20/s, each of which may take a millisecond."""
+"""Between two requests that may write a file: 20 a second, each of which may take a millisecond."""
 BY_WILDCARD: Final = Rejection(Reason.INVALID, "this key is not asked by wildcard: name it")
 BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
 
@@ -41,11 +41,14 @@ _BUTTON_DOES: Final = '"challenge", "register", "alive" or "leave"'
 
 
 def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
-    """Reason and sentence for an invalid request; `does` lists the valid verbs. Repeats no value: it may be secret."""
+    """Return reason and sentence for an invalid request. `does` lists the valid verbs.
+
+    The sentence repeats no value, which may be secret.
+    """
     first = error.errors()[0]
     if first["type"] == "json_invalid":
         return Reason.MALFORMED, "the payload is not JSON"
-    # All names in `loc` are the schema's, except an unknown field's; the first is the verb, which pydantic adds.
+    # All names in `loc` except an unknown field's come from the schema; pydantic puts the verb first.
     known = [str(part) for part in first["loc"][1:]]
     if first["type"].startswith("union_tag") or not known:
         return Reason.INVALID, f"do must be {does}"
@@ -55,7 +58,7 @@ def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
 
 
 def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
-    """The payload of at most `most` bytes, or why it is rejected unread."""
+    """Return the payload, or why it is rejected unread: over `most` bytes, a wildcard, or a wrong encoding."""
     payload = query.payload
     if "*" in str(query.key_expr):  # from a program that lists keys
         return BY_WILDCARD
@@ -67,7 +70,7 @@ def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
 
 
 class RequestAnswers(ABC):
-    """One key. Its receiver thread calls `note` and `read`; an owner of the robot's state calls the other methods."""
+    """Answers one key. Its receiver thread calls `note` and `read`; an owner of the state calls the other methods."""
 
     key: ClassVar[str]
     ack: ClassVar[type[BaseModel]]
@@ -79,7 +82,7 @@ class RequestAnswers(ABC):
         self._conductor = conductor
 
     def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> OwnersTask:
-        """Parse a query received at `now_ns`; returns what the owner of the state is to do."""
+        """Parse a query received at `now_ns`. Return the task for an owner of the state."""
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
         payload = payload_of(query, self.most_bytes)
         if isinstance(payload, Rejection):
@@ -90,14 +93,14 @@ class RequestAnswers(ABC):
 
     @abstractmethod
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
-        """Parse a payload received at `now_ns`; `source`: the sender, if the payload names none."""
+        """Parse a payload received at `now_ns`. Return the task. `source` is the sender if the payload names none."""
 
     def accepted(self, **fields: object) -> bytes:
-        """The JSON of an accepting answer."""
+        """Return an accepting answer with these fields, as JSON."""
         return self.ack(accepted=True, **fields).model_dump_json().encode()
 
     def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
-        """Reject a request and publish the rejection."""
+        """Reject a request and publish the rejection. `more` are further fields of the answer."""
         self._conductor.answers.reject_unread(self.key, source, detail, reason)
         reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
 
@@ -151,7 +154,7 @@ class LeaseAnswers(RequestAnswers):
         return partial(self.ask, asked, reply)
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
-        """Have the supervisor decide; answer after its frames are written."""
+        """Let the supervisor decide. Answer after its frames are written."""
         answer = self._conductor.ask(request).answer
         if answer is None:  # the service has ended
             return
@@ -213,7 +216,7 @@ class ButtonAnswers(RequestAnswers):
         return partial(self.ask, asked, reply)
 
     def ask(self, request: ButtonRequest, reply: Reply) -> None:
-        """Have the supervisor decide; answer after its frames are written."""
+        """Let the supervisor decide. Answer after its frames are written."""
         answer = self._conductor.ask(request).answer
         if answer is None:  # the service has ended
             return
@@ -226,7 +229,7 @@ class ButtonAnswers(RequestAnswers):
         reply(self.accepted(detail=detail, button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
 
     def _counts(self, source: str, holder: "Holder | None") -> bool:
-        """Whether `buttons.names` admits its person (`anna` of `anna/phone`) or its certificate's role."""
+        """Return whether `buttons.names` has the button's person (`anna` of `anna/phone`) or its certificate's role."""
         person = source.partition("/")[0] if holder is None else holder.name
         names = self._settings.names
         return not names or person in names or (holder is not None and holder.role in names)

@@ -1,4 +1,4 @@
-"""The list of revoked certificates: written, then put in force by a restart of the service, legs stopped first."""
+"""Takes a newer list of revoked certificates: writes it, then stops all legs and restarts the service to apply it."""
 
 import asyncio
 import logging
@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 
 
 class Revocations(RequestAnswers):
-    """Answers requests with a newer list. No decision depends on the clock."""
+    """Answers requests that bring a newer list. No decision depends on the clock."""
 
     key = keys.REVOCATION
     ack = RevocationAck
@@ -44,14 +44,14 @@ class Revocations(RequestAnswers):
         loop: asyncio.AbstractEventLoop,
         begin_again: Callable[[], None],
     ) -> None:
-        """`kept`: None without a CA. `begin_again`, called on the loop, restarts the service."""
+        """`kept` is None without a CA. `begin_again` is called on the loop and restarts the service."""
         super().__init__(conductor)
         self._kept = kept
         self._loop = loop
         self._begin_again = begin_again
         self._disk = DiskWriter("keep list", loop, conductor.owner)
         self._keeps = False
-        """A list is being written; the service restarts afterwards."""
+        """Whether a list is being written; the service restarts afterwards."""
         known = None if kept is None else kept.known
         if known is not None:
             conductor.reports.revocations = RevocationsReport(number=known.number, date=known.date)
@@ -74,7 +74,7 @@ class Revocations(RequestAnswers):
         return partial(self.change, found, reply)
 
     def answer(self, reply: Reply) -> None:
-        """Answer with the list in force."""
+        """Answer with the list in force: its number (0: there is none) and its PEM text."""
         known = None if self._kept is None else self._kept.known
         if known is None:
             reply(self.accepted(number=0))
@@ -82,7 +82,7 @@ class Revocations(RequestAnswers):
             reply(self.accepted(number=known.number, revoked=known.pem.decode()))
 
     def change(self, found: "RevocationList", reply: Reply) -> None:
-        """Write the list if it is newer, then restart. The list already in force is accepted without a restart."""
+        """Write the list if it is newer, then restart; reject an older one. The list in force is accepted as it is."""
         kept = self._kept
         known = None if kept is None else kept.known
         if known is not None and found.pem == known.pem:

@@ -27,13 +27,13 @@ from gateway.robot.spi.stop_all import stop_once
 from schemas.robot import LEGS, SERVO_IDS
 
 SHUTDOWN_S = 0.8
-"""Duration of the end: the second of docs/interface.md, Behaviour *End*, less the process's own exit."""
+"""Time for the end: the second of docs/interface.md, Behaviour *End*, without the process's own exit."""
 REPEATS_S = 0.3
-"""Of that, for repeats of the last Stops."""
+"""The part of SHUTDOWN_S for repeats of the last Stops."""
 LAST_WORDS_S = 0.1
-"""Beyond that, for the log."""
+"""Time after SHUTDOWN_S for the log."""
 EXEC_S = 5.0
-"""Limit for the kernel to execute the program again; it takes milliseconds."""
+"""Limit for the kernel to execute the program again, which takes milliseconds."""
 
 logger = logging.getLogger(__name__)
 
@@ -41,8 +41,8 @@ logger = logging.getLogger(__name__)
 class ServiceEnd:
     """Ends the service on a signal or an unexpected exception.
 
-    After an unexpected exception the state may be inconsistent, so the robot is stopped and the service ends; systemd
-    starts it again.
+    After an unexpected exception the state may be inconsistent. So the robot is stopped and the service ends; systemd
+    restarts it.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
@@ -57,7 +57,7 @@ class ServiceEnd:
                 continue  # nohup
             loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal is gone
         for number in (signal.SIGTSTP, signal.SIGTTOU):
-            signal.signal(number, signal.SIG_IGN)  # suspended by its terminal, a gateway would stop no leg
+            signal.signal(number, signal.SIG_IGN)  # a gateway suspended by its terminal would stop no leg
         loop.set_exception_handler(self._failed)
 
     async def wait(self) -> None:
@@ -65,20 +65,20 @@ class ServiceEnd:
         await self._event.wait()
 
     def because(self, failure: str) -> None:
-        """End the service and report `failure`."""
+        """End the service as failed. `failure` goes to the black box and stderr."""
         with self._owner:
             self._recorder.mistake(failure)
         self.failure = self.failure or failure
         self._event.set()
 
     def begin_again(self) -> None:
-        """End the service and restart it in the same process, with its files read again."""
+        """End the service and restart it in the same process. Its files are read again."""
         self._starts_anew = True
         self._event.set()
 
     @property
     def starts_anew(self) -> bool:
-        """Whether the process restarts the service; not after a failure."""
+        """Whether the process restarts the service. After a failure it does not."""
         return self._starts_anew and self.failure is None
 
     def leave(self) -> NoReturn:
@@ -91,12 +91,12 @@ class ServiceEnd:
         leave(GatewayError.exit_code)
 
     def task_done(self, task: "asyncio.Task[None]") -> None:
-        """Done callback of the service's tasks: ends the service if one failed."""
+        """End the service if `task` failed. A done callback for the service's tasks."""
         if not task.cancelled() and task.exception() is not None:
             self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
 
     def mistake(self, error: Exception) -> None:
-        """End the service for a mistake in the gateway that ended one of its threads; from that thread."""
+        """End the service for an unexpected exception in one of its threads. Called on that thread."""
         context = {"message": "a thread failed", "exception": error}
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             self._loop.call_soon_threadsafe(self._failed, self._loop, context)
@@ -108,7 +108,10 @@ class ServiceEnd:
 
 
 async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
-    """Stop all six legs, and repeat it for REPEATS_S at most; directly on the bus if the conductor fails to."""
+    """Stop all six legs, and repeat the Stops for REPEATS_S at most.
+
+    If the conductor fails, the Stops are written directly to `bus`.
+    """
     deadline = asyncio.get_running_loop().time() + REPEATS_S
     supply, asked_ns = conductor.supply, time.monotonic_ns()
     if supply is not None:
@@ -154,9 +157,9 @@ async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> st
 
 
 def _last_attempt(bus: Wire, deadline: float) -> None:
-    """Stop all six legs repeatedly, so that a transient fault, or one of a single leg's frame, leaves no other moving.
+    """Stop all six legs repeatedly: a transient fault, or a fault of one leg's frame, must not keep others moving.
 
-    It blocks the loop and keeps the state: after an exception nothing else may write to the bus.
+    This blocks the loop and owns the state: after an exception nothing else may write to the bus.
     """
     unstopped, rounds_left, opened = set(LEGS), 1 + STOP_REPEATS, True
     while True:
@@ -174,9 +177,9 @@ def _last_attempt(bus: Wire, deadline: float) -> None:
 
 
 async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes: Callable[[], object]) -> None:
-    """Call `closes` on a background thread; after `timeout_s`, call `leave` without waiting for them.
+    """Call each of `closes` on a background thread. If they take longer than `timeout_s`, call `leave`.
 
-    A frozen peer can delay Zenoh's close by ten seconds, and the servos are stopped by then.
+    A frozen peer can delay Zenoh's close by ten seconds. The servos are already stopped.
     """
     closed = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -203,10 +206,10 @@ def leave(exit_code: int) -> NoReturn:
 
 
 def start_anew() -> NoReturn:
-    """Execute the gateway again, with the same arguments, in the same process; this ends all of its threads.
+    """Execute the gateway again in the same process, with the same arguments. This ends all of its threads.
 
-    systemd sees no end of the service, so the restart takes only as long as Python's start. On a new thread, since the
-    program inherits its thread's scheduling class, and ours may not give up its own (SCHED_RESET_ON_FORK).
+    systemd sees no end of the service, so the restart takes only as long as Python's start. A new thread executes it:
+    a program inherits its thread's scheduling class, and this thread cannot give up its own (SCHED_RESET_ON_FORK).
     """
     logs.close(LAST_WORDS_S)
     here = Path(gateway.__file__).parents[1]

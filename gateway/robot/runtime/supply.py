@@ -1,14 +1,14 @@
-"""What the power board is to feed, by what the supervisor decides; and what its news mean for the robot.
+"""Decides which servos the power board powers, and what the board's reports mean for the robot.
 
-A servo is fed while it runs or waits to be started, and at no other time, with either wire. So a Stop takes its supply,
-and nothing that ends (an emergency stop, a fault of the bus) feeds a servo that nobody started.
+With either wire, a servo is powered only while it runs or waits to be started. A Stop therefore cuts its power, and the
+end of an emergency stop or of a bus fault powers no servo.
 
-Called by the owner of the state, and waits for nothing: the board's frames leave on threads of its line's own. What a
-step takes off is asked for before the step's frames, and what it feeds behind them. So no cut waits for a transfer on
-SPI, and no servo is fed before its Stop, or its angle, was written.
+For the owner of the state; nothing here waits, since threads of the board's line send the frames. A step's cuts are
+requested before its SPI frames, its powering after them. So no cut waits for SPI, and no servo is powered before its
+Stop or its angle is written.
 
-A deaf controller may still drive servos. So the first servo that is fed behind a fault is fed alone, and
-the others follow once its current shows that it rests.
+A deaf controller may still drive servos. After a fault, one servo is powered alone; the others follow once its current
+shows that it rests.
 """
 
 import asyncio
@@ -37,7 +37,7 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, PowerReport
 
 MOST_LOOKS: Final = 30
-"""3 s, in which a line looks three hundred times."""
+"""Beats without progress, 3 s; a line polls a hundred times a second."""
 _WHY: Final = {
     Mode.ESTOPPED: "for the emergency stop",
     Mode.BUS_FAULT: "since the controller cannot be commanded to stop",
@@ -51,7 +51,7 @@ _NONE: Final = frozenset[int]()
 
 
 class BoardLine(Protocol):
-    """What is asked of the line to the board (`robot.power.line`). Any thread may call `cut`; only `close` waits."""
+    """The part of `robot.power.line` that is used here. Any thread may call `cut`; only `close` waits."""
 
     @property
     def status(self) -> Status: ...
@@ -71,43 +71,43 @@ class RobotSupply:
     def __init__(
         self, line: BoardLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
     ) -> None:
-        """`ready` names those of the servos to feed whose angle is on the wire, where supply is what starts a servo."""
+        """`ready` returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
         self._line = line
         self.cut_early = line.cut
-        """From any thread, without the state, which a transfer on SPI may hold: take all supply."""
+        """Cut all power. For any thread; it need not own the state, which an SPI transfer may hold."""
         self.end = line.close
-        """Close the line; not for the owner, as it waits."""
+        """Close the line. It waits, so the caller must not own the state."""
         self.on_news: Callable[[], None] = lambda: None
         """Called, with the state owned, when the board reports something."""
         self._interface = interface
         self._ready = ready
         self._asked = self._runs = _NONE
         self._changes = 0
-        """How often `_asked` has changed: what the board has confirmed before is no confirmation of it."""
+        """How often `_asked` has changed. A confirmation of an earlier value does not count for the present one."""
         self._mode = Mode.STARTING
         self._cut = False
         self._trusted = ready is not None
-        """Whether a servo was seen at rest, fed, since the last fault."""
+        """Whether a powered servo was seen at rest since the last fault."""
         self._withheld: dict[int, str] = {}
-        """Servos that are not fed before a reset, and why: blocked by the board, or they drew current after a Stop."""
+        """Servos not powered before a reset, and why: the board blocked them, or they drew current after a Stop."""
         self._refused: Mapping[int, str] = {}
         self._alive = False
         self._currents = CurrentRules()
         self._found: list[News] = []
-        """What the currents show."""
+        """Findings from the currents."""
         self._changed = False
-        """By a reset or a servo's current; the board reports neither as news."""
+        """Whether a reset or a servo's current has changed something; the board reports neither."""
         self._looked_ns = self._looks = 0
         self.confirmations = Confirmations(line.when_off)
 
     # ---- what a step decides
 
     def before_step(self, supervisor: Supervisor) -> list[Announce]:
-        """Before its frames: what is to be off. Returns what is to be published behind them."""
+        """Request the step's cuts, before its frames. Return the events to publish after them."""
         servos = supervisor.legs.servos
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
         if supervisor.stopped_outside:
-            self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` takes it, also where nothing shows it
+            self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` cuts power even if nothing shows it
         before, self._mode = self._mode, supervisor.mode
         cuts = self._mode in _WHY and self._mode is not before and bool(self._asked)
         if self._mode in _WHY or supervisor.stopped_outside:
@@ -118,7 +118,7 @@ class RobotSupply:
         return [Announce(Kind.POWER_CUT, why, legs=tuple(LEGS))] if cuts else []
 
     def after_step(self, supervisor: Supervisor) -> None:
-        """Behind its frames: what is to be on."""
+        """Request the step's powering, after its frames."""
         to_feed = supervisor.to_feed()
         wanted = frozenset(to_feed) if self._ready is None else self._ready(to_feed)
         wanted = wanted.difference(self._withheld, self._line.status.refused)
@@ -133,7 +133,7 @@ class RobotSupply:
         self.confirmations.feeds(servos)
 
     def reset(self) -> None:
-        """A reset was accepted: what was blocked or taken may be fed again."""
+        """Allow blocked and cut servos to be powered again, after an accepted reset."""
         self._withheld.clear()
         self._currents = CurrentRules()
         self._changed = True
@@ -142,7 +142,7 @@ class RobotSupply:
     # ---- news of the board
 
     def makes_progress(self) -> bool:
-        """Whether the line still listens, and has not stood still for MOST_LOOKS beats of the loop, one of them now."""
+        """Return whether the line has polled within the last MOST_LOOKS beats. Call it once a beat."""
         looked_ns = self._line.looked_ns
         self._looks = self._looks + 1 if looked_ns == self._looked_ns else 0
         self._looked_ns = looked_ns
@@ -150,15 +150,15 @@ class RobotSupply:
 
     @property
     def _fed(self) -> frozenset[int]:
-        """The servos that the board has confirmed to feed since that was asked for."""
+        """The servos that the board has confirmed to power since the latest request."""
         status = self._line.status
         return status.fed & self._asked if status.changes == self._changes else _NONE
 
     def judge_currents(self, now_ns: int) -> bool:
-        """Compare what servos do with what they draw: whether there is news. A few times a second."""
+        """Compare the servos' currents with their state. Return whether there is news. Call it a few times a second."""
         status = self._line.status
         if status.alive:
-            unfed = self._runs - status.supplied  # on its way: it may draw, and need not
+            unfed = self._runs - status.supplied  # their power is on its way: they may draw current or not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
             self._found += self._currents.measured(drawn, self._runs, now_ns)
             if not self._trusted and any(drawn.get(each, IDLE_MA + 1) <= IDLE_MA for each in self._fed - self._runs):
@@ -166,7 +166,7 @@ class RobotSupply:
         return self._changed or bool(self._found)
 
     def take_news(self) -> tuple[PowerSeen, list[Announce]]:
-        """Take the news: what they mean to the supervisor, and what is to be published."""
+        """Take the board's news. Return the event for the supervisor, and the events to publish."""
         announcements, doubt = list[Announce](), ""
         found, self._found, self._changed = self._found, [], False
         for each in (*self._line.news(), *found):
@@ -182,13 +182,13 @@ class RobotSupply:
         if self._cut and status.supplied & self._asked:
             self._cut = False
             announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
-        # Of a silent board nobody knows: what lands keeps its supply, if it has any.
+        # A silent board loses no servo: a landing robot may still have its power.
         lost = status.lost if status.alive else _NONE
         self._trusted = self._trusted and (status.alive or self._ready is not None)
         if self._alive and status.alive:  # another program took it, such as `stop-servos`
             self._withheld |= dict.fromkeys(lost - status.refused.keys(), _TAKEN)
         newly = status.refused.keys() - self._refused.keys()
-        # One that the board, or a person at it, has unblocked is not fed before a reset.
+        # A servo that the board, or a person at the board, has unblocked is not powered before a reset.
         self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
         self._alive, self._refused = status.alive, status.refused
         refused = {**self._withheld, **status.refused}
@@ -196,7 +196,7 @@ class RobotSupply:
         return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, lost, doubt), announcements
 
     def _drew(self, news: News) -> str:
-        """A servo draws current that is to be at rest. Return why all is to be stopped; empty: its supply goes."""
+        """Handle a servo at rest that draws current: cut its power. Return why all must stop, or "" if not."""
         if not self._trusted and news.servos & self._asked:
             deaf = _DEAF.format(min(news.servos))
             self._withheld |= dict.fromkeys(_ALL, deaf)
@@ -205,15 +205,17 @@ class RobotSupply:
         return "" if news.servos & self._asked else news.detail
 
     def confirm(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
-        """Call `then` once the board has confirmed that these are off, or it is too late for it; at once where one of
-        them was started again meanwhile."""
+        """Call `then` once the board has confirmed these servos off, or the time for that is over.
+
+        If one of them was started again meanwhile, `then` is called at once. `asked_ns` is when the Stop was received.
+        """
         if not self._asked.isdisjoint(servos):
             then(False, None)
             return
         self.confirmations.wait(servos, asked_ns, then)
 
     def report(self, now_ns: int) -> PowerReport:
-        """For the state."""
+        """Return the power board's part of the state."""
         status = self.status
         return PowerReport(
             interface=self._interface,
@@ -225,12 +227,12 @@ class RobotSupply:
 
     @property
     def status(self) -> Status:
-        """What is known of the board."""
+        """The board's latest known status."""
         return self._line.status
 
 
 def off_button(now_ns: int) -> Received:
-    """Return the message of the board's off button: an emergency stop like any other."""
+    """Return the board's off button as a message: an emergency stop received at `now_ns`."""
     payload = json.dumps({"source": "the power board's off button"}).encode()
     return Received(
         key=ESTOP, expression=ESTOP, target=None, verb=Verb.PUT, payload=payload, size=len(payload),
@@ -246,9 +248,10 @@ def supply_of(
     owner: Ownership,
     failed: Callable[[Exception], None],
 ) -> RobotSupply | None:
-    """The supply of this robot, with its line begun; None: there is no board. Raises ConfigError.
+    """Return the robot's supply with its line started, or None if there is no board.
 
-    `channel` is the terminal of a simulated board. What is on is taken off at once, until the first Stops are written.
+    All power is cut at once, until the first Stops are written. `channel` is the terminal of a simulated board.
+    `failed` is called with an unexpected exception of the line's threads. Raises ConfigError for a wrong interface.
     """
     power = settings.power
     if not power.interface:
@@ -262,7 +265,7 @@ def supply_of(
             supply.on_news()
 
     def on_news() -> None:
-        """What receives from the board must not wait for the state: the loop does."""
+        """Let the loop wait for the state, since the board's receiving thread must not."""
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             loop.call_soon_threadsafe(changed)
 

@@ -1,4 +1,4 @@
-"""Keeps the newest values that the robot measured, and makes the payload of `hexapod/telemetry` from them."""
+"""Keeps the robot's newest measurements, and makes the payload of `hexapod/telemetry` from them."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
@@ -17,16 +17,16 @@ _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4
 
 
 class Measurement(NamedTuple):
-    """Measured values, and when they came, in ns of the monotonic clock."""
+    """Measured values, and when they were received, in ns of the monotonic clock."""
 
     values: Measured
     ns: int
 
 
 class LatestTelemetry:
-    """The newest values; nothing, until a robot that measures has sent some. Written by the owner of the state.
+    """The newest measurements, if any. The owner of the state writes them.
 
-    Older ones stay when the controller falls silent: their age shows this, and a fault of the bus is reported apart.
+    They stay when the controller falls silent; their age shows that, and a bus fault is reported separately.
     """
 
     def __init__(self, outbox: Outbox, clock: Callable[[], int], supply: RobotSupply | None) -> None:
@@ -34,43 +34,42 @@ class LatestTelemetry:
         self._clock = clock
         self._supply = supply
         self.newest: Measurement | None = None
-        """Replaced as a whole, so that a thread that owns nothing may read it, too."""
+        """Replaced as a whole, so that any thread may read it."""
 
     def note(self, values: Measured, now_ns: int) -> None:
-        """Take what came at this time."""
+        """Take values received at `now_ns`."""
         self.newest = Measurement(values, now_ns)
 
     @property
     def battery(self) -> Battery | None:
-        """For the state."""
+        """The battery's part of the state, or None if nothing was measured."""
         return None if self.newest is None else battery_of(self.newest.values)
 
     def power(self) -> PowerReport | None:
-        """Return the power board's report; None: there is no board. Reading it needs no owner."""
+        """Return the power board's report, or None without a board. For any thread."""
         return None if self._supply is None else self._supply.report(self._clock())
 
     def publish(self) -> None:
-        """Publish what the robot measures, if it does."""
+        """Publish the measurements, if there are any."""
         report = self.report()
         if report is not None:
             self._outbox.publish(keys.TELEMETRY, report)
 
     def answer(self, reply: Reply) -> None:
-        """Answer a `get`. Where nothing was measured there is no answer, and the asker's question just ends.
+        """Answer a `get` with the measurements. Without any, the query ends without an answer.
 
-        A robot that measures nothing, one that has not measured yet, and a gateway of an older version look the same:
-        there are no values. An answer without any would look like some.
+        So a robot that measures nothing, one that has not measured yet, and an older gateway look the same.
         """
         report = self.report()
         if report is not None:
             reply(report.model_dump_json().encode())
 
     def age_s(self, since_ns: int | None) -> float | None:
-        """How long ago something came; None: it never did. Reading it needs no owner."""
+        """Return the seconds since `since_ns` (None stays None). For any thread."""
         return None if since_ns is None else (self._clock() - since_ns) / 1e9
 
     def report(self) -> Telemetry | None:
-        """What the robot and its power board measure; None: nothing. Reading it needs no owner."""
+        """Return the measurements of the robot and its power board, or None without any. For any thread."""
         now_ns = self._clock()
         board = {} if self._supply is None else board_values(self._supply.status, now_ns)
         if self.newest is None:
@@ -81,7 +80,7 @@ class LatestTelemetry:
 
 
 def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
-    """What a power board measures, by its names in `Telemetry`; empty: nothing yet."""
+    """Return a power board's measurements by their names in `Telemetry`; empty before the first."""
     if status.answered_ns is None:
         return {}
     found: dict[str, Any] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}

@@ -1,11 +1,11 @@
-"""Keeps sessions free for operators: other clients (visitors) get a share of Zenoh's sessions, revoked ones none.
+"""Keeps sessions free for operators: other clients (visitors) get a share of Zenoh's sessions, revoked clients none.
 
-Zenoh limits all sessions together, not those of a role or a listener, and its API cannot close one. So the newest
-visitors beyond their share lose their connection: their socket is shut down, and Zenoh drops the session within a
-millisecond. Older sessions stay. Without client certificates, clients cannot be distinguished, and none is shut down.
+Zenoh limits only the sum of all sessions, and its API cannot close one. So this shuts down the sockets of the newest
+visitors beyond their share; Zenoh drops such a session within a millisecond. Older sessions stay. Without client
+certificates, clients cannot be distinguished, and none is shut down.
 
-TLS accepts any certificate of the CA, also a revoked one. Access control drops its messages; shutting down its socket
-frees its place as well.
+TLS accepts every certificate of the CA, even a revoked one. Access control drops a revoked client's messages; shutting
+down its socket also frees its place.
 """
 
 import ipaddress
@@ -31,7 +31,7 @@ from gateway.limits import MAX_SESSIONS, OPERATORS_PLACES
 
 VISITORS: Final = MAX_SESSIONS - OPERATORS_PLACES
 SAY_AGAIN_S: Final = 10.0
-"""Shortest time between two warnings: rejected clients try again several times a second."""
+"""Shortest time between two warnings. Rejected clients reconnect several times a second."""
 
 logger = logging.getLogger(__name__)
 
@@ -45,20 +45,20 @@ class ConnectionLimiter:
         count: Callable[[int], None],
         revoked: Collection[str] = frozenset(),
     ) -> None:
-        """After each change of the links, `count` gets the number of sessions. `revoked`: common names to shut out."""
+        """`count` is called with the number of sessions after each change. `revoked` are common names to shut out."""
         self._revoked = revoked
         self._session = session
         self._count = count
         self._since: dict[str, int] = {}
         self._visits = 0
         self._warnings = Allowance(1 / SAY_AGAIN_S, 1)
-        # A ring for one event is enough: each look reads all links.
+        # A ring for one event is enough: each event has all links read.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
         self.thread = threading.Thread(target=self._run, name="connection_limiter", daemon=True)
         self.thread.start()
 
     def close(self) -> None:
-        """End the thread. Blocks; not for the loop's thread."""
+        """End the thread. Blocks, so do not call it on the loop's thread."""
         with suppress(zenoh.ZError):
             self._listener.undeclare()
         self.thread.join()
@@ -105,15 +105,19 @@ class ConnectionLimiter:
 
 
 def is_operator(identity: str) -> bool:
-    """Whether this common name may stop the robot: `operator-07`, `button-07`."""
+    """Return whether this common name may stop the robot: `operator-07`, `button-07`."""
     return role_of(identity) in (OPERATOR, BUTTON)
 
 
 def shut_down(addresses: Collection[Any]) -> None:
-    """Shut down this process's connections to these peers. Zenoh owns the descriptors, so they are searched for."""
+    """Shut down this process's connections to these peers, each an IP address and a port.
+
+    Zenoh owns the descriptors, so all descriptors of the process are searched. Raises OSError if none is left to list
+    them.
+    """
     for number in map(int, os.listdir("/proc/self/fd")):
-        # A duplicate, since Zenoh may close the descriptor meanwhile, and its number may be reused. If no descriptor is
-        # left for one, no new client can connect either.
+        # A duplicate, since Zenoh may close the descriptor meanwhile and its number be reused. Without a descriptor for
+        # the duplicate, no new client can connect either.
         with suppress(OSError), _duplicate(number) as connection:
             if _peer(connection) in addresses:
                 connection.shutdown(socket.SHUT_RDWR)
@@ -141,7 +145,7 @@ def _peer(connection: socket.socket) -> Any:
 
 
 def _address(locator: str) -> Any:
-    """Address and port of a locator such as `tls/[::ffff:192.0.2.7]:49090`; None if it has none."""
+    """Return address and port of a locator such as `tls/[::ffff:192.0.2.7]:49090`, or None if it has none."""
     host, port = host_and_port(locator)
     try:
         return ipaddress.ip_address(host.partition("%")[0]), int(port)

@@ -1,6 +1,6 @@
-"""Rejects configurations with which anyone on the network could move the robot: the gateway then does not start.
+"""Rejects configurations that let anyone on the network move the robot. The gateway then does not start.
 
-A listen endpoint that is not loopback needs TLS with client certificates, or user and password, or the explicit
+A listen endpoint other than loopback needs TLS with client certificates, user and password, or the explicit
 `zenoh.allow_insecure = true`. An endpoint of an unknown kind counts as exposed.
 """
 
@@ -21,7 +21,7 @@ logger = logging.getLogger(__name__)
 
 
 def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
-    """Raises ConfigError for an endpoint on which anyone may command; with `allow_insecure` it only warns."""
+    """Raise ConfigError for an endpoint on which anyone may command. With `allow_insecure`, only warn of it."""
     listen = listen_endpoints(config)
     if not listen and not connect_endpoints(config):
         raise ConfigError("zenoh.listen is empty, and the Zenoh file dials nobody, so nobody could reach the gateway")
@@ -38,7 +38,7 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
 
 
 def warnings(config: zenoh.Config) -> Iterator[str]:
-    """What lets others move the robot, of a configuration that is not rejected; a sentence each."""
+    """Yield a sentence for each way in which an accepted configuration lets others move the robot."""
     open_to_anyone = [endpoint for endpoint in listen_endpoints(config) if is_open_to_anyone(endpoint, config)]
     if open_to_anyone:
         yield f"zenoh.allow_insecure: anyone who reaches {', '.join(open_to_anyone)} can move the robot"
@@ -58,8 +58,10 @@ def warnings(config: zenoh.Config) -> Iterator[str]:
 
 
 def _check_links(endpoints: list[str], config: zenoh.Config) -> None:
-    """Raises ConfigError for QUIC with certificates: all its sessions share one UDP socket, so a revoked client's could
-    not be shut down, and would keep an operator's place.
+    """Raise ConfigError for QUIC with certificates.
+
+    All QUIC sessions share one UDP socket. So a revoked client could not be shut down, and would keep an operator's
+    place.
     """
     quic = [endpoint for endpoint in endpoints if endpoint.startswith("quic")]
     by_certificate = get(config, "transport/link/tls/root_ca_certificate") or get(config, "access_control/enabled")
@@ -71,7 +73,7 @@ def _check_links(endpoints: list[str], config: zenoh.Config) -> None:
 
 
 def _check_namespace(config: zenoh.Config) -> None:
-    """Raises ConfigError if the rules lack the robot's namespace: they would block even the emergency stop."""
+    """Raise ConfigError if the rules lack the robot's namespace, since they would block even the emergency stop."""
     namespace, rules = get(config, "namespace"), get(config, "access_control/rules")
     if not namespace or not rules or get(config, "access_control/enabled") is not True:
         return
@@ -84,7 +86,7 @@ def _check_namespace(config: zenoh.Config) -> None:
 
 
 def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
-    """Whether `endpoint` is reachable from another machine without a certificate or password."""
+    """Return whether `endpoint` can be reached from another machine without a certificate or password."""
     return not (
         is_local(endpoint)
         or _demands_certificate(endpoint, config)
@@ -93,7 +95,7 @@ def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
 
 
 def _may_be_multicast(endpoint: str) -> bool:
-    """A multicast group has no sessions, so Zenoh asks for no password and takes what anyone sends there."""
+    """Return whether it may be a multicast group. Groups have no sessions, so Zenoh demands no password there."""
     ip = ip_of(endpoint)
     return endpoint.startswith("udp/") and (ip is None or ip.is_multicast)
 
@@ -103,7 +105,7 @@ def _is_tls(endpoint: str) -> bool:
 
 
 def _demands_certificate(endpoint: str, config: zenoh.Config) -> bool:
-    # Settings behind an endpoint's "#" override the file's.
+    # Settings after an endpoint's "#" override the file's.
     overrides = endpoint.partition("#")[2]
     return (
         _is_tls(endpoint)

@@ -1,12 +1,11 @@
-"""The left edge: Zenoh's subscribers and queryables, a ring for each key, and the threads that wait for them.
+"""The input edge: Zenoh's subscribers and queryables, a ring for each key, and the threads that wait for them.
 
-Zenoh delivers on threads of its own. A callback per message would cost Python time for each, so that a flood of one key
-would delay everything else by seconds. Here each key has a ring in Rust that keeps its newest messages, and one thread
-waits on a subscriber that receives them all: the wakeup. It then owns the state (`robot.host.ownership`) for one tick,
-in which it takes what the rings hold and writes the frames. So work per tick is bounded, a message that is overwritten
-costs nothing, and no other thread has to be woken for a command.
+Zenoh delivers on its own threads. With a Python callback for each message, a flood of one key would delay everything
+else by seconds. So each key has a ring in Rust that keeps its newest messages. One thread waits on a subscriber of all
+keys: the wakeup. It then owns the state (`robot.host.ownership`) for a tick, empties the rings, and writes the frames.
+Work per tick is bounded, an overwritten message costs nothing, and a command wakes no other thread.
 
-The emergency stop has rings and receiver threads of its own, which no flood of other keys can touch.
+The emergency stop has its own rings and receiver threads, so a flood of other keys does not delay it.
 """
 
 import asyncio
@@ -36,13 +35,13 @@ from schemas.telemetry import Ack, Reason
 
 
 class ReplySender(Worker):
-    """Sends replies and ends queries in order. Only `close` blocks its caller."""
+    """Sends replies and ends queries in order, on its own thread. Only `close` blocks its caller."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name, priority=None)
 
     def to(self, query: zenoh.Query, key: str) -> Reply:
-        """A function that replies to this query, once; the client waits until then."""
+        """Return a function that replies once to this query on `key`. The client waits for the reply."""
 
         def send(payload: bytes) -> None:
             try:
@@ -54,37 +53,37 @@ class ReplySender(Worker):
         return lambda payload: self.do(lambda: send(payload))
 
     def let_go(self, query: zenoh.Query) -> None:
-        """Release a query that is answered elsewhere. Releasing the last reference sends its end, which may block."""
+        """Release a query that is answered elsewhere. Releasing its last reference sends its end, which may block."""
         self.do(query.drop)
 
 
 OTHER_DEPTH: Final = 16
-"""The same for what names no key of ours; it is rejected one by one, so there is no use in more."""
+"""Messages for unknown keys that wait; each is rejected on its own, so more are of no use."""
 READER_DEPTH: Final = 32
-"""Questions on a further key that wait to be read. One that is pushed out has no answer, which its sender notices."""
+"""Queries on another key that wait to be read. A query that is pushed out gets no answer, and its sender notices."""
 LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
-"""The wakeup can ring before the message has reached its key's own ring (two deliveries, one after the other, by a
-thread that may be interrupted in between). So a wakeup whose key had nothing is followed by some more looks."""
+"""Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
+after the other, and its thread may be interrupted in between."""
 LOOK_AFTER_FLOOD: Final = 2
-"""The first of these looks after wakeups were lost: later than the next tick of a flood, which looks anyway."""
+"""The first of these delays after lost wakeups: longer than a flood's next tick, which polls anyway."""
 _EARLY_S: Final = sum(LOOK_AGAIN_S)
-"""For how long a message's wakeup is expected after the message itself was taken."""
+"""How long a wakeup is expected after its message was taken."""
 
 FLOOD_PAUSE_S: Final = 0.001
-"""How long a wakeup does not ring after a tick that found it full. Without it, ticks follow one another without a
-pause, and take the processor from the threads of Zenoh's that receive: what is in their sockets then grows old. A
-flooded leg's frames, p99, on a busy machine: 171 and 181 ms without the pause, 25 and 50 ms with it."""
+"""Pause of a wakeup after a tick that found it full. Without the pause, ticks take the processor from Zenoh's receiving
+threads, and data waits in their sockets. A flooded leg's frames, p99, on a busy machine: 171 and 181 ms without the
+pause, 25 and 50 ms with it."""
 
 _Item = zenoh.Sample | zenoh.Query
 _PUT, _DELETE, _LOST, _KIND_DELETE = Verb.PUT, Verb.DELETE, Verb.LOST, zenoh.SampleKind.DELETE
-"""Each message asks for these; see `frames.OP_STOP`."""
+"""Read for each message; see `frames.OP_STOP`."""
 _RING_KEYS: Final = COMMAND_KEYS.keys() - {ESTOP}
 
 logger = logging.getLogger(__name__)
 
 
 class Inbox:
-    """Everything that comes in. Its callbacks are called by an owner of the state, and so is `take`."""
+    """Receives all messages. An owner of the state calls `take`, and makes its callbacks."""
 
     def __init__(
         self,
@@ -100,13 +99,13 @@ class Inbox:
         depth: int = LEAST_PUT_DEPTH,
         on_estop_received: Callable[[], None] | None = None,
     ) -> None:
-        """`on_wakeup`: there is something to `take`. `on_estop`: there is an emergency stop in `estops`.
+        """`on_wakeup` is called if there are messages to `take`; `on_estop` if an emergency stop is in `estops`.
 
-        `on_estop_received` is called on the thread that has received one, which does not own the state: a transfer that
-        hangs may hold that, and the second way to stop must not wait for it.
+        `on_estop_received` is called first, on the receiving thread without the state: a transfer that hangs may hold
+        the state, and the second way to stop must not wait for it.
 
-        `readers` read what is asked on further keys, each on a thread of its own that owns nothing yet; on those in
-        `tokens`, questions with a good token are read first. `depth`: how many puts of a key are kept (`put_depth`).
+        `readers` read queries on other keys, each on its own thread without the state. On keys in `tokens`, queries
+        with a valid token are read first. `depth` is how many puts of a key are kept (`put_depth`).
         """
         self._loop = loop
         self._passed_over = depth - RING_DEPTH  # of a full ring
@@ -116,23 +115,23 @@ class Inbox:
         self.estops: deque[Received] = deque()
         self._others: deque[Received] = deque()
         self._woken: dict[str, int] = {}
-        """How many messages of each key there are, by the wakeups since the last tick."""
+        """Wakeups for each key since the last tick."""
         self._missed: dict[str, int] = {}
-        """How many of them woke the inbox before that, and have not been taken yet."""
+        """Earlier wakeups for each key whose messages have not been taken yet."""
         self._early: dict[str, int] = {}
-        """How many were taken before their wakeup arrived."""
+        """Messages of each key that were taken before their wakeup arrived."""
         self._early_until_s = 0.0
-        self._lost_some = False  # wakeups, so that nobody knows for which keys to look again
+        self._lost_some = False  # wakeups were lost, so all keys are polled again
         self._look_at: Collection[str] = ()
         self._read_all = False
         self._look_again = OwnersTimer(loop, owner, self._look_now)
         self._attempt = 0
         self.instant_open = False
-        """Whether what is taken next is of the same instant as what was taken last."""
+        """Whether the next messages belong to the same instant as the last."""
         self._closing = OwnersTimer(loop, owner, on_wakeup)
         self._declared: list[Any] = []
         self._replies = ReplySender("answers")
-        self._estop_replies = ReplySender("estop-answers")  # nobody else's answers are waited for
+        self._estop_replies = ReplySender("estop-answers")  # they wait for no other answers
 
         receivers: dict[str, tuple[Receive[_Item], Receive[_Item]]] = {
             key: (
@@ -173,13 +172,13 @@ class Inbox:
         self._threads += [self._replies.thread, self._estop_replies.thread]
 
     def take(self) -> Iterator[Received]:
-        """What the rings hold: `legs`, then `leg`, then `servo`, then resets.
+        """Yield the rings' messages: `legs`, then `leg`, then `servo`, then resets.
 
-        The rings are read before the first message is dealt with: what is sent in answer to one of these messages is
-        newer than all of them, and belongs to a later instant.
+        All rings are read before the first message is handled. A client's reaction to one of these messages is newer
+        than all of them, so it belongs to a later instant.
         """
-        # Those whose wakeup came. All, where wakeups may have been lost, and where a timer woke the loop: a Stop whose
-        # wakeup has not been noted yet goes before a frame whose rate slot has come. To look into all takes 4 µs.
+        # Rings with a wakeup are read. After lost wakeups, and after a timer, all are (4 µs): a Stop whose wakeup has
+        # not been received yet precedes a frame whose rate slot has come.
         keys = () if self._read_all else {*self._woken, *self._look_at}
         try:
             found = self._rings.read(keys)
@@ -198,19 +197,22 @@ class Inbox:
         self._compare(taken)
         self._read_all = False
         if self.instant_open:
-            self._closing.set_in(FLOOD_PAUSE_S)  # to close it, if nothing else comes
+            self._closing.set_in(FLOOD_PAUSE_S)  # to close the instant, if no further message does
 
     @property
     def receives(self) -> bool:
-        """Whether all receiver threads live; without them no command, and no emergency stop, would be noticed."""
+        """Whether all receiver threads run. Without them, commands and emergency stops would be lost."""
         return all(thread.is_alive() for thread in self._threads)
 
     def makes_progress(self) -> bool:
-        """Whether no receiver thread is stuck with an item. To be asked at each beat of the loop."""
-        return not [receiver for receiver in self._receivers if not receiver.makes_progress()]  # each of them is asked
+        """Return whether all receiver threads make progress. Call it once a beat."""
+        return not [receiver for receiver in self._receivers if not receiver.makes_progress()]  # each counts its beats
 
     def close(self) -> None:
-        """Undeclare everything, which ends the receiver threads, and join them. Blocks; not for the loop's thread."""
+        """Undeclare everything, which ends the receiver threads, and join them.
+
+        Blocks, so do not call it on the loop's thread.
+        """
         for declared in self._declared:
             with suppress(zenoh.ZError):
                 declared.undeclare()
@@ -244,7 +246,7 @@ class Inbox:
 
     def _estop(self, item: _Item, received_ns: int) -> OwnersTask:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
-            # Who lists what there is (`get` on hexapod/**) wants to see, not to stop. A put is meant, and a Stop.
+            # A `get` on hexapod/** lists keys and means no stop. A `put` on a wildcard does.
             return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
         self.estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
         if self._on_estop_received is not None:
@@ -256,8 +258,8 @@ class Inbox:
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
         self._note(item, received_ns)
         del item
-        # The wakeups are emptied before the rings are read: a message that comes in between wakes again. What comes
-        # while they are emptied is left for the next time.
+        # The wakeups are emptied before the rings are read, so that a message in between wakes again. Wakeups that
+        # arrive during this are left for the next tick.
         for wakeup in self._wakeups:
             count = 0
             try:
@@ -267,14 +269,14 @@ class Inbox:
                     count += 1
             except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
                 pass
-            # Of a full wakeup two may have been taken out after another was lost: this one, and its thread's.
+            # Two of a full ring's wakeups may have been taken after another was lost: `item`, and the other thread's.
             self._read_all = self._read_all or count >= OTHER_DEPTH - 2
         flooded = self._read_all
         self._wake()
         return FLOOD_PAUSE_S if flooded else None
 
     def _note(self, item: _Item, received_ns: int) -> None:
-        """A key of ours is read from its own ring; what names none of ours is rejected from here."""
+        """Count a wakeup for a command key, whose own ring has the message. Keep a message on an unknown key."""
         key = str(item.key_expr)
         if key in _RING_KEYS:
             self._woken[key] = self._woken[key] + 1 if key in self._woken else 1
@@ -287,13 +289,13 @@ class Inbox:
                 self._others.append(_received(self._replies, key, item, received_ns))
                 return
         if type(item) is zenoh.Query:
-            # Its asker may wait for the end of all that it reached, so an emergency stop's is not sent behind others.
+            # A client may wait for the ends of all its queries, so an emergency stop's end does not queue with others.
             (self._estop_replies if key == ESTOP else self._replies).let_go(item)
 
     def _compare(self, taken: dict[str, int]) -> None:
-        """Look again, if more wakeups came than messages were taken: one of them has not reached its key's ring yet.
+        """Poll again if there were more wakeups than messages: a message has not reached its ring yet.
 
-        They are counted, since another message of the same key may have been taken in its place.
+        Wakeups are counted for each key, since another message of the key may have been taken instead.
         """
         woken, self._woken = self._woken, {}
         if self._read_all:
@@ -310,7 +312,7 @@ class Inbox:
             self._missed = {key: count for key, count in left.items() if count > 0}
             if not self._early:
                 self._early_until_s = self._loop.time() + _EARLY_S
-            # No message may be forgotten for ever, because another was counted once too often.
+            # A surplus expires: otherwise a message counted twice would hide a later one forever.
             late = self._loop.time() > self._early_until_s
             self._early = {} if late else {key: -count for key, count in left.items() if count < 0}
             if missed_more:
@@ -330,7 +332,7 @@ class Inbox:
         if attempt + 1 < len(LOOK_AGAIN_S):
             self._look_later(attempt + 1)
         else:
-            self._missed, self._lost_some = {}, False  # pushed out of its ring, or taken before its wakeup arrived
+            self._missed, self._lost_some = {}, False  # the message was pushed out, or taken before its wakeup
 
 
 _NOT_BY_WILDCARD: Final = (
@@ -345,7 +347,7 @@ _NOT_BY_WILDCARD: Final = (
 
 
 def _named(item: _Item, among: Collection[str]) -> set[str]:
-    """The keys that a wildcard names."""
+    """Return those of the keys that a wildcard matches."""
     return {key for key in among if item.key_expr.intersects(zenoh.KeyExpr(key))}
 
 
@@ -354,7 +356,7 @@ def _lost(key: str, count: int) -> Received:
 
 
 def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | None = None) -> Received:
-    """What arrived on `key`, and when it came, where that is known better than by now."""
+    """Return the message that arrived on `key` at `received_ns` (None: now)."""
     payload = item.payload
     size = len(payload) if payload is not None else 0
     if type(item) is zenoh.Query:

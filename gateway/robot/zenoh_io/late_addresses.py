@@ -1,8 +1,7 @@
-"""Endpoints whose address is not there yet: a phone's hotspot, DHCP, a name server, an address family of the kernel.
+"""Endpoints whose address does not exist yet: a phone's hotspot, DHCP, a name server, an address family of the kernel.
 
-The gateway listens on what is there. Zenoh tries the others once a second in the background, in the same session
-(measured with 1.10.2: it listens within a second of the address). An endpoint whose port is taken is another fault,
-which ends the start.
+The gateway listens on the addresses that exist. Zenoh tries the others once a second, in the same session (measured
+with 1.10.2: it listens within a second after the address appears). A port that is taken is a fault and ends the start.
 """
 
 import errno
@@ -32,16 +31,16 @@ _RETRY: Final = {
     "retry_period_max_ms": "1000",
     "retry_period_increase_factor": "1",
 }
-"""Zenoh's settings of one endpoint, behind its #."""
+"""Zenoh's settings for one endpoint, after its #."""
 _OTHERS_MS: Final = 1000
-"""How long Zenoh tries the other endpoints; with 0 it would try none again, these included."""
+"""How long Zenoh tries the other endpoints. With 0 it would retry no endpoint, not even the late ones."""
 _ALL, _ALL_IPV4 = "::", "0.0.0.0"  # noqa: S104 (as the configuration has it)
 
 logger = logging.getLogger(__name__)
 
 
 class LateAddresses:
-    """Those of one session: `report` gets the endpoints that are missing, at the first look and at each change."""
+    """The late endpoints of one session. `report` is called with the missing ones, at first and at each change."""
 
     def __init__(self, report: Callable[[tuple[str, ...]], None] = lambda _: None) -> None:
         self._report = report
@@ -50,7 +49,7 @@ class LateAddresses:
         self._pages: dict[str, Callable[[], None]] = {}
 
     def serve(self, address: str, page: Callable[[], None]) -> None:
-        """Call `page`, which listens on `address` (`host:port`), now or once the address is there."""
+        """Call `page`, which listens on `address` (`host:port`), now or once the address exists."""
         endpoint = f"tcp/{address}"
         fault = bind_fault(endpoint)
         if fault is None or not is_late(fault):
@@ -60,14 +59,17 @@ class LateAddresses:
         self._miss(endpoint, fault)
 
     def open(self, config: zenoh.Config) -> zenoh.Session:
-        """Open a session that listens on what is there, and on the others later. Raises ZenohError. Blocks."""
+        """Return a session that listens on the existing addresses now and on the others later. Blocks.
+
+        Raises ZenohError if a port is taken or Zenoh does not open.
+        """
         endpoints = listen_endpoints(config)
         faults = {each: fault for each in endpoints if (fault := bind_fault(each)) is not None}
         late = {each: fault for each, fault in faults.items() if is_late(fault)}
         if not late:
             return open_session(config)
         for each, fault in faults.items():
-            if each not in late:  # Zenoh's own sentence would name none of them
+            if each not in late:  # Zenoh's own message would not name the endpoint
                 raise ZenohError(why_not_opened(str(fault), [each]))
         tried = dict.fromkeys(_tried(each, late.get(each)) for each in endpoints)
         _set(config, "endpoints", list(tried))
@@ -86,7 +88,7 @@ class LateAddresses:
         self.missing += (endpoint,)
 
     def look(self) -> bool:
-        """Whether what is missing has changed since the last look. Blocks on name servers."""
+        """Check the missing endpoints. Return whether they have changed. Waits for name servers."""
         still = tuple(each for each in self.missing if not self._is_there(each))
         for each in set(self.missing) - set(still):
             logger.info("listens on %s, too", each)
@@ -112,7 +114,7 @@ class LateAddresses:
 
 
 def bind_fault(endpoint: str) -> OSError | None:
-    """Why nothing could listen on an endpoint now; None: something could, or the endpoint names no port."""
+    """Return why no program could listen on an endpoint now; None if one could, or if the endpoint has no port."""
     kind, (host, port) = _LINKS.get(endpoint.partition("/")[0]), host_and_port(endpoint)
     if kind is None or not port.isdecimal():
         return None
@@ -125,7 +127,7 @@ def bind_fault(endpoint: str) -> OSError | None:
 
 
 def is_late(fault: OSError) -> bool:
-    """Whether time may cure it."""
+    """Return whether the fault may end without a change of the settings: the name or address does not exist yet."""
     return isinstance(fault, socket.gaierror) or fault.errno in _LATE
 
 
@@ -145,10 +147,10 @@ def _is_all_without_ipv6(endpoint: str, fault: OSError) -> bool:
 
 
 def _tried(endpoint: str, fault: OSError | None) -> str:
-    """The endpoint as Zenoh is to try it."""
+    """Return the endpoint with the settings with which Zenoh tries it."""
     if fault is None:
         return endpoint
-    if _is_all_without_ipv6(endpoint, fault):  # all that is there of all addresses
+    if _is_all_without_ipv6(endpoint, fault):  # all IPv4 addresses are all that exist
         return endpoint.replace(f"[{_ALL}]", _ALL_IPV4)
     settings = ";".join(f"{name}={value}" for name, value in _RETRY.items())
     return f"{endpoint}{';' if '#' in endpoint else '#'}{settings}"

@@ -1,7 +1,7 @@
 """Publishes state, events and frame records on Zenoh, and the gateway's liveliness token.
 
-A background thread publishes. A put waits for each subscriber whose link is full (a millisecond and more), and for
-Zenoh's tables while a client declares many keys; on the loop, Stops would be delayed as well.
+A background thread publishes: a put waits a millisecond or more for each subscriber whose link is full, and for Zenoh's
+tables while a client declares many keys. On the loop, this would delay Stops.
 """
 
 import logging
@@ -16,7 +16,7 @@ from gateway.host.worker import Worker
 from schemas.keys import ALIVE, GATEWAYS
 
 MAX_REPORTS_WAITING: Final = 1000
-"""Some seconds of frame records. Further reports are dropped: older ones would delay current ones."""
+"""Some seconds of frame records. Further reports are dropped, since old reports would delay current ones."""
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class ZenohOutbox:
         self._token = session.liveliness().declare_token(ALIVE)
 
     def anyone_listens(self, key: str) -> bool:
-        """Whether `key` has a subscriber. Unchecked, an idle gateway took half as much processor time again."""
+        """Return whether `key` has a subscriber. Without this check, an idle gateway took 1.5 times the processor."""
         listener = self._matching.get(key)
         change = None if listener is None else listener.handler.try_recv()
         if change is not None:
@@ -68,7 +68,7 @@ class ZenohOutbox:
             self.dropped += 1
 
     def close(self) -> None:
-        """Publish the queued reports and end the thread. Blocks; not for the loop's thread."""
+        """Publish the queued reports and end the thread. Blocks, so do not call it on the loop's thread."""
         self._worker.close()
 
     def _send(self, key: str, report: BaseModel) -> None:

@@ -1,7 +1,7 @@
 """Checks the certificate of a client that asks for the lease or registers a button.
 
-A check takes 0.3 ms. It runs on the receiver thread, without the robot's state, so that no command and no Stop waits
-for it, and at most `CHECKS_PER_S` times a second, since `cryptography` holds the interpreter's lock meanwhile.
+A check takes 0.3 ms. It runs on the receiver thread without the robot's state, so no command and no Stop waits for it.
+At most `CHECKS_PER_S` run a second, since `cryptography` holds the interpreter's lock meanwhile.
 """
 
 import datetime as dt
@@ -23,34 +23,34 @@ if TYPE_CHECKING:
     from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
-"""6 ms a second of the interpreter's lock. A person or program needs one check for each lease."""
+"""They hold the interpreter's lock for 6 ms a second. A person or program needs one check for each lease."""
 
 NONCE_NS: Final = 5_000_000_000
-"""docs/interface.md, Behaviour *Lease*: a laptop signs within milliseconds, and a slow network adds a second."""
+"""docs/interface.md, Behaviour *Lease*. A laptop signs within milliseconds; a slow network adds a second."""
 MOST_NONCES: Final = 256
-"""At a time. For one more the oldest is forgotten: a flood of challenges hurts those who are slow to use theirs."""
+"""At a time; one more replaces the oldest. So a flood of challenges hurts only clients that are slow to use theirs."""
 
 
 def fresh_token() -> str:
-    """128 random bits as hex."""
+    """Return 128 random bits as hex."""
     return secrets.token_hex(16)
 
 
 class Nonces:
-    """Nonces that were given out and not used: each serves once, for a short time. Pure."""
+    """Issued nonces that are not used yet. Each is valid once, for NONCE_NS. Pure."""
 
     def __init__(self) -> None:
         self._until_ns: dict[str, int] = {}
 
     def issue(self, nonce: str, now_ns: int) -> str:
-        """Give out this nonce, 128 random bits."""
+        """Issue this nonce (128 random bits) and return it."""
         if len(self._until_ns) >= MOST_NONCES:
             del self._until_ns[next(iter(self._until_ns))]
         self._until_ns[nonce] = now_ns + NONCE_NS
         return nonce
 
     def spend(self, nonce: str, now_ns: int) -> bool:
-        """Whether this nonce serves; from now on it does not."""
+        """Return whether this nonce is valid, and invalidate it."""
         until_ns = self._until_ns.pop(nonce, None)
         return until_ns is not None and now_ns < until_ns
 
@@ -66,7 +66,7 @@ class Proofs:
         *,
         watching: bool = False,
     ) -> None:
-        """Without a `checker`, names are accepted unproved. `watching`: the proofs are buttons', not drivers'."""
+        """Without a `checker`, names are accepted unproved. `watching` marks proofs of buttons, not of drivers."""
         self._checker = checker
         self._wall_clock = wall_clock
         self.fresh = fresh
@@ -80,11 +80,11 @@ class Proofs:
         return self._checker is not None
 
     def challenge(self, now_ns: int) -> str | None:
-        """A new nonce for a proof; None if none is needed."""
+        """Return a new nonce for a proof, or None if no proof is needed."""
         return None if self._checker is None else self._nonces.issue(self.fresh(), now_ns)
 
     def why_denied(self, proof: Proof | None, do: str, source: str, now_ns: int) -> str | None:
-        """Why `proof` does not show that `source` sent this request; None: it does, or no proof is needed."""
+        """Return why `proof` does not show that `source` requests `do`; None if it does, or no proof is needed."""
         if self._checker is None:
             return None
         if proof is None:
@@ -97,11 +97,11 @@ class Proofs:
         return self._checker.fault(proof, do, source, self._wall_clock(), purpose)
 
     def holder(self, proof: Proof | None) -> "Holder | None":
-        """The holder of the certificate behind an accepted proof; None: no proof is needed."""
+        """Return the holder of the certificate of an accepted proof, or None if no proof is needed."""
         return None if self._checker is None or proof is None else certs.proof.holder(proof)
 
 
 def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) -> "ProofChecker | None":
-    """A checker with the CA of the Zenoh file; None if that names no CA. Raises ConfigError."""
+    """Return a checker with the Zenoh file's CA, or None without a CA. Raises ConfigError if the CA cannot be read."""
     ca: Any = get(config, "transport/link/tls/root_ca_certificate")
     return certs.proof.ProofChecker(certs.files.read_certificates(Path(ca)), revoked) if isinstance(ca, str) else None

@@ -1,9 +1,9 @@
-"""Chooses which query on a key is read next: those with a valid token (of the lease or a button) come first.
+"""Chooses which query on a key is read next: queries with a valid token (of the lease or a button) come first.
 
-In one ring with all others, three programs with ten thousand queries a second would push a renewal out, and the lease
-would expire, or a button count as silent. So the ring is emptied before each read, and valid tokens come first; a few
-of each token may wait, so that none displaces another. Without a token, each source has a rate limit. A query that is
-dropped gets no answer, which its sender notices.
+In a ring in order of arrival, three programs with ten thousand queries a second would push a renewal out; the lease
+would expire, or a button count as silent. So the ring is emptied before each read, and valid tokens come first. A few
+queries of each token may wait, so that no token displaces another. Sources without a token have a rate limit. A dropped
+query gets no answer, and its sender notices.
 """
 
 import re
@@ -19,17 +19,17 @@ from gateway.host.worker import Worker
 from schemas.command import MAX_PAYLOAD_BYTES
 
 TokenCheck = Callable[[str], bool]
-"""Whether a token is valid. From any thread."""
+"""Returns whether a token is valid. For any thread."""
 Item = TypeVar("Item")
 
 QUESTIONS_DEPTH: Final = 1024
 """Queries in the ring: 40 000 a second fill it in 25 ms. Each may keep the 64 KiB in which Zenoh received it."""
 MOST_OF_TOKEN: Final = 4
-"""Queries of one token that wait: a sender normally waits for the answer before the next one."""
+"""Waiting queries of one token. A client normally waits for an answer before its next query."""
 QUESTIONS_PER_S: Final = 20
-"""For each source without a valid token: as many as proofs are checked; acquiring the lease takes two."""
+"""For each source without a valid token: as many as proofs are checked. Acquiring the lease takes two."""
 QUESTIONS_AT_ONCE: Final = 40
-"""The same in a burst: all pages of a console that reconnect."""
+"""The same in a burst, such as all pages of a console that reconnect."""
 MAX_WITHOUT_TOKEN: Final = 32
 """Waiting queries without a valid token."""
 MOST_ENDING: Final = 4096
@@ -48,7 +48,7 @@ class Questions(Generic[Item]):
         self._allowance = AllowanceBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
 
     def add(self, item: Item, payload: bytes, source: str | None, now_ns: int) -> bool:
-        """Whether the query will be read; otherwise the caller drops it."""
+        """Queue a query that arrived at `now_ns`. Return whether it was queued; if not, the caller drops it."""
         found = _TOKEN.search(payload)
         token = None if found is None else found[1].decode()
         if token is not None and self._knows(token):
@@ -63,7 +63,7 @@ class Questions(Generic[Item]):
         return True
 
     def next(self) -> Item | None:
-        """The query to read next; None: none waits."""
+        """Return the query to read next, or None if none waits."""
         if not self._first:
             return self._others.popleft() if self._others else None
         token, item = self._first.popleft()
@@ -74,7 +74,7 @@ class Questions(Generic[Item]):
 
 
 class QuestionRing:
-    """A ring of queries, read in that order. Not thread-safe."""
+    """A ring of queries, read in the order of `Questions`. Not thread-safe."""
 
     def __init__(self, ring: Handler[zenoh.Query], knows: TokenCheck, now_ns: Callable[[], int]) -> None:
         self._ring = ring
@@ -83,7 +83,7 @@ class QuestionRing:
         self._endings = Worker("end questions", priority=None)
 
     def recv(self) -> zenoh.Query:
-        """The next query. Blocks until there is one; raises ZError once the ring is closed."""
+        """Return the next query. Blocks until there is one. Raises ZError once the ring is closed."""
         while True:
             for _ in range(QUESTIONS_DEPTH):
                 item = self._ring.try_recv()
@@ -96,7 +96,7 @@ class QuestionRing:
             self._sort(self._ring.recv())
 
     def close(self) -> None:
-        """End the background thread, after the ring is closed. Blocks."""
+        """End the background thread. The ring must be closed. Blocks."""
         self._endings.close()
 
     def _sort(self, query: zenoh.Query) -> None:

@@ -1,4 +1,4 @@
-"""A thread for each ring that is waited for: it receives, and as owner of the state deals with what it received."""
+"""A receiver thread for each ring: it receives an item, then handles it as owner of the state."""
 
 import asyncio
 import threading
@@ -19,13 +19,14 @@ from gateway.robot.zenoh_io.questions import QuestionRing
 OwnersTask = Callable[[], float | None]
 """Handles one item, with the state owned. Returns the seconds to wait before the next one, or None."""
 Reader = Callable[[zenoh.Query, int, Reply], OwnersTask]
-"""Reads one question, which came at this time (ns), on a thread that owns nothing."""
+"""Reads one query, received at this time (ns), on a thread without the state. Returns the task for the owner."""
 MOST_LOOKS: Final = 30
-"""Beats of the loop, 3 s. At each the loop owns the state, and so a thread that only waits for it has had its turn."""
+"""Beats without progress, 3 s. The loop owns the state in each, so a thread that only waits for the state has its turn
+in between."""
 
 
 class ReceiverThread:
-    """A thread that waits for a ring's next item, notes it, owns the state to deal with it, and waits for the next."""
+    """A thread that takes a ring's items one by one: receive, `note`, then handle as owner of the state."""
 
     def __init__(
         self,
@@ -37,14 +38,14 @@ class ReceiverThread:
         *,
         priority: int = RECEIVER_PRIORITY,
     ):
-        """`note` is called before the thread owns the state, and returns what is to be done then."""
+        """`note(item, now_ns)` is called without the state, and returns the task for the owner of the state."""
         self._ring = ring
         self._loop = loop
         self._owner = owner
         self._note = note
         self._priority = priority
         self._in_hand_ns: int | None = None
-        """When the item came that is being dealt with."""
+        """When the item in hand was received; None: there is none."""
         self._seen_ns: int | None = None
         self._looks = 0
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
@@ -65,7 +66,7 @@ class ReceiverThread:
                 pause_s = None
                 try:
                     deal = self._note(item, now_ns)
-                    del item  # a query that is still referenced keeps its asker waiting
+                    del item  # a query that is still referenced keeps its client waiting
                     with self._owner:
                         pause_s = deal()
                     del deal

@@ -1,4 +1,4 @@
-"""The signed list of revoked certificates that the robot keeps, and the common names that Zenoh's rules then list.
+"""The robot's signed list of revoked certificates, and the common names that Zenoh's access rules list without them.
 
 Zenoh reads its rules when a session opens, so a newer list takes effect at the next start.
 """
@@ -35,16 +35,16 @@ class RevocationState(NamedTuple):
     cas: "tuple[x509.Certificate, ...]"
     path: Path
     known: "RevocationList | None"
-    """The list in force; None: there is none."""
+    """The list in force, or None."""
 
 
 def revocation_state(
     config: zenoh.Config, settings: Settings, *, started_by_systemd: bool = True
 ) -> RevocationState | None:
-    """What is in force; None if the Zenoh file names no CA. Raises ConfigError for a list that cannot be read.
+    """Return the CAs and the list in force, or None if the Zenoh file names no CA.
 
-    Without `started_by_systemd`, the service's folder is searched as well. A list in the Zenoh file's folder counts
-    too: it is copied along with a folder of certificates.
+    Lists are searched in the state directory and in the Zenoh file's folder, to which one is copied with certificates.
+    Without `started_by_systemd`, the service's folder is searched, too. Raises ConfigError if a list cannot be read.
     """
     ca = get(config, _CA)
     if not isinstance(ca, str) or not settings.zenoh.config:
@@ -60,7 +60,7 @@ def revocation_state(
 
 
 def list_common_names(config: zenoh.Config, known: "RevocationList | None") -> None:
-    """Replace each role in the rules by its laptops' common names, and remove the revoked ones."""
+    """Replace each role in the rules by its laptops' common names, without the revoked ones."""
     subjects = get(config, _SUBJECTS)
     shut_out = frozenset() if known is None else known.common_names
     for subject in subjects or ():
@@ -73,9 +73,9 @@ def list_common_names(config: zenoh.Config, known: "RevocationList | None") -> N
 
 
 def keep(path: Path, found: "RevocationList") -> None:
-    """Write the list atomically; it is on the disk when this returns. Raises ConfigError, and the old one stays.
+    """Write the list atomically; it is on the disk when this returns. A file written by root gets the folder's owner.
 
-    Written by root, it belongs to the folder's owner.
+    Raises ConfigError if it cannot be written; the old list stays.
     """
     try:
         durable.write_with_mode(path, found.pem, 0o644, prepare=partial(durable.like_the_folder, path))
@@ -87,6 +87,6 @@ def _read(path: Path, cas: "tuple[x509.Certificate, ...]") -> "RevocationList | 
     try:
         return certs.revocation.read(path, cas)
     except certs.revocation.ForeignListError as error:
-        # The certificates on it are of a CA that this robot does not accept anyway.
+        # The list's certificates are from a CA that this robot does not accept.
         logger.warning("%s; nobody is shut out by it", error)
         return None

@@ -1,21 +1,21 @@
 """The order in which rings are read, so that no older Start overtakes a newer Stop. Pure: no Zenoh, no clock.
 
-Zenoh delivers the messages of one session in order, each into its key's ring. So after a Stop was taken from one ring,
-each older message of its session was taken as well, or waits in its own ring. All rings that may hold a command for
-one of the same servos (`core/targets.py`) are therefore read again, until nothing new is found. All that was found is
-one instant, in which a Stop wins over a Start or Set of another ring (supervisor).
+Zenoh delivers the messages of one session in order, each into its key's ring. Once a Stop is taken from a ring, every
+older message of its session has been taken or waits in its own ring. Therefore all rings with commands for the same
+servos (`core/targets.py`) are read again, until nothing new is found. All messages found are one instant, in which a
+Stop wins over a Start or Set of another ring (supervisor).
 
-After a Start or Set, only the rings whose commands apply before it are read again (`legs` before `leg` before `servo`):
-an older one of these must not apply later. Commands in the other rings apply after it, now or in a later instant.
+After a Start or Set, only the rings whose commands apply earlier are read again (`legs` before `leg` before `servo`):
+an older command there must not apply later. Commands in the other rings apply later, in this instant or another.
 
 During a flood of several keys this would never end, so the passes are limited. If rings are left after the last pass,
-and a Stop may have been taken, the instant stays open: the next `read` still belongs to it. Setpoints alone close it,
-since otherwise a stopped servo could not be started again while they keep coming.
+and a Stop may have been taken, the instant stays open: the next `read` still belongs to it. Setpoints alone close it:
+otherwise a stopped servo could not be started again while setpoints keep arriving.
 
-A ring keeps its newest messages, so a flood of one key pushes out a Stop on the same key. A full ring is reported to
-the reader: a Stop may have been lost. (A get that is pushed out gets no answer, which its sender notices.) A stream
-that was delayed on the way and arrives at once is no flood: a ring of puts has room for it (`put_depth`). Only the
-newest few are processed, and of the older ones those that may be Stops.
+A ring keeps its newest messages, so a flood of one key pushes out a Stop on that key. A full ring is reported to the
+reader: a Stop may have been lost. (A `get` that is pushed out gets no answer, and its sender notices.) A stream that
+was delayed and arrives at once is no flood: a ring of puts has room for it (`put_depth`). Only the newest few messages
+are processed, and those of the older ones that may be Stops.
 """
 
 import math
@@ -26,54 +26,54 @@ from gateway.robot.core.targets import follows, servos_of
 from schemas.keys import COMMAND_KEYS
 
 RING_DEPTH: Final = 8
-"""Messages per ring and tick: enough for a start, a stop and some setpoints sent in one go; others are only older."""
+"""Messages per ring and tick: enough for a start, a stop and some setpoints sent at once. Further ones are older."""
 STREAM_RATES: Final = 4
-"""A stream of up to so many times `limits.leg_rate_hz` that was held back for the watchdog's time loses nothing."""
+"""A stream at up to this multiple of `limits.leg_rate_hz` loses nothing if it is delayed by the watchdog's timeout."""
 LEAST_PUT_DEPTH: Final = 16
 MAX_PUT_DEPTH: Final = 1024
-"""Puts of a key that are kept at most, such as for 1000 Hz and a watchdog of 0.25 s. By default 58 are. More cost time:
-in a flood of 600 000 messages a second, 16 looks into a ring took 0.02 ms (p99 0.07), 64 took 0.06 ms (p99 0.4). And
-memory: while the loop is held, a message may keep the 64 KiB that Zenoh received it in."""
+"""Puts of a key that are kept at most, as for 1000 Hz and a watchdog of 0.25 s; by default 58 are. More would take
+time: in a flood of 600 000 messages a second, 16 reads of a ring took 0.02 ms (p99 0.07), 64 took 0.06 ms (p99 0.4).
+And memory: while the loop is delayed, a message may keep the 64 KiB in which Zenoh received it."""
 PASSES: Final = 4
-"""How often the rings are read for one instant at most. Without a flood the second pass finds nothing."""
+"""Reads of the rings for one instant, at most. Without a flood the second pass finds nothing."""
 
 Item = TypeVar("Item")
-"""What Zenoh gives."""
+"""A sample or query of Zenoh."""
 Message = TypeVar("Message")
-"""What is made of it."""
+"""The message made from it."""
 Receive = Callable[[], Item | None]
-"""Takes a ring's oldest message; None: it is empty."""
+"""Takes a ring's oldest message; None: the ring is empty."""
 WordsOfStop = Callable[[Message], bytes | None]
-"""The words of a message that may be a Stop (it may take others for one, but misses none); None: it is not."""
+"""Returns the words of a message that may be a Stop, else None. It misses no Stop, but may take others for one."""
 
 
 def put_depth(leg_rate_hz: float, timeout_ms: float) -> int:
-    """How many puts of a key are kept: a stream's that was held back for the watchdog's time, and some before them."""
+    """Return how many puts of a key are kept: a stream's during the watchdog's timeout, and some before them."""
     held_back = math.ceil(STREAM_RATES * leg_rate_hz * timeout_ms / 1000)
     return min(max(held_back + RING_DEPTH, LEAST_PUT_DEPTH), MAX_PUT_DEPTH)
 
 
 class Ring(Generic[Item]):
-    """The messages of one key and kind (`put` and `delete`, or `get`), in the order in which they came."""
+    """The messages of one key and kind (`put` and `delete`, or `get`), in their order of arrival."""
 
     __slots__ = ("before", "depth", "follows", "key", "others", "place", "receive", "servos")
 
     def __init__(self, key: str, receive: Receive[Item], depth: int) -> None:
         self.key = key
         self.place: int
-        """Where its commands stand among those of one instant."""
+        """The position of its commands in an instant."""
         self.servos = servos_of(COMMAND_KEYS[key])
-        """Those that a message in it may stop. Without any (a reset), no message in it is a Stop."""
+        """The servos that its messages may stop. A ring of resets has none and contains no Stop."""
         self.follows = follows(COMMAND_KEYS[key])
         self.receive = receive
         self.depth = depth
         self.others: frozenset[Ring[Item]] = frozenset()
-        """The rings that are read after a Stop was taken from this one: an older message may be in them."""
+        """The rings to read again after a Stop from this one, since they may contain an older message."""
         self.before: frozenset[Ring[Item]] = frozenset()
-        """Those of them whose commands apply before its own: they are read after anything else, too."""
+        """Those of `others` whose commands apply earlier. They are read again after every message from this ring."""
 
     def rest(self, *first: Item) -> list[Item]:
-        """`first` and the messages after it, at most the ring's depth; further ones wait for the next read."""
+        """Return `first` and the messages after it, up to the ring's depth. Further ones wait for the next read."""
         found = [*first]
         while len(found) < self.depth and (item := self.receive()) is not None:
             found.append(item)
@@ -81,7 +81,7 @@ class Ring(Generic[Item]):
 
 
 class Rings(Generic[Item, Message]):
-    """All rings of commands; `receivers` has two for each key, `put` (of `depth`) and `get` (of RING_DEPTH)."""
+    """All rings of commands. `receivers` has two for each key: `put` (of `depth`) and `get` (of RING_DEPTH)."""
 
     def __init__(
         self,
@@ -102,10 +102,10 @@ class Rings(Generic[Item, Message]):
         """Whether the next `read` belongs to the same instant as the last."""
 
     def read(self, keys: Collection[str] = ()) -> list[tuple[str, Message | None]]:
-        """What waits in the rings of these keys (of all, if none is named) and of those that they concern.
+        """Return the keys and messages in the rings of `keys` (default: all) and of the rings read again with them.
 
-        `legs` first, then `leg`, then `servo`, then resets; of one ring in its order. None: a Stop may
-        have been lost before what follows of this key.
+        The order is `legs`, `leg`, `servo`, resets, and within a ring its own. A message None means that a Stop may
+        have been lost before the next messages of its key.
         """
         due: list[Ring[Item]] | set[Ring[Item]] = self._all
         if keys and not self.instant_open:
@@ -118,7 +118,7 @@ class Rings(Generic[Item, Message]):
             again: set[Ring[Item]] = set()
             for ring in due:
                 if ring in again:
-                    again.remove(ring)  # it is read now, after what made it due
+                    again.remove(ring)  # it is read now, after the message that made it due
                 first = ring.receive()
                 if first is not None:
                     second = ring.receive()
@@ -146,7 +146,7 @@ class Rings(Generic[Item, Message]):
         return found
 
     def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
-        """The newest, and before them the older Stops, or None where some may have been lost."""
+        """Return the newest messages, after the older Stops, or after None if some may have been lost."""
         newest = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
         if len(found) <= RING_DEPTH or not ring.servos:
             return newest
@@ -157,7 +157,7 @@ class Rings(Generic[Item, Message]):
             older = self._make(ring.key, item)
             words = self._words_of_stop(older)
             if words is not None:
-                stops.pop(words, None)  # of the same, the last: a flood of Stops is not to be dealt with one by one
+                stops.pop(words, None)  # only the last of equal Stops, so that a flood of Stops takes no time
                 stops[words] = older
         return [*stops.values(), *newest]
 

@@ -1,4 +1,4 @@
-"""The service's Zenoh configuration, from its settings."""
+"""The service's Zenoh configuration, made from its settings."""
 
 import os
 from pathlib import Path
@@ -15,10 +15,9 @@ UNREAD_US: Final = 20_000
 """How long a reply may wait for a client that does not read, before Zenoh closes that client's link.
 
 When a flood pushes a query out of its ring, Zenoh sends the query's end from a receiving thread that holds the ring's
-lock, and the loop waits for that lock. With 500 ms, watchdog Stops were 546 ms late during 18 000 queries a second of a
-client that read no reply. With 20 ms none of 147 was later than 1.5 ms; one that is due in these 20 ms would wait for
-their end. A client that reads may lose its link at that rate (twice in 32 s). At 50 queries a second it does not, down
-to 300 kbit/s.
+lock, for which the loop waits. During 18 000 queries a second of a client that read no reply, watchdog Stops were
+546 ms late with 500 ms here. With 20 ms none of 147 was later than 1.5 ms; one due in those 20 ms would wait for their
+end. At that rate a client that reads may lose its link (twice in 32 s), at 50 queries a second not, down to 300 kbit/s.
 """
 _UNREAD_US_KEY: Final = "transport/link/tx/queue/congestion_control/block/wait_before_close"
 
@@ -31,19 +30,22 @@ _MOST: Final = {
 """Upper limits; a Zenoh file may set lower ones."""
 
 RUNTIME: Final = f"(rx:(worker_threads:{MAX_SESSIONS}))"
-"""A receiving thread for each session, in Zenoh's own words. By default two threads receive from all sessions. A
-session that floods keeps one for 20 000 messages and more, and on a wildcard each message goes into 26 rings. An
-emergency stop waited for that. With a thread of its own, no session waits for another."""
+"""A receiving thread for each session, in Zenoh's notation, so that no session waits for another. By default two
+threads serve all sessions. A session that floods occupies one for 20 000 messages and more, and on a wildcard each
+message goes into 26 rings; an emergency stop waited for that."""
 _RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
 
 
 def receive_each_session_alone() -> None:
-    """Set up Zenoh's receiving threads, unless the environment does. Call it before anything of Zenoh runs."""
+    """Set the number of Zenoh's receiving threads, unless the environment does. Call it before any use of Zenoh."""
     os.environ.setdefault(_RUNTIME_VARIABLE, RUNTIME)
 
 
 def service_config(settings: ZenohSettings) -> zenoh.Config:
-    """The Zenoh file's configuration with the settings and limits applied. Raises ConfigError."""
+    """Return the Zenoh file's configuration with the settings and limits applied.
+
+    Raises ConfigError if the file cannot be used, or would let anyone move the robot (`exposure.check`).
+    """
     config = load_config(Path(settings.config)) if settings.config else zenoh.Config()
     if get(config, "mode") is None:
         config.insert_json5("mode", '"peer"')
@@ -51,9 +53,9 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     if listen_given or not settings.config or not _file_sets(settings.config, "listen"):
         insert(config, "listen/endpoints", list(settings.listen), "zenoh.listen")
     scouting_off(config)
-    # Otherwise a gateway without its listener would start without an error, unreachable.
+    # Otherwise a gateway without its listener would start without an error but could not be reached.
     config.insert_json5("listen/exit_on_failure", "true")
-    # Shared memory bypasses every size limit, and gains nothing for messages as small as these.
+    # Shared memory bypasses every size limit, and saves no time for messages this small.
     config.insert_json5("transport/shared_memory/enabled", "false")
     config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
     config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))
@@ -64,5 +66,5 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
 
 
 def _file_sets(path: str, section: str) -> bool:
-    """Whether the file sets endpoints. Compared with Zenoh's default, which is not an empty list."""
+    """Return whether the file sets endpoints, that is, differs from Zenoh's default (which is not empty)."""
     return bool(get(load_config(Path(path)), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))

@@ -1,7 +1,7 @@
 """Finds messages on keys that nothing reads, such as a misspelt command key.
 
-A sender that misspells a key gets no error, and nothing moves. So a small ring keeps the newest messages below
-`hexapod/`, and the gateway reads it ten times a second. A flood costs no Python: Zenoh overwrites the oldest.
+Without this, a client that misspells a key would get no error. A small ring keeps the newest messages below `hexapod/`,
+and the gateway reads it ten times a second. In a flood Zenoh overwrites the oldest, which takes no Python time.
 """
 
 import difflib
@@ -14,13 +14,13 @@ from zenoh.handlers import RingChannel
 from schemas.keys import ALIVE, COMMAND_KEYS, GATEWAYS, ROOT, SIM_BODY, leg_command, servo_command
 
 UNKNOWN_KEYS_DEPTH: Final = 36
-"""Messages between two looks. Six legs at 50 Hz are thirty, a simulated body three; thirty take 40 µs to read, none
-1.3 (measured)."""
+"""Messages between two polls: six legs at 50 Hz send thirty, a simulated body three. Measured: reading thirty takes
+40 µs, reading none 1.3 µs."""
 MISSPELT: Final = ("Hexapod/**", "HEXAPOD/**")
-"""Without a wildcard in the first part, with which a router would forward unrelated keys."""
+"""They have no wildcard in the first part: with one, a router would forward unrelated keys."""
 OURS: Final = frozenset({*COMMAND_KEYS, *GATEWAYS, ALIVE})
 MAX_COMPARED: Final = 30
-"""Compared characters; the gateway's keys have at most 20."""
+"""Characters that are compared; the gateway's keys have at most 20."""
 
 
 class UnknownKey(NamedTuple):
@@ -35,7 +35,7 @@ class UnknownKeys:
     """Receives messages on all keys and finds those that no part of the gateway reads."""
 
     def __init__(self, session: zenoh.Session, physics: str | None = None) -> None:
-        """`physics`: Zenoh id of the only process that may publish SIM_BODY; None: none may."""
+        """`physics` is the Zenoh id of the only process that may publish SIM_BODY (None: none may)."""
         self._physics = physics
         self._subscribers: list[Any] = [
             session.declare_subscriber(key, RingChannel(depth), allowed_origin=zenoh.Locality.REMOTE)
@@ -43,7 +43,7 @@ class UnknownKeys:
         ]
 
     def poll(self) -> UnknownKey | None:
-        """The newest unknown key since the last look; at ten looks a second, at most ten events a second."""
+        """Return the newest unknown key since the last poll, or None. Ten polls a second give at most ten events."""
         found = None
         for subscriber in self._subscribers:
             for _ in range(UNKNOWN_KEYS_DEPTH):
@@ -71,12 +71,12 @@ def _source(sample: zenoh.Sample) -> str | None:
 
 
 def is_strange(key: str) -> bool:
-    """Whether nothing reads this key. The inbox rejects keys that end in /cmd; a wildcard may match the gateway's."""
+    """Return whether nothing reads this key. Keys that end in /cmd are the inbox's; a wildcard may match other keys."""
     return key not in OURS and "*" not in key and not (key.startswith(f"{ROOT}/") and key.endswith("/cmd"))
 
 
 def nearest(key: str) -> str:
-    """The command key most similar to `key`. Takes 0.1 ms at most, since few are compared."""
+    """Return the command key that is most similar to `key`. Takes 0.1 ms at most, since few are compared."""
     small = key[:MAX_COMPARED].lower()
     for guess in (small, f"{small}/cmd", f"{small.rpartition('/')[0]}/cmd"):
         if guess in COMMAND_KEYS:

@@ -1,6 +1,6 @@
-"""Watches for certificates that expire, routers that cannot be reached and addresses that are not there yet.
+"""Watches for certificates that expire, routers that cannot be reached and addresses that do not exist yet.
 
-It reports them to the log and systemd. None stops the service, and Zenoh reports none. A background thread looks.
+A background thread checks, and reports to the log and systemd. No finding stops the service. Zenoh itself reports none.
 """
 
 import datetime as dt
@@ -23,9 +23,9 @@ from schemas.telemetry import CertificateReport
 
 LINKS_PERIOD_S: Final = 1.0
 GRACE_S: Final = 3.0
-"""How long connecting to a router may take at the start; Zenoh retries at least once a second."""
+"""Time to connect to a router at the start. Zenoh retries at least once a second."""
 CLOCK_S: Final = 3600.0
-"""Period at which expiry is compared with the clock, which may be set after the start."""
+"""Period of the check for expiry. The clock may be set after the start."""
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ class Upkeep:
         wall_clock: Callable[[], dt.datetime],
         late: LateAddresses,
     ) -> None:
-        """`status` shows a sentence in `systemctl status`, replacing the previous one."""
+        """`status` shows a sentence in `systemctl status`, instead of the previous one. `late` are late endpoints."""
         self._session = session
         self._late = late
         self._dials = connect_endpoints(config)
@@ -54,7 +54,7 @@ class Upkeep:
         self._reached: bool | None = None if self._dials else True
         self._fault: str | None = None
         self.first_expiry = first_expiry(config)
-        """Of the certificates loaded at the start; a renewed one is used from the next start on."""
+        """The first expiry of the certificates loaded at the start. A renewed one is used from the next start on."""
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="upkeep", daemon=True)
         self._thread.start()
@@ -66,7 +66,7 @@ class Upkeep:
         return None if first is None else CertificateReport(file=first.file.name, expires=first.end)
 
     def close(self) -> None:
-        """End the thread. Blocks; not for the loop's thread."""
+        """End the thread. Blocks, so do not call it on the loop's thread."""
         self._closed.set()
         self._thread.join()
 
@@ -92,7 +92,7 @@ class Upkeep:
             self._status(f"takes commands{missing}{unreached}{f'; {self._fault}' if self._fault else ''}")
 
     def _look_at_links(self, now_s: float) -> bool:
-        """Whether reachability of the dialled endpoints has changed."""
+        """Return whether the dialled endpoints have become reachable or unreachable."""
         if not self._dials:
             return False
         reached = any(_ports([str(link.dst)]) & self._dialled_ports for link in self._session.info.links())
@@ -111,7 +111,7 @@ class Upkeep:
         return True
 
     def _look_at_clock(self) -> bool:
-        """Whether the warning about expiry has changed: once a day, starting WARN_DAYS before it."""
+        """Warn of expiry: once a day, from WARN_DAYS before it. Return whether the warning has changed."""
         fault = self._expiry_fault()
         if fault == self._fault:
             return False
