@@ -68,8 +68,8 @@ app = typer.Typer(
     cls=_Commands,
     rich_markup_mode="markdown",
     name="hexapod-gateway",
-    help="Moves a six-legged robot: takes commands over Zenoh, writes HexapodProtocol frames to SPI, and stops the "
-    "robot when commands stop coming.",
+    help="Move a six-legged robot: take commands over Zenoh, write servo frames to SPI, and stop the robot when "
+    "commands stop coming.",
     epilog="Try it without a robot: `hexapod-gateway run --sim`, and in a second terminal "
     "`hexapod-gateway send legs start 90 45 120 --hold 5`.\n\n"
     "Exit codes: 0 done, or ended on request; 1 not done: rejected, failed, or not confirmed; 2 an argument, a file or "
@@ -119,7 +119,7 @@ def run(
         typer.Option(
             "--sim",
             metavar="[=physics]",
-            help="Put a simulated controller in place of SPI. With =physics its servos move a body, which can fall.",
+            help="Simulate the controller, without SPI. With =physics its servos move a body that can fall.",
         ),
     ] = None,
     geometry: Annotated[
@@ -128,7 +128,9 @@ def run(
     ] = None,
     mass_kg: Annotated[
         float | None,
-        typer.Option(metavar="KG", min=0.2, max=50, help="Physics: of the whole robot.", show_default="2.68: assumed"),
+        typer.Option(
+            metavar="KG", min=0.2, max=50, help="Physics: mass of the whole robot.", show_default="2.68: assumed"
+        ),
     ] = None,
     servo_torque_nm: Annotated[
         float | None,
@@ -136,14 +138,18 @@ def run(
             metavar="NM",
             min=0.1,
             max=50,
-            help="Physics: of each servo, at most.",
+            help="Physics: highest torque of each servo.",
             show_default="2.0: a servo of 20 kg·cm",
         ),
     ] = None,
     friction: Annotated[
         float | None,
         typer.Option(
-            metavar="MU", min=0.01, max=3, help="Physics: of feet on the ground.", show_default="0.8: rubber on wood"
+            metavar="MU",
+            min=0.01,
+            max=3,
+            help="Physics: friction of feet on the ground.",
+            show_default="0.8: rubber on wood",
         ),
     ] = None,
     terrain: Annotated[
@@ -157,11 +163,11 @@ def run(
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.
 
-    It stops all six legs first, then takes commands.
+    The service first stops all six legs, then takes commands.
 
-    With --sim=physics the simulated robot has a body (MuJoCo, in a process of its own): it walks, and falls. Where it
-    is goes out on hexapod/sim/body, and the console and `record` draw it. What is simulated is assumed:
-    nobody has weighed the Elkapod.
+    With --sim=physics the simulated robot has a body (MuJoCo, in its own process) that walks and falls. Its position
+    is published on hexapod/sim/body; the console and `record` draw it. Masses and forces are assumed: nobody has
+    weighed the Elkapod.
     """
     from gateway.onboard import serve
 
@@ -178,10 +184,10 @@ def run(
 
 @app.command("stop-servos")
 def stop_servos(config: ConfigOption = None) -> None:
-    """Stop all six legs straight over SPI, and take the servos' supply, without Zenoh and without a running gateway.
+    """Stop all six legs directly over SPI, and cut the servos' power, without Zenoh and without a running gateway.
 
-    Use it when the service has died, or may have. systemd runs it after every end of the service. It uses what the
-    service uses, and reports where the file differs.
+    Use it when the service has died, or may have. systemd runs it each time the service ends. It uses the settings of
+    the service, and reports each difference from the file.
     """
     from gateway.onboard import stop
 
@@ -207,7 +213,7 @@ def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None,
 
 @app.command()
 def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
-    """Leave the emergency stop. Nothing moves until it is started again."""
+    """End the emergency stop. No servo moves until somebody starts it again."""
     from gateway.people.commands import send
 
     sys.exit(send.reset(send.connection(connect, zenoh_config, timeout, command="reset")))
@@ -219,16 +225,16 @@ def status(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
     follow: Annotated[
-        bool, typer.Option("--follow", "-f", help="Go on: a line for each change, rejection and event, until Ctrl-C.")
+        bool, typer.Option("--follow", "-f", help="Print a line for each change, rejection and event, until Ctrl-C.")
     ] = False,
     as_json: Annotated[
-        bool, typer.Option("--json", help="As the gateway publishes it; with --follow, an object a line.")
+        bool, typer.Option("--json", help="Print JSON as the gateway publishes it; with --follow, one object per line.")
     ] = False,
 ) -> None:
     """Show the robot's state in sentences: may it move, what runs, who drives, what has gone wrong.
 
-    With --follow it goes on, with a line for each change, rejection and event, and its reason. It waits for a gateway
-    that is not there yet. Nothing here stops the robot: keep `estop` or a page within reach.
+    With --follow it prints a line for each change, rejection and event, with the reason, and waits if no gateway runs
+    yet. Its Ctrl-C does not stop the robot: keep `estop` or a console within reach.
     """
     if follow:
         from gateway.people.commands.follow import follow as follow_state
@@ -245,7 +251,7 @@ def console(
         str | None,
         typer.Option(
             metavar="HOST:PORT",
-            help="Where browsers reach it. Default: 127.0.0.1:8080, or the next port that is free.",
+            help="The address for browsers. Default: 127.0.0.1:8080, or the next free port.",
         ),
     ] = None,
     connect: ConnectOption = None,
@@ -253,12 +259,12 @@ def console(
     timeout: TimeoutOption = 2.0,
     cert: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="Its TLS certificate (PEM), of `certs issue --role console`."),
+        typer.Option(metavar="PATH", help="The console's TLS certificate (PEM), made by `certs issue --role console`."),
     ] = None,
     key: Annotated[Path | None, typer.Option(metavar="PATH", help="The certificate's private key.")] = None,
     role: Annotated[
         Literal["operator", "button", "observer"],
-        typer.Option(help="What pages may do: a button stops and drives nothing, an observer only looks."),
+        typer.Option(help="What pages may do. operator: drive and stop. button: only stop. observer: only watch."),
     ] = "operator",
     geometry: OtherShapeOption = None,
     adapt: AdaptOption = False,
@@ -266,11 +272,11 @@ def console(
     phone: Annotated[
         bool,
         typer.Option(
-            "--phone", help="For a phone in this network: with a certificate, made if there is none, and a QR code."
+            "--phone", help="Serve a phone in this network: print a QR code, and make a certificate if there is none."
         ),
     ] = False,
     link: Annotated[
-        bool, typer.Option("--link", help="Print a link for another browser, into the console that runs (at --listen).")
+        bool, typer.Option("--link", help="Print a link to the running console (at --listen), for another browser.")
     ] = False,
     sign_out: Annotated[
         bool,
@@ -279,8 +285,8 @@ def console(
 ) -> None:
     """Serve a web page that shows the robot and drives it; STOP ALL is one tap.
 
-    It is one more client of the gateway, and waits for one that is not there yet. A link works once; a session ends
-    after 12 hours. Beyond this machine it serves only with TLS (--cert and --key).
+    The console is a client of the gateway, and waits if no gateway runs yet. A link works once. A session ends after
+    12 hours. Other machines need TLS: --cert and --key, or --phone.
     """
     from gateway.people.console import command
     from gateway.people.console.options import Options
@@ -296,9 +302,9 @@ def decode(
     hex_bytes: Annotated[list[str], typer.Argument(metavar="HEX…", help="A frame's bytes, such as 06 02 20 02 00 00")],
     as_json: JsonOption = False,
 ) -> None:
-    """Explain a frame, or name exactly its fault.
+    """Explain the bytes of a frame, or name what is wrong with them.
 
-    Several frames may follow one another; each begins with its length.
+    Several frames may follow each other; each begins with its length.
     """
     from gateway.people.commands import decode
 
@@ -316,8 +322,8 @@ app.add_typer(bridge.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
-    "Without a further command the watchdog stops the leg (after watchdog.timeout_ms); --hold repeats the command "
-    "every 50 ms, and holds the lease meanwhile, if it is free: nobody else drives then.",
+    "The watchdog stops the leg after watchdog.timeout_ms without a further command. --hold repeats the command every "
+    "50 ms. If the lease is free, --hold also holds the lease: then nobody else drives.",
     no_args_is_help=True,
 )
 app.add_typer(send_app, name="send")
@@ -334,7 +340,7 @@ def send_leg(
     op: OpArgument,
     angles: Annotated[
         list[float] | None,
-        typer.Argument(metavar="[A B C]", help="Degrees, 0 to 180, for joints 1, 2 and 3; none for stop"),
+        typer.Argument(metavar="[A B C]", help="Degrees, 0 to 180, for joints 1, 2 and 3; not for stop"),
     ] = None,
     hold: HoldOption = 0,
     connect: ConnectOption = None,
@@ -353,7 +359,7 @@ def send_legs(
     op: OpArgument,
     angles: Annotated[
         list[float] | None,
-        typer.Argument(metavar="[A B C]", help="Degrees for joints 1, 2 and 3 of each leg, or 18 of legs 1 to 6"),
+        typer.Argument(metavar="[A B C]", help="Degrees for joints 1, 2 and 3 of every leg, or 18 angles, legs 1 to 6"),
     ] = None,
     hold: HoldOption = 0,
     connect: ConnectOption = None,
@@ -371,7 +377,7 @@ def send_legs(
 def send_servo(
     servo_id: Annotated[int, typer.Argument(metavar="ID", help="Leg, then joint: 32 is joint 2 of leg 3")],
     op: OpArgument,
-    angle: Annotated[float | None, typer.Argument(metavar="[A]", help="Degrees, 0 to 180; none for stop")] = None,
+    angle: Annotated[float | None, typer.Argument(metavar="[A]", help="Degrees, 0 to 180; not for stop")] = None,
     hold: HoldOption = 0,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,

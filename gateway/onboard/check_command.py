@@ -20,50 +20,49 @@ def check(
     move: Annotated[
         bool,
         typer.Option(
-            "--move", help="Through the gateway that runs: start one servo, move it by 5°, stop all; with consent."
+            "--move", help="Through the running gateway: start one servo, move it by 5°, stop all. Asks first."
         ),
     ] = False,
     stops: Annotated[
         bool,
-        typer.Option("--stops", help="Through the gateway that runs: prove step by step that it stops; with consent."),
+        typer.Option("--stops", help="Through the running gateway: prove step by step that it stops. Asks first."),
     ] = False,
     wire: Annotated[
         bool,
         typer.Option(
-            "--wire", help="Without a gateway: try a plug-in of [wire] as the gateway calls it; with consent."
+            "--wire", help="Without a gateway: test the plug-in of [wire] as the gateway calls it. Asks first."
         ),
     ] = False,
     leg: Annotated[int, typer.Option("--leg", metavar="N", min=1, max=6, help="With --stops: the leg that moves.")] = 1,
     only: Annotated[
-        list[str] | None, typer.Option("--only", metavar="STEP", help="With --stops: only this step; repeat it.")
+        list[str] | None,
+        typer.Option("--only", metavar="STEP", help="With --stops: run only this step; may be repeated."),
     ] = None,
     late: Annotated[
-        float, typer.Option("--late", metavar="MS", min=1, help="With --stops: how late a Stop may be.")
+        float, typer.Option("--late", metavar="MS", min=1, help="With --stops: the delay that a Stop may have.")
     ] = 20.0,
     restart: Annotated[
-        bool, typer.Option("--restart", help="With --stops: also kill the service; as root, on the robot.")
+        bool, typer.Option("--restart", help="With --stops: also kill the service. Needs root, on the robot.")
     ] = False,
     unplug: Annotated[
         bool,
-        typer.Option(
-            "--unplug", help="With --stops and --wire: also ask for it to be unplugged: SPI and CAN, or the board."
-        ),
+        typer.Option("--unplug", help="With --stops and --wire: also ask you to unplug SPI and CAN, or the board."),
     ] = False,
     yes: Annotated[
-        bool, typer.Option("--yes", help="With --move (servo 61, 90°), --stops and --wire: without asking.")
+        bool, typer.Option("--yes", help="With --move (servo 61, 90°), --stops and --wire: do not ask first.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="As JSON, for programs; not with --move.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs; not with --move.")] = False,
 ) -> None:
-    """Show whether this machine can run the service, line by line, and how to fix what it lacks.
+    """Show what this machine lacks to run the service, line by line, with the command that fixes it.
 
-    With --zenoh-config or --connect: whether this laptop reaches the gateway, and what it may do there. Where a
-    simulated gateway runs (`make run`) it looks at that, unless --config names a file.
+    With --zenoh-config or --connect it shows whether this laptop reaches the gateway, and what it may do there. If a
+    simulated gateway runs here (`make run`), it checks that gateway, unless --config names a file.
 
     Without --move, --stops and --wire it changes nothing: no byte reaches the servos, and a running gateway is not
-    disturbed. As root it looks with the rights of the service's user.
+    disturbed. As root it checks with the rights of the service's user.
 
-    --stops moves one servo by 5°, after a change and before people come near, and ends with everything stopped, also on
-    Ctrl-C. It measures from the frames, where the gateway publishes them (telemetry.frames).
+    Run --stops after each change, before people come near. It moves one servo by 5°, and stops everything at its end,
+    also on Ctrl-C. It measures from the frames if the gateway publishes them (telemetry.frames).
     """
     if move + stops + wire > 1:
         raise ConfigError("one of --move, --stops and --wire at a time")

@@ -12,15 +12,14 @@ if TYPE_CHECKING:
     from gateway.robot.settings import Settings
 
 app = typer.Typer(
-    help="What the black box kept of stops and faults, and the story of each.\n\n"
-    "They are read from the gateway's ring, also after it was killed; a power cut or a reboot erases it. Where the "
-    "service recorded them, use sudo.",
+    help="List and explain the stops and faults that the black box recorded.\n\n"
+    "The black box survives a crash of the gateway. A power cut or a reboot erases it. Use sudo to read the service's.",
     invoke_without_command=True,
 )
 
 IncidentArgument = Annotated[
     str,
-    typer.Argument(metavar="ID", help="An id that `list` shows and events name, or `last` for the newest."),
+    typer.Argument(metavar="ID", help="An id from `list` or from an event, or `last` for the newest."),
 ]
 
 
@@ -40,7 +39,7 @@ def _settings(context: typer.Context, config: Path | None) -> "Settings":
 
 @app.command("list")
 def list_incidents(context: typer.Context, config: ConfigOption = None, as_json: JsonOption = False) -> None:
-    """List them, newest first."""
+    """List the incidents, newest first."""
     from gateway.onboard import black_box
 
     sys.exit(black_box.list_all(_settings(context, config), as_json=as_json))
@@ -60,10 +59,10 @@ def show(
 def export(
     context: typer.Context,
     incident: IncidentArgument,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The MCAP file to make, such as stop.mcap")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The MCAP file to write, such as stop.mcap")],
     config: ConfigOption = None,
 ) -> None:
-    """Write one as an MCAP file, for Foxglove, Lichtblick, Rerun or a program of your own."""
+    """Write an incident as an MCAP file, for Foxglove, Lichtblick, Rerun or your own program."""
     from gateway.onboard import black_box
 
     sys.exit(black_box.export(_settings(context, config), incident, file))

@@ -20,7 +20,7 @@ app = typer.Typer()
 def setup(
     wire: Annotated[
         SpiProtocol | None,
-        typer.Option(help=f"What the controller speaks. {'. '.join(f'{each}: {each.words}' for each in SpiProtocol)}."),
+        typer.Option(help=f"The controller's protocol. {'. '.join(f'{each}: {each.words}' for each in SpiProtocol)}."),
     ] = None,
     framing: Annotated[
         Literal["length-prefixed", "plain"] | None,
@@ -39,25 +39,26 @@ def setup(
         ),
     ] = None,
     console: Annotated[
-        bool, typer.Option("--console", help="Also the web console, as a service of its own on 127.0.0.1:8080.")
+        bool, typer.Option("--console", help="Also run the web console as its own service, on 127.0.0.1:8080.")
     ] = False,
     back: Annotated[
-        bool, typer.Option("--back", help="Go back to the release that the last upgrade kept; needs no network.")
+        bool, typer.Option("--back", help="Go back to the release before the last upgrade; needs no network.")
     ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print each change as a sentence, and change nothing.")
     ] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Also while a servo runs: the restart stops all legs.")
+        bool, typer.Option("--force", help="Restart the service even while a servo runs: this stops all legs.")
     ] = False,
 ) -> None:
     """Set this robot up after the package was installed, and run `check`. Run it again at any time.
 
-    It asks which wire and framing the controller needs and writes them to /etc/hexapod-gateway/gateway.toml, where
-    comments and all other settings stay. It switches SPI on (Raspberry Pi OS), frees the controller's UART, takes
-    certificates, and starts the service. It changes what differs, and states what is already so.
+    It asks for the controller's wire and framing and writes them to /etc/hexapod-gateway/gateway.toml; comments and
+    other settings there stay. It switches SPI on (Raspberry Pi OS), frees the controller's UART, installs
+    certificates, and starts the service. It changes only what differs.
 
-    It restarts the service only if something has changed that the service reads, and never while a servo runs.
+    It restarts the service only if something changed that the service reads, and, without --force, never while a servo
+    runs.
     """
     if os.geteuid() and not dry_run:
         raise ConfigError("setup needs root: begin the command with sudo; --dry-run shows what it would do")

@@ -18,13 +18,13 @@ _ANSWER_S: Final = 5.0
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Certificates: who may reach the robot over the network, and as what.\n\n"
+    help="Make and revoke certificates: who may reach the robot over the network, and in which role.\n\n"
     "`init` makes a private certificate authority (CA) and the robot's files, once. `issue` makes a laptop's files and "
     "changes nothing on the robot. `revoke` shuts a lost laptop out.\n\n"
     "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.",
 )
 _DAYS: Final = "Days that the certificate is valid, at most until its CA expires."
-_HOSTS: Final = "A name or address by which the robot or the console is reached; repeat it for each."
+_HOSTS: Final = "A name or address of the robot or the console; may be repeated."
 Directory = Annotated[
     Path, typer.Option("--dir", metavar="D", callback=Path.expanduser, help="The folder with the CA.")
 ]
@@ -42,7 +42,7 @@ def init(
 ) -> None:
     """Make a private CA, the robot's certificate, and a Zenoh configuration that admits only certificates of this CA.
 
-    Laptops reach the robot by its --host only. No file is overwritten: a folder that has a CA already is an error.
+    Laptops reach the robot only by one of its --host. No file is overwritten: a folder that has a CA is an error.
     """
     certs.folder.init(directory, host, days=days, port=port)
     say(f"Made a CA and the robot's files in {directory}. Leave ca.key here, and keep a copy somewhere safe.")
@@ -75,14 +75,14 @@ def issue(
     directory: Directory = DEFAULT_FOLDER,
     host: Hosts = [],  # noqa: B006 (read only)
     bundle: Annotated[
-        Path | None, typer.Option(metavar="ZIP", help="Also put all that it needs into this zip, its key included.")
+        Path | None, typer.Option(metavar="ZIP", help="Also put all its files into this zip, with its private key.")
     ] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Make the files of a laptop, of a further robot, or of a web console. Nothing changes on any robot.
 
-    A laptop of this CA reaches all its robots: NAME.json5 leads to the first, NAME.ROBOT.json5 to another. A console's
-    certificate is valid for 459 days at most. Browsers trust it once NAME-ca.pem is among their authorities.
+    A laptop reaches all robots of this CA: NAME.json5 leads to the first, NAME.ROBOT.json5 to another. A console's
+    certificate is valid for 459 days at most. Browsers trust it after NAME-ca.pem is imported as an authority.
     """
     paths = certs.folder.issue(directory, name, role, hosts=host, bundle=bundle, days=days)
     files = " ".join(path.name for path in paths if path != bundle)
@@ -147,22 +147,22 @@ def revoke(
     to: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ROBOT", help="Only to this robot: its name, a host or an endpoint; repeat it. Default: to all."
+            metavar="ROBOT", help="Send only to this robot: a name, host or endpoint; may be repeated. Default: all."
         ),
     ] = None,
     zenoh_config: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="Whose connection it is. Default: an operator's in the folder."),
+        typer.Option(metavar="PATH", help="The connection to use. Default: an operator's, from the folder."),
     ] = None,
 ) -> None:
-    """Shut a laptop out: it is lost, stolen, or no longer anybody's.
+    """Shut out a laptop that is lost, stolen or no longer used.
 
-    Signs a list (revoked.crl, an X.509 CRL) and sends it to each robot, a line each. A robot that gets it stops all
-    legs, starts anew within three seconds, and from then on the laptop gets nothing. The laptop's files are deleted
-    here. To undo it, `certs issue` the name anew.
+    It signs a list (revoked.crl, an X.509 CRL) and sends the list to each robot. The robot stops all legs, restarts
+    its service within three seconds, and no longer admits the laptop. The laptop's files are deleted here. To undo
+    it, issue the name again.
 
-    A robot that is off gets it later, by the same command without the name, or by a copy of revoked.crl in
-    /etc/hexapod-gateway/zenoh and a restart of the service.
+    If a robot is off, repeat the command later without the name. Or copy revoked.crl to /etc/hexapod-gateway/zenoh
+    there, and restart the service.
     """
     config, robots = zenoh_config or _operators_file(directory, but=name), _endpoints(directory, to or [])
     known = certs.folder.revoked(directory) if name is None else certs.folder.revoke(directory, name)

@@ -55,9 +55,9 @@ OtherShapeOption = Annotated[
 ]
 AdaptOption = Annotated[
     bool,
-    typer.Option("--adapt", help="Walk by the robot's sensors, where it has some: level body, feet feel for ground."),
+    typer.Option("--adapt", help="Walk by the robot's sensors: keep the body level, and let feet feel for the ground."),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="For programs.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
 ]

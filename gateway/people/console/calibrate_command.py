@@ -13,16 +13,15 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     invoke_without_command=True,
-    help="Trim, direction and limits of each servo, and the landing pose.\n\n"
-    "Without a command it opens the guide, a card of the console's page: choose a servo, see it start alone, move "
-    "it, enter what you see on the robot, and write that. If a console of yours runs, it prints a link to it; "
-    "else (or with --connect or --zenoh-config) it starts one and opens the browser. The commands below "
-    "are for scripts.",
+    help="Set each servo's trim, direction and limits, and the landing pose.\n\n"
+    "Without a command it opens the guide in the console: choose a servo, start it alone, move it, enter what you see "
+    "on the robot, and write that. If your console runs already, it prints a link. Otherwise (or with --connect or "
+    "--zenoh-config) it starts a console and opens the browser. The commands below are for scripts.",
 )
 LegOption = Annotated[
     list[int] | None, typer.Option("--leg", metavar="N", min=1, max=6, help="Only this leg; may be repeated.")
 ]
-YesOption = Annotated[bool, typer.Option("--yes", help="Without asking first.")]
+YesOption = Annotated[bool, typer.Option("--yes", help="Do not ask first.")]
 
 
 def _reach(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> "Connection":
@@ -65,15 +64,17 @@ def set_servo(
         float | None, typer.Option("--trim", metavar="DEG", help="Added to each angle on the wire, -90 to 90.")
     ] = None,
     inverted: Annotated[
-        bool | None, typer.Option("--inverted/--as-drawn", help="Which way it turns.", show_default=False)
+        bool | None, typer.Option("--inverted/--as-drawn", help="The direction in which it turns.", show_default=False)
     ] = None,
     lowest: Annotated[float | None, typer.Option("--min", metavar="DEG", help="Its lowest angle in commands.")] = None,
-    highest: Annotated[float | None, typer.Option("--max", metavar="DEG", help="Its highest.")] = None,
+    highest: Annotated[
+        float | None, typer.Option("--max", metavar="DEG", help="Its highest angle in commands.")
+    ] = None,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Change one servo, in the values that are given. The servo must not run."""
+    """Change the given values of one servo. The servo must not run."""
     from gateway.people.commands import calibration
 
     wanted = {"trim_deg": trim, "inverted": inverted, "min_deg": lowest, "max_deg": highest}
@@ -90,13 +91,13 @@ def export(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None
 
 @app.command("import")
 def import_file(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="What `export` has printed; -: from stdin.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A file that `export` printed; - for stdin.")],
     yes: YesOption = False,
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Replace the whole calibration by a file's: a servo that the file does not name is as drawn."""
+    """Replace the whole calibration with a file. Servos that the file does not name become as drawn."""
     from gateway.people.commands import calibration
 
     sys.exit(calibration.import_file(_reach(connect, zenoh_config, timeout), file, agreed=yes))
@@ -123,7 +124,7 @@ def accept_default(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Replace a broken or foreign calibration file by the default: all servos as drawn."""
+    """Replace a broken or foreign calibration file with the default: all servos as drawn."""
     from gateway.people.commands import calibration
 
     sys.exit(calibration.accept_default(_reach(connect, zenoh_config, timeout), agreed=yes))

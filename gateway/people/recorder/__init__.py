@@ -18,19 +18,23 @@ app = typer.Typer()
 @app.command("record")
 def command(
     file: Annotated[
-        Path | None, typer.Argument(metavar="[FILE]", show_default=False, help="The file to make, such as ride.mcap")
+        Path | None, typer.Argument(metavar="[FILE]", show_default=False, help="The file to write, such as ride.mcap")
     ] = None,
     live: Annotated[
-        bool, typer.Option("--live", help="Let Foxglove or Lichtblick on this machine look; FILE may be left out.")
+        bool,
+        typer.Option("--live", help="Show it live in Foxglove or Lichtblick on this machine; FILE is optional then."),
     ] = False,
     csv: Annotated[
-        bool, typer.Option("--csv", help="Write the commanded angles of all servos as a table, too: FILE with .csv.")
+        bool, typer.Option("--csv", help="Also write all commanded angles as a table: FILE with .csv.")
     ] = False,
     port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Of --live, on 127.0.0.1; 0: any free one.")
+        int,
+        typer.Option(
+            "--port", metavar="N", min=0, max=65535, help="The port of --live on 127.0.0.1; 0: any free port."
+        ),
     ] = 8765,
     seconds: Annotated[
-        float | None, typer.Option("--for", metavar="S", min=0, help="End by itself after this many seconds.")
+        float | None, typer.Option("--for", metavar="S", min=0, help="End after this many seconds.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
     geometry: OtherShapeOption = None,
@@ -38,9 +42,9 @@ def command(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Record what the gateway publishes into an MCAP file, or show it live, until Ctrl-C. It commands nothing.
+    """Record what the gateway publishes into an MCAP file, or show it live, until Ctrl-C. It sends no commands.
 
-    Foxglove, Lichtblick, Rerun and ROS 2's tools open it (docs/recordings.md). Frames are in it where the gateway
+    Foxglove, Lichtblick, Rerun and ROS 2's tools open the file (docs/recordings.md). It contains frames if the gateway
     publishes them (telemetry.frames).
     """
     if file is None and (csv or not live):

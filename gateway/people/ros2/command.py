@@ -22,32 +22,33 @@ def ros2(
         int, typer.Option("--domain", metavar="N", min=0, max=232, envvar="ROS_DOMAIN_ID", help="The ROS domain.")
     ] = 0,
     namespace: Annotated[
-        str, typer.Option("--ros-namespace", metavar="NAME", help="Of its topics and services; / for none.")
+        str, typer.Option("--ros-namespace", metavar="NAME", help="Namespace of the topics and services; / for none.")
     ] = "/hexapod",
     joint_names: Annotated[
         str,
         typer.Option(
-            "--joint-names", metavar="PATTERN", help="Of the joints in messages: leg{leg}_J{joint} are the Elkapod's."
+            "--joint-names", metavar="PATTERN", help="Joint names in messages. The Elkapod's: leg{leg}_J{joint}."
         ),
     ] = "joint_{leg}{joint}",
-    drive: Annotated[
-        bool, typer.Option("--drive", help="Drive from the beginning; else the service drive must be called.")
-    ] = False,
+    drive: Annotated[bool, typer.Option("--drive", help="Drive at once, without a call of the service drive.")] = False,
     allow_reset: Annotated[
         bool,
-        typer.Option("--allow-reset", help="Let the service reset leave any emergency stop, a person's, too."),
+        typer.Option("--allow-reset", help="Let the service reset end any emergency stop, also a person's."),
     ] = False,
     tf: Annotated[
-        bool, typer.Option("--tf", help="Publish /tf, too: for viewers without a robot_state_publisher.")
+        bool, typer.Option("--tf", help="Also publish /tf, for viewers without a robot_state_publisher.")
     ] = False,
     joint_states_hz: Annotated[
-        float, typer.Option("--joint-states-hz", metavar="HZ", help="At most so many joint states a second, 1 to 50.")
+        float, typer.Option("--joint-states-hz", metavar="HZ", help="Most joint states a second, 1 to 50.")
     ] = 50.0,
     diagnostics_hz: Annotated[
-        float, typer.Option("--diagnostics-hz", metavar="HZ", help="At least so many diagnostics a second, 0.1 to 10.")
+        float, typer.Option("--diagnostics-hz", metavar="HZ", help="Fewest diagnostics a second, 0.1 to 10.")
     ] = 1.0,
     base_frame: Annotated[
-        str, typer.Option("--base-frame", metavar="NAME", help="The body's frame: of the URDF, /tf and measurements.")
+        str,
+        typer.Option(
+            "--base-frame", metavar="NAME", help="Name of the body's frame in the URDF, /tf and measurements."
+        ),
     ] = "base",
     imu_frame: Annotated[
         str, typer.Option("--imu-frame", metavar="NAME", help="The frame of imu/data. Default: the body's.")
@@ -57,7 +58,7 @@ def ros2(
         typer.Option(
             "--uncommanded-deg",
             metavar="DEG",
-            help="Where joint_states has servos that were never commanded, 0 to 180. Default: they are left out.",
+            help="Angle in joint_states of servos that were never commanded, 0 to 180. Default: left out.",
         ),
     ] = None,
     geometry: OtherShapeOption = None,
@@ -65,13 +66,13 @@ def ros2(
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
 ) -> None:
-    """Put the robot into a ROS 2 graph: a node of the ROS 2 that is installed here, over whatever RMW is set.
+    """Connect the robot to ROS 2, as a node of the ROS 2 that is installed here, over any RMW.
 
     It publishes joint_states, robot_description and diagnostics, and what the robot measures: battery_state, imu/data
-    and temperature. It takes joint_commands, joint_trajectory, cmd_vel (cmd_vel_stamped), cmd_base_height,
-    roll_setpoint, pitch_setpoint, cmd_gait_type and goals of the action follow_joint_trajectory, once somebody has
-    called its service drive; it holds the lease then, until release. The service estop is for everybody, always. reset
-    leaves an emergency stop that came through ROS alone while the bridge drove.
+    and temperature. After a call of its service drive it holds the lease and takes joint_commands, joint_trajectory,
+    cmd_vel (cmd_vel_stamped), cmd_base_height, roll_setpoint, pitch_setpoint, cmd_gait_type and goals of the action
+    follow_joint_trajectory. The service release ends this. Everybody may call estop at any time. The service reset ends
+    only an emergency stop that was engaged through ROS while the node drove.
     """
     from gateway.people.commands import reach
     from gateway.people.ros2 import run

@@ -29,10 +29,18 @@ def _gaits() -> list[str]:
 @app.command()
 def walk(
     forward: Annotated[
-        float, typer.Option("--forward", metavar="M_S", help="Metres a second; below 0: backward.")
+        float, typer.Option("--forward", metavar="M_S", help="Speed forward, in metres a second; below 0: backward.")
     ] = 0.0,
-    left: Annotated[float, typer.Option("--left", metavar="M_S", help="Metres a second sideways.")] = 0.0,
-    turn: Annotated[float, typer.Option("--turn", metavar="RAD_S", help="Counter-clockwise, radians a second.")] = 0.0,
+    left: Annotated[
+        float,
+        typer.Option("--left", metavar="M_S", help="Speed to the left, in metres a second; below 0: to the right."),
+    ] = 0.0,
+    turn: Annotated[
+        float,
+        typer.Option(
+            "--turn", metavar="RAD_S", help="Speed of turning to the left, in radians a second; below 0: to the right."
+        ),
+    ] = 0.0,
     seconds: Annotated[
         float | None, typer.Option("--seconds", metavar="S", min=0, max=3600, help="Walk this long, without a person.")
     ] = None,
@@ -41,10 +49,12 @@ def walk(
         typer.Option(
             "--gait",
             autocompletion=_gaits,
-            help="In which order the legs step: tripod (the fastest), ripple or wave.",
+            help="The order in which legs step: tripod (the fastest), ripple or wave.",
         ),
     ] = "tripod",
-    height: Annotated[float | None, typer.Option("--height", metavar="M", help="Of the body above the ground.")] = None,
+    height: Annotated[
+        float | None, typer.Option("--height", metavar="M", help="Height of the body above the ground, in metres.")
+    ] = None,
     adapt: AdaptOption = False,
     geometry: OtherShapeOption = None,
     connect: ConnectOption = None,
@@ -53,15 +63,15 @@ def walk(
 ) -> None:
     """Make the robot walk: from the keyboard, or with --seconds without a person.
 
-    W S and the arrows walk and turn while you hold them, A D step sideways, space or e is the emergency stop; the
-    screen shows the other keys. It holds the lease meanwhile. Lay the robot on its belly first: its legs
-    go to their first pose as fast as they can, one after the other.
+    Hold W, S or an arrow to walk and turn, A or D to step sideways. Space or e is the emergency stop. The screen shows
+    the other keys. Lay the robot on its belly first: one after the other, its legs go to their first pose as fast as
+    they can. The command holds the lease, so nobody else drives.
 
-    A terminal does not report that a key is released. So a key counts for 0.7 s when it is pressed, which bridges the
-    pause before the terminal repeats it, and for 0.2 s after each repetition. Then the robot finishes its step.
+    A terminal does not report that a key is released. A key counts for 0.7 s after you press it, until the terminal
+    repeats it, and for 0.2 s after each repetition. Then the robot finishes its step.
 
-    `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C (or SIGTERM) has it
-    finish its step and sit down before it stops; Ctrl-C again stops it at once, as Ctrl-C does at the keyboard.
+    `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C (or SIGTERM) makes
+    the robot finish its step and sit down; a second Ctrl-C stops it at once. At the keyboard the first one does.
     """
     from gateway.people.commands import reach
 
