@@ -3,6 +3,7 @@
     python -m tests.attack.strangers KIND HOST PORT COUNT [plain]
 
 KIND is a name in `KINDS`, COUNT how many connections at once. It prints again and again how many have been made so far.
+Strangers have a machine of their own, so they leave this one's processors to whoever else wants them.
 """
 
 import asyncio
@@ -136,4 +137,5 @@ def strangers(kind: str, port: int, count: int, *plain: str) -> Iterator[None]:
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_NOFILE, (4096, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
     name, address, number, at_once, *more = sys.argv[1:]
+    os.nice(15)
     asyncio.run(attack(name, address, int(number), int(at_once), tls=not more))

@@ -19,8 +19,8 @@ SILENT = 90
 DESCRIPTORS = 260
 THREADS = 128
 """What the service unit allows (TasksMax)."""
-LATE_MS = 100
-"""Generous: a Stop is some 2 ms late at worst, also on a busy machine that gives real-time priority."""
+LATE_MS = 2000
+"""A Stop is some 2 ms late at worst; one that waited for a silent connection came seconds later."""
 
 
 def connect(address: str, timeout_s: float = 10) -> socket.socket:

@@ -34,7 +34,7 @@ from tests.support.closing import Closing
 DEVICE = "/dev/spidev0.0"
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to
 PROGRAM = Path(__file__).with_name("spi_testbed.py")
-REPLY_TIMEOUT_S = 5.0  # a reply takes about a millisecond; 12 ms where the node goes or returns
+REPLY_TIMEOUT_S = 30.0  # a reply takes about a millisecond; 12 ms where the node goes or returns
 
 
 @cache
@@ -215,7 +215,7 @@ class SpiTestbed(Closing):
         """The bytes of each transfer the controller got, in order."""
         return [transfer.data for transfer in self.transfers if transfer.delivered]
 
-    def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 5.0) -> list[Transfer]:
+    def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until `predicate` holds for the transfers; these. Raises TimeoutError that lists what did arrive."""
         transfers: list[Transfer] = []
 
@@ -227,11 +227,11 @@ class SpiTestbed(Closing):
             raise TimeoutError(f"waited {timeout_s} s; arrived: {self._summary()}")
         return transfers
 
-    def wait_for_count(self, count: int, timeout_s: float = 5.0) -> list[Transfer]:
+    def wait_for_count(self, count: int, timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until at least `count` transfers have arrived since the start; all of them."""
         return self.wait_for(lambda transfers: len(transfers) >= count, timeout_s)
 
-    def wait_for_data(self, data: bytes, *, since: int = 0, timeout_s: float = 5.0) -> Transfer:
+    def wait_for_data(self, data: bytes, *, since: int = 0, timeout_s: float = 20.0) -> Transfer:
         """Wait for a transfer of exactly `data`, delivered, at index `since` or later; the first such one."""
 
         def found(transfers: list[Transfer]) -> list[Transfer]:
@@ -239,7 +239,7 @@ class SpiTestbed(Closing):
 
         return found(self.wait_for(lambda transfers: bool(found(transfers)), timeout_s))[0]
 
-    def wait_for_message(self, data: bytes, *, since: int = 0, timeout_s: float = 5.0) -> Message:
+    def wait_for_message(self, data: bytes, *, since: int = 0, timeout_s: float = 20.0) -> Message:
         """Wait for just this message on the UART, at index `since` of all events or later; the first such one."""
         found: list[Message] = []
 

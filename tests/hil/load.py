@@ -45,13 +45,27 @@ threading.Thread(target=collect, daemon=True).start()
 """
 """Forces a full garbage collection every 100 ms in whatever Python program finds it as `sitecustomize`."""
 
+PAUSES: Final = """
+import os, select, sys, time
+
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(30))
+longest_s = 0.0
+while not select.select([sys.stdin], [], [], 0)[0]:
+    begun_s = time.monotonic()
+    time.sleep(0.001)
+    longest_s = max(longest_s, time.monotonic() - begun_s)
+print(longest_s * 1000, flush=True)
+"""
+"""How long, in ms, this machine lets a Python program wait that has the gateway's priority, and does nothing."""
+
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the wire and the gateway's own report say."""
+    """What the wire and the gateway's own report say, and what PAUSES measured meanwhile."""
 
     transfers: list[Transfer]
     state: GatewayState
+    pause_ms: float
 
     def gaps_ms(self) -> list[float]:
         """For each frame that moves a leg: how long until the leg's next frame, a Stop or another."""
@@ -109,7 +123,11 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
         "limits": {"takeover_deg_s": 0},  # each command is one frame, also soon behind a Stop
     }
     bed.prefer()
-    with Gateway(folder, settings, bed=bed, env=env) as gateway, gateway.client() as client:
+    with (
+        Gateway(folder, settings, bed=bed, env=env) as gateway,
+        gateway.client() as client,
+        Child([sys.executable, "-c", PAUSES], {**os.environ, **env}) as pauses,
+    ):
         legs = [str(leg) for leg in LEGS]
         stream = Child(
             [sys.executable, "-m", "tests.benchmarks.publisher", gateway.endpoint, "--legs", *legs, "--hz", "50"],
@@ -126,7 +144,7 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
                     if time.monotonic() >= end_s:
                         break
             time.sleep(3 * TIMEOUT_MS / 1000)
-            return Outcome(bed.transfers, client.state())
+            return Outcome(bed.transfers, client.state(), float(pauses.ask("")))
         finally:
             stream.close()
 

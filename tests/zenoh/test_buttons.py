@@ -21,7 +21,7 @@ from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.secured import Secured
 
-TIMEOUT_MS = 600
+TIMEOUT_MS = 2000
 POSE = (90, 45, 120)
 SETTINGS: dict[str, dict[str, Any]] = {
     "buttons": {"required": 1, "timeout_ms": TIMEOUT_MS},

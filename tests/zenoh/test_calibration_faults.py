@@ -64,12 +64,12 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None
         assert not answers
         with staged(path).open("rb") as reader:  # the write goes on, and a pipe cannot be synced
             reader.read()
-        asking.join(10)
+        asking.join(30)
         (ack,) = answers
         assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
         assert client.calibrate(TRIM).accepted
         os.mkfifo(staged(path))  # and nobody ever reads this one
-        with Client(gateway.endpoint, timeout_s=0.5) as hasty, pytest.raises(NotKeptYetError, match="its disk"):
+        with Client(gateway.endpoint, timeout_s=1.5) as hasty, pytest.raises(NotKeptYetError, match="its disk"):
             once_kept(hasty, lambda: hasty.calibrate({31: ServoChange(trim_deg=8)}, check=False))
         until_it_is_being_kept(client)
         gateway.child.terminate()

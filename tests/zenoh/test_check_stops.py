@@ -14,7 +14,7 @@ import pytest
 
 from gateway.onboard.check import stops
 from gateway.onboard.check.stops import STEPS
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import frames
 from tests.support.planted_gateway import MISTAKES
@@ -27,7 +27,7 @@ LATE_MS: Final = 70
 FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
 
 
-gateway = gateway_fixture(FRAMES)
+gateway = gateway_fixture(patient(1000, **FRAMES))
 
 
 def test_it_passes_on_a_robot_that_works(tmp_path: Path) -> None:

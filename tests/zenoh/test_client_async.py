@@ -34,7 +34,7 @@ POSE = (90, 45, 120)
 HZ = 50
 
 
-gateway = gateway_fixture(patient(1000))
+gateway = gateway_fixture(patient(4000))
 
 
 @pytest.fixture

@@ -120,7 +120,7 @@ def test_a_rejected_bystander_stops_nobody(gateway: Gateway, anna: Client, bert:
 def test_a_start_that_nobody_answered_is_stopped(gateway: Gateway, anna: Client) -> None:
     """It may still be on its way, and arrive later."""
     written = frames(anna)
-    with CutLink(gateway.endpoint) as link, Client(link.endpoint, source="bert", timeout_s=0.3) as bert:
+    with CutLink(gateway.endpoint) as link, Client(link.endpoint, source="bert", timeout_s=1.5) as bert:
         with bert.stream(HZ) as stream:
             link.hold()
             with pytest.raises(DisconnectedError):

@@ -21,7 +21,7 @@ from gateway.robot.zenoh_io.receiver import OwnersTask, Reader
 from schemas.keys import BUTTON, ESTOP, LEASE, leg_command, servo_command
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
-PATIENCE_S = 5.0
+PATIENCE_S = 20.0
 
 
 class Held:

@@ -22,7 +22,7 @@ from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
-PATIENCE_S = 5.0
+PATIENCE_S = 20.0
 
 
 class Taker:

@@ -19,13 +19,14 @@ from tests.support.robot import leg
 from tests.support.secured import Secured
 
 LEG_3 = keys.leg_command(3)
+TTL_MS = 3000
 START, STOP = leg("start", 90, 90, 90), leg("stop")
 
 
 def ask(session: zenoh.Session, do: str, source: str | None = None, **more: Any) -> LeaseAck:
     """One request, and its answer."""
     fields = {"do": do, **({} if source is None else {"source": source}), **more}
-    for reply in session.get(keys.LEASE, payload=json.dumps(fields), encoding="application/json", timeout=5):
+    for reply in session.get(keys.LEASE, payload=json.dumps(fields), encoding="application/json", timeout=20):
         if reply.ok is not None:
             return LeaseAck.model_validate_json(reply.ok.payload.to_bytes())
     raise TimeoutError("nobody answered")
@@ -34,7 +35,7 @@ def ask(session: zenoh.Session, do: str, source: str | None = None, **more: Any)
 def command(session: zenoh.Session, payload: dict[str, Any], lease: str | None = None) -> Ack:
     """An acknowledged command for leg 3."""
     text = json.dumps(payload if lease is None else {**payload, "lease": lease})
-    for reply in session.get(LEG_3, payload=text, encoding="application/json", timeout=5):
+    for reply in session.get(LEG_3, payload=text, encoding="application/json", timeout=20):
         if reply.ok is not None:
             return Ack.model_validate_json(reply.ok.payload.to_bytes())
     raise TimeoutError("nobody answered")
@@ -60,19 +61,20 @@ class Heard:
             return [line for line in self.lines if all(word in line for word in words)]
 
         with self._changed:
-            assert self._changed.wait_for(found, 10), words
+            assert self._changed.wait_for(found, 30), words
             return found()[0]
 
 
 def test_a_lease_from_hand_to_hand_and_its_token_in_nothing_that_goes_out(tmp_path: Path) -> None:
     metrics = f"127.0.0.1:{free_port()}"
     settings: dict[str, dict[str, Any]] = {
+        "lease": {"ttl_ms": TTL_MS},
         "telemetry": {"frames": True, "metrics": metrics},
         "state": {"path": str(tmp_path / "recorder")},
     }
 
     def read_page() -> str:
-        with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=5) as answer:
+        with urllib.request.urlopen(f"http://{metrics}/metrics", timeout=20) as answer:
             return str(answer.read().decode())
 
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
@@ -95,10 +97,10 @@ def test_a_lease_from_hand_to_hand_and_its_token_in_nothing_that_goes_out(tmp_pa
             assert command(session, START, former.lease).reason == Reason.NOT_HOLDER
             assert ask(session, "renew", lease=former.lease).reason == Reason.NOT_HOLDER
             assert command(session, STOP, former.lease).accepted
-        assert ask(session, "renew", lease=carl.lease).ttl_ms == 1000
+        assert ask(session, "renew", lease=carl.lease).ttl_ms == TTL_MS
         page = read_page()
         assert 'hexapod_lease_changes_total{kind="lease_taken"} 1.0' in page
-        heard.wait_for("lease_expired", "carl was silent for 1000 ms")
+        heard.wait_for("lease_expired", f"carl was silent for {TTL_MS} ms")
         assert ask(session, "release", lease=carl.lease).reason == Reason.NOT_HOLDER
         gateway.child.terminate()
         gateway.child.wait(10)

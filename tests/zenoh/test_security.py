@@ -108,9 +108,10 @@ def test_a_certificate_without_a_role_commands_nothing(secured: Secured, role: s
         closing(zenoh.open(forged(secured, role, dt.datetime.now(dt.UTC)))) as session,
     ):
         before = anna.state().estop
-        assert len(list(session.get(keys.STATE, timeout=2))) == may
-        assert len(list(session.get(keys.ESTOP, timeout=2))) == may
-        assert len(list(session.liveliness().get(keys.ALIVE, timeout=2))) == may
+        timeout_s = 20 if may else 1
+        asked = [session.get(keys.STATE, timeout=timeout_s), session.get(keys.ESTOP, timeout=timeout_s)]
+        asked += [session.liveliness().get(keys.ALIVE, timeout=timeout_s)]
+        assert [len(list(replies)) for replies in asked] == [may] * 3
         session.put(keys.ESTOP, b"")
         session.close()  # all that it sent has been read by then
         assert (anna.state().estop > before) is may
@@ -118,10 +119,10 @@ def test_a_certificate_without_a_role_commands_nothing(secured: Secured, role: s
 
 
 def test_a_link_ends_when_its_certificate_expires(secured: Secured) -> None:
-    made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-3)
+    made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-5)
     with closing(zenoh.open(forged(secured, "operator-41", made))) as session:
         assert list(session.get(keys.STATE))
-        give_up_s = time.monotonic() + 20
+        give_up_s = time.monotonic() + 60
         while session.info.links():
             assert time.monotonic() < give_up_s
             time.sleep(0.01)
