@@ -27,7 +27,7 @@ from typing import Final
 
 import pytest
 
-from tests.support import descendants, schedule
+from tests.support import descendants, failures, schedule
 from tests.support.descendants import Run
 
 MOST_AGAIN: Final = 5
@@ -52,7 +52,7 @@ def main() -> int:
     which.add_argument("--quick", action="store_true", help="ruff, mypy and the unit tests")
     chosen = parser.parse_args()
     begun_s = time.monotonic()
-    with Run() as run:
+    with Run() as run, failures.listed():
         run.pass_on()
         if chosen.quick:
             green = _quick()

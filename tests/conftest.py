@@ -2,9 +2,12 @@
 
 import asyncio
 import os
+import shutil
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 
@@ -13,7 +16,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from tests.support import schedule, seconds
+from tests.support import failures, schedule, seconds
 from tests.support.descendants import Run
 from tests.support.lacks import skip_where_lacking
 
@@ -26,6 +29,7 @@ hypothesis_settings.load_profile("any machine")
 MANY = 1000
 """Reports, of which each test makes three."""
 _NICE = os.getpriority(os.PRIO_PROCESS, 0)
+_MEMORY = "/dev/shm"  # noqa: S108  where Linux keeps what is in memory
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -40,6 +44,7 @@ def pytest_configure(config: pytest.Config) -> None:
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     _let_signals_interrupt()
+    _keep_rings(config)
     config.add_cleanup(Run().close)  # what fixtures leave behind: xdist kills a worker some seconds after the signal
 
 
@@ -51,12 +56,27 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown() -> None:
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
     """pytest's hook: a test whose process goes on ahead of all others would make these wait."""
+    if nextitem is None or nextitem.path != item.path:
+        for ring in Path(os.environ["XDG_RUNTIME_DIR"]).glob("hexapod-gateway-*"):
+            with suppress(OSError):  # another user's
+                ring.unlink()
     if os.sched_getparam(0).sched_priority or os.getpriority(os.PRIO_PROCESS, 0) < _NICE:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         os.setpriority(os.PRIO_PROCESS, 0, _NICE)
         pytest.fail("this test leaves its process ahead of all others")
+
+
+def _keep_rings(config: pytest.Config) -> None:
+    """Give this process a folder for black boxes, and remove it at the end.
+
+    A black box outlives its gateway, so a run of all tests would leave gigabytes of memory in use.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="hexapod-tests-", dir=_MEMORY if os.access(_MEMORY, os.W_OK) else None))
+    folder.chmod(0o1777)  # also for gateways of other users
+    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
 
 
 def _let_signals_interrupt() -> None:
@@ -91,6 +111,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """pytest's hook."""
     del config
     schedule.arrange(items)
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """pytest's hook."""
+    failures.add(report)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
