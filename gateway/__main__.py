@@ -5,8 +5,8 @@ import sys
 
 
 def main() -> None:
-    """The console script. `stop-servos` runs first, without the imports of other commands."""
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # the search for plug-ins takes 30 ms, before the first Stop
+    """The console script. `stop-servos` and the first Stops of `run` wait for no import of another command."""
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # the search for plug-ins takes 30 ms, and finds none
     for name in ("stdin", "stdout", "stderr"):
         if getattr(sys, name) is None:
             # The stream is closed, and the next file would get its number: the SPI device must never become stderr.
@@ -20,6 +20,10 @@ def main() -> None:
             sys.exit(code)
     try:
         try:
+            if sys.argv[1:2] == ["run"]:
+                from gateway.onboard import stop
+
+                stop.before_service(sys.argv[2:])
             from gateway import cli
         except KeyboardInterrupt:  # on a Raspberry Pi the import takes seconds
             sys.exit(130)

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -13,6 +14,7 @@ from gateway.host.effective import Effective
 from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEATS
 from gateway.robot import settings
+from gateway.robot.spi.stop_all import stop_before_service
 from gateway.robot.spi.stop_all import stop_servos as stop
 
 if TYPE_CHECKING:
@@ -33,18 +35,35 @@ def at_once(arguments: Sequence[str]) -> int | None:
     """
     realtime.prefer_process()
     realtime.prefer_thread(realtime.LOOP_PRIORITY)
-    match arguments:
-        case []:
-            path = None
-        case ["--config", name]:
-            path = Path(name)
-        case _:
-            return None
+    if not _is_plain(arguments):
+        return None
     try:
-        return 0 if run(path) else NOT_CONFIRMED
+        return 0 if run(_path(arguments)) else NOT_CONFIRMED
     except GatewayError as error:
         _say(*str(error).splitlines())
         return error.exit_code
+
+
+def before_service(arguments: Sequence[str]) -> None:
+    """Stop all six legs before `run` loads the service, which takes longer. Never raises.
+
+    With options other than `--config` nothing is written. The service begins with Stops, too, and reports faults.
+    """
+    realtime.prefer_process()
+    if _is_plain(arguments):
+        with suppress(Exception):
+            used = settings.load_for_stops(_path(arguments))
+            with suppress(Exception):
+                effective.write(used)  # before the first frame
+            stop_before_service(used.wire, used.spi.within_limits()[0], used.controller)
+
+
+def _is_plain(arguments: Sequence[str]) -> bool:
+    return not arguments or (len(arguments) == 2 and arguments[0] == "--config")
+
+
+def _path(arguments: Sequence[str]) -> Path | None:
+    return Path(arguments[1]) if arguments else None
 
 
 def run(path: Path | None) -> bool:

@@ -104,7 +104,7 @@ def kill_once(bed: SpiTestbed, framing: Framing, config: Path, moment_s: float) 
     gateway.close()
     assert gateway.returncode == -signal.SIGKILL
     stops = stop_servos(bed, config)
-    of_gateway = [each for each in bed.transfers if each.opening == earlier + 1]
+    of_gateway = [each for each in bed.transfers if each.opening == earlier + 2]  # behind its very first Stops
     check_black_box(config.parent / "box" / RING_FILE, of_gateway)
     replay = Replay(framing)
     replay.play(of_gateway)

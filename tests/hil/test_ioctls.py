@@ -32,6 +32,7 @@ def test_check_and_stop_servos_need_no_package(
         assert {(each.mode, each.bits_per_word, each.speed_hz) for each in opening} == {(0, 8, 2_500_000)}
         gateway.child.wait_for_output(ioctls.USED)
         assert gateway.child.stderr.count(ioctls.USED) == 1
+        wire.skip()
         child = spi_testbed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)], env=without)
         assert child.wait(LATE_S) == 0, str(child)
         wire.expect_opening(*STOPS)

@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 from gateway.client import leg_payload
+from gateway.errors import ConfigError
+from gateway.model.framing import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
@@ -38,22 +40,37 @@ pytestmark = pytest.mark.hil
 
 @EACH_FRAMING
 def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_command(tmp_path: Path, wire: Wire) -> None:
+    """Twice: before the service is loaded, and when it has opened the device."""
     with Gateway(tmp_path, settings_for(wire), bed=wire.bed):
-        transfers = wire.expect_opening(*STOPS)
+        early, transfers = wire.expect_opening(*STOPS), wire.expect_opening(*STOPS)
         wire.expect_nothing()
+        assert {each.opening for each in early} == {1}
         assert {(each.kind, each.mode, each.bits_per_word, each.speed_hz) for each in transfers} == {
             ("message", 0, 8, 2_500_000)
         }
-        assert {each.call for each in transfers} == {1}, "one system call"
+        assert {each.call for each in transfers} == {early[0].call + 1}, "one system call"
         begins_ns = [each.monotonic_ns for each in transfers]
         for before, begin_ns, next_ns in zip(transfers, begins_ns, begins_ns[1:], strict=False):
             zero = before.data == b"\0"
             assert before.pause_us == (100 if zero else 50)
             assert next_ns - begin_ns >= len(before.data) * 3200 + before.pause_us * 1000
-        assert {each.opening for each in transfers} == {1}
-        order = [type(event) for event in wire.bed.events]
+        assert {each.opening for each in transfers} == {2}
+        order = [type(event) for event in wire.bed.events if getattr(event, "opening", 2) == 2]
         assert order.index(Transfer) > max(place for place, kind in enumerate(order) if kind is Setting)
-        assert order.count(Opened) == 1
+        assert [type(event) for event in wire.bed.events].count(Opened) == 2
+
+
+@pytest.mark.parametrize(("framing", "stops"), [(f'framing = "{Framing.PLAIN}"', STOPS), ("", [])])
+def test_the_first_stops_wait_for_nothing_that_the_service_loads(
+    tmp_path: Path, spi_testbed: SpiTestbed, framing: str, stops: list[str]
+) -> None:
+    """This service ends before it opens the device. Without a framing nothing is written."""
+    config = tmp_path / "gateway.toml"
+    config.write_text(f"[limits]\nleg_rate_hz = -1\n[spi]\n{framing}\n")
+    child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)])
+    assert child.wait(LATE_S) == ConfigError.exit_code, str(child)
+    spi_testbed.heal()  # whose answer comes behind all reports
+    assert [each.data.hex() for each in spi_testbed.transfers] == stops
 
 
 # ---- commands

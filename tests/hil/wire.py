@@ -149,7 +149,7 @@ def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, 
 def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
     """A gateway on the wire, whose start has been read."""
     gateway = Gateway(folder, settings_for(wire, **sections), bed=wire.bed)
-    wire.expect_repeats(1 + STOP_REPEATS, *STOPS)
+    wire.expect_repeats(1 + 1 + STOP_REPEATS, *STOPS)  # the first come before the service is loaded
     return gateway
 
 

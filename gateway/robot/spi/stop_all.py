@@ -38,16 +38,8 @@ def stop_servos(
     It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. Each batch is
     atomic on the bus, so none comes into a frame of the gateway's.
     """
-    bus: Wire
-    notice = Notice(spi.device)
-    if wire.framed:
-        bus = Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=False))
-    elif wire.has_uart:
-        bus = CyclicBus(None, lambda: SerialUart(controller.uart, exclusive=False))
-    else:
-        from gateway.robot.spi.plugin import PluginBus, lock_path  # noqa: PLC0415  (no Stop over SPI waits for it)
-
-        bus, notice = PluginBus(wire, exclusive=False), Notice(str(lock_path(wire.name)))
+    bus, lock = _bus(wire, spi, controller, exclusive=False)
+    notice = Notice(lock)
     unstopped = set(LEGS)
     fault: Exception | None = None
     first_ns = 0
@@ -69,6 +61,26 @@ def stop_servos(
     if unstopped and fault is not None:
         raise fault
     return noticed if notice.gateway_runs else None
+
+
+def stop_before_service(wire: WireSettings, spi: SpiSettings, controller: ControllerSettings) -> None:
+    """Stop all six legs once, unless another gateway holds the device. Raises ConfigError."""
+    bus, _ = _bus(wire, spi, controller, exclusive=True)
+    try:
+        stop_once(bus)
+    finally:
+        bus.close()
+
+
+def _bus(wire: WireSettings, spi: SpiSettings, controller: ControllerSettings, *, exclusive: bool) -> tuple[Wire, str]:
+    """Return what writes Stops, not yet open, and the path of the file whose lock a gateway watches."""
+    if wire.framed:
+        return Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=exclusive)), spi.device
+    if wire.has_uart:
+        return CyclicBus(None, lambda: SerialUart(controller.uart, exclusive=exclusive)), spi.device
+    from gateway.robot.spi.plugin import PluginBus, lock_path  # noqa: PLC0415  (no Stop over SPI waits for it)
+
+    return PluginBus(wire, exclusive=exclusive), str(lock_path(wire.name))
 
 
 def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception | None]:
