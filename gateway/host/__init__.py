@@ -1,1 +1,1 @@
-"""What any process of ours asks of its machine: descriptors, priorities, logs, threads, the service's folders."""
+"""What our processes need from their machine: descriptors, priorities, logs, threads, the service's folders."""

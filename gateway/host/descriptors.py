@@ -1,7 +1,7 @@
 """File descriptors: enough for all clients, and a reserve for the SPI device.
 
-Each link takes one, and so does each silent connection to the TLS port, for at least 10 s, of which Zenoh limits
-neither. Without a free descriptor, a failed SPI device could not be reopened, and no Stop would reach the robot.
+Each link takes one, and each silent connection to the TLS port takes one for at least 10 s; Zenoh limits neither. With
+none left, a failed SPI device could not be reopened, and no Stop would reach the robot.
 """
 
 import errno
@@ -14,18 +14,18 @@ from gateway.errors import ConfigError
 from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
 
 OWN: Final = 48
-"""Of the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""
+"""For the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""
 NEEDED: Final = OWN + MAX_SESSIONS + ACCEPT_PENDING
 SPARES_PER_OPENING: Final = 2
 """Closed for each attempt to open the device: a real one needs one, an emulated one (umockdev) two."""
 SPARES: Final = 3 * SPARES_PER_OPENING
-"""Enough for three attempts: Zenoh may take the released descriptors before the device is opened."""
+"""Three attempts, since Zenoh may take the released descriptors before the device is opened."""
 
 
 def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
-    """Raise the soft limit by as much as needed. Raises ConfigError if the hard limit is too low.
+    """Raise the soft limit to the open files plus `needed`. Raises ConfigError if the hard limit is too low.
 
-    With too few, Zenoh would open, but reject clients.
+    With too few descriptors, Zenoh would open but reject clients.
     """
     try:
         import resource  # noqa: PLC0415
@@ -59,7 +59,7 @@ class Spare:
         self.fill()
 
     def give_up(self) -> bool:
-        """Close SPARES_PER_OPENING for the file opened next; False if none were left."""
+        """Close SPARES_PER_OPENING for the file opened next. Return False if none were left."""
         given_up, self._kept = self._kept[:SPARES_PER_OPENING], self._kept[SPARES_PER_OPENING:]
         for number in given_up:
             os.close(number)
@@ -73,5 +73,5 @@ class Spare:
 
 
 def ran_out(error: BaseException) -> bool:
-    """Whether opening failed because the process has no descriptor left."""
+    """Return whether opening failed because the process has no descriptor left."""
     return isinstance(error, OSError) and error.errno == errno.EMFILE

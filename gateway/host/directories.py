@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Final
 
 CONFIGURATION: Final = Path("/etc/hexapod-gateway/gateway.toml")
-"""The settings' file, where none is named."""
+"""The default settings file."""
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
-"""The service's state directory (deploy/systemd), as a command finds it that systemd did not start."""
+"""The service's state directory (deploy/systemd), for commands that systemd did not start."""
 SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")
-"""The service's runtime directory, likewise."""
+"""The service's runtime directory, for such commands."""
 
 
 def state_directory(path: str) -> Path | None:

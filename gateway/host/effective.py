@@ -1,9 +1,9 @@
 """The settings that the service uses: its file and its unit's variables, as they were at its start.
 
-The file may be edited since, and a shell does not have the variables of a drop-in. Bare frames make a controller that
-expects announced ones deaf, so `stop-servos` and `check` read these. The service writes them into its runtime
-directory before its first frame, and names its process there: they are current while that process runs, and for the
-commands that systemd runs after its end. They stay after that, for a `stop-servos` that finds no other settings.
+`stop-servos` and `check` read these, since the file may be edited later, and a shell lacks the variables of a drop-in:
+bare frames make a controller deaf that expects announced ones. The service writes its settings and its process number
+into its runtime directory before its first frame. They are current while that process runs, and for the commands that
+systemd runs after its end. Later they remain for a `stop-servos` that finds no other settings.
 """
 
 import json
@@ -20,22 +20,22 @@ from gateway.text import key_name
 
 NAME: Final = "effective.toml"
 _INVOCATION: Final = "INVOCATION_ID"
-"""systemd's number for one start of a unit, which the commands after its end have, too."""
+"""systemd's id for one start of a unit, which the unit's commands after its end have, too."""
 
 
 class Effective(NamedTuple):
-    """What a service uses, and which one."""
+    """The settings that a service uses, and its process."""
 
     wire: WireSettings
     spi: SpiSettings
     controller: ControllerSettings
     power: PowerSettings | None
     tables: Mapping[str, Any]
-    """As they stand in the file."""
+    """The file's tables."""
 
     @property
     def runs(self) -> bool:
-        """Whether the process that wrote this runs. Its number alone may be another process's by now."""
+        """Whether the process that wrote this runs. Its number and begin are compared, since numbers are reused."""
         process = self.tables.get("process")
         return isinstance(process, int) and _begun(process) == self.tables.get("begun")
 
@@ -46,7 +46,7 @@ class Effective(NamedTuple):
 
 
 def write(used: ForStops) -> None:
-    """Write what this process uses; nothing without a runtime directory. Raises OSError, ValueError."""
+    """Write the settings that this process uses; without a runtime directory, nothing. Raises OSError, ValueError."""
     folder = runtime_directory()
     if folder is None:
         return
@@ -61,17 +61,17 @@ def write(used: ForStops) -> None:
         lines += [head, *(f"{key_name(name)} = {_toml(value)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
     staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
-    staged.replace(folder / NAME)  # whole at any time; the folder is in memory, so nothing has to reach a disk
+    staged.replace(folder / NAME)  # complete at any time; the folder is in memory, so no sync is needed
 
 
 def read() -> Effective | None:
-    """What a service has written on this machine since it booted; None: nothing, or nothing that can be used.
+    """Return the settings that a service has written since the boot, or None if there are no usable ones.
 
-    Never raises, and waits for nothing: whatever is wrong with it is no reason to write no Stop.
+    Never raises and never waits: a fault here must not prevent a Stop.
     """
     path = (runtime_directory() or SERVICE_RUNTIME) / NAME
     try:
-        # Not a FIFO that the service's user may have put there: root waits for nobody.
+        # O_NONBLOCK: the service's user may have put a FIFO there, for which root must not wait.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(descriptor, "rb") as file:
             tables = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
@@ -83,7 +83,7 @@ def read() -> Effective | None:
 
 
 def differences(used: Effective, path: Path) -> list[str]:
-    """Where a file differs from what the service uses, a sentence each."""
+    """Return a sentence for each difference between a file and the settings that the service uses."""
     try:
         with path.open("rb") as file:
             stated = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
@@ -105,12 +105,12 @@ def differences(used: Effective, path: Path) -> list[str]:
 
 
 def _uses(wire: WireSettings, name: str) -> bool:
-    """Whether this wire uses this setting of [spi]."""
+    """Return whether this wire uses this setting of [spi]."""
     return wire.framed or (wire.has_uart and name not in {"framing", "frame_gap_us"})
 
 
 def differs_here(path: Path = CONFIGURATION) -> list[str]:
-    """The same for the service that runs on this machine; nothing where none runs, or nobody may look."""
+    """Return `differences` for the service that runs on this machine; empty if none runs or it cannot be read."""
     used = read()
     return [] if used is None or not used.runs else differences(used, path)
 
@@ -128,9 +128,9 @@ def _shown(value: Any) -> str:
 
 
 def _begun(process: int) -> int | None:
-    """When a process began, in the kernel's ticks since the boot; None: there is none."""
+    """Return when a process began, in the kernel's ticks since the boot, or None without such a process."""
     try:
-        # After the name, which may have anything in it, comes the third field; this is the 22nd.
+        # The second field, a name in brackets, may contain anything; the begin is the 22nd.
         return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19])
     except (OSError, ValueError, IndexError):
         return None

@@ -1,4 +1,4 @@
-"""A lock for a file's only writer. The lock ends with its process, and readers can see whether a writer runs."""
+"""A lock for a file's only writer. It ends with its process, and readers can see whether a writer runs."""
 
 import fcntl
 import os

@@ -48,6 +48,6 @@ def listening(port: int, kind: socket.SocketKind) -> Iterator[tuple[str, int]]:
 
 
 def _address(shown: str) -> str:
-    """As the kernel shows it: words of 32 bits in hex, each in this machine's byte order."""
+    """Convert an address from the kernel's form: words of 32 bits in hex, in this machine's byte order."""
     words = [int(shown[place : place + 8], 16).to_bytes(4, sys.byteorder) for place in range(0, len(shown), 8)]
     return str(ipaddress.ip_address(b"".join(words)))

@@ -1,10 +1,10 @@
 """The service's logging: text on a terminal and in the journal, else JSON lines. Callers never block.
 
-A background thread writes: the reader of stdout or stderr may stop reading (a full pipe, a paused terminal, a stuck
-journal), and on the loop a write that waits for it would delay every Stop.
+A background thread writes, since a reader of stdout or stderr may stop reading (a full pipe, a paused terminal, a stuck
+journal); on the loop, this would delay every Stop.
 
-By the standard library: structlog loads rich, and with them the service's modules took 470 ms of processor time to
-load, without them 290. A service that starts anew writes its first Stops that much earlier.
+It uses the standard library. structlog loads rich; with both, loading the service's modules took 470 ms of processor
+time, without them 290, and a restarted service writes its first Stops that much earlier.
 """
 
 import atexit
@@ -29,15 +29,15 @@ from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.text import visible, visible_json
 
 _TEXT: Final = "text"
-"""Name of a record that is not of a logger."""
+"""Name of a record that comes from no logger."""
 MAX_LINES_WAITING: Final = 1000
-"""Some 1 MB. Above it, lines are dropped until half of the queue is written."""
+"""About 1 MB. Above this, lines are dropped until half of the queue is written."""
 
 
 class LogWriter(QueueHandler):
-    """Queues records; a QueueListener's thread writes them to one descriptor.
+    """Queues records, which a QueueListener's thread writes to `descriptor`. Queuing never blocks.
 
-    Queuing never blocks. With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
+    With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
     """
 
     queue: SimpleQueue[logging.LogRecord | None]  # without a lock that a descheduled thread could hold
@@ -46,23 +46,23 @@ class LogWriter(QueueHandler):
         super().__init__(SimpleQueue())
         self.descriptor = descriptor
         self.dropped = 0
-        """Lines that were not written: the queue was full, or writing failed."""
+        """Lines not written, because the queue was full or writing failed."""
         self._full = False
         self._writing = _Writing(self, formatter or logging.Formatter())
         self._writing.start()
 
     def handle(self, record: logging.LogRecord) -> bool:
-        """Queue a record; without the handler's lock, which a descheduled thread may hold."""
+        """Queue a record, without the handler's lock, which a descheduled thread may hold."""
         self.emit(record)
         return True
 
     def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
-        """Format the message at once, since its arguments may change later. Exceptions need files, so the thread's."""
+        """Format the message now, since its arguments may change. The thread formats exceptions, which needs files."""
         record.msg, record.args = record.getMessage(), None
         return record
 
     def enqueue(self, record: logging.LogRecord) -> None:
-        """Queue a record, or drop it where too many wait."""
+        """Queue a record, or drop it if too many wait."""
         waiting = self.queue.qsize()
         self._full = waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2)
         if self._full:
@@ -71,16 +71,16 @@ class LogWriter(QueueHandler):
             self.queue.put_nowait(record)
 
     def put(self, text: str) -> None:
-        """Queue a text, written unchanged."""
+        """Queue a text, which is written unchanged."""
         self.enqueue(logging.makeLogRecord({"name": _TEXT, "msg": text}))
 
     def stop(self, timeout_s: float) -> None:
-        """Write the queued lines and end the thread; gives up after `timeout_s`."""
+        """Write the queued lines and end the thread. Give up after `timeout_s`."""
         self._writing.stop_within(timeout_s)
 
 
 class _Writing(QueueListener):
-    """The thread of a LogWriter. It holds no handler's lock while it writes: `logging.shutdown` takes these."""
+    """The thread of a LogWriter. It holds no handler's lock while it writes, since `logging.shutdown` takes these."""
 
     def __init__(self, log_writer: LogWriter, formatter: logging.Formatter) -> None:
         super().__init__(log_writer.queue)
@@ -95,7 +95,7 @@ class _Writing(QueueListener):
 
     def _monitor(self) -> None:
         prefer_thread(PAGE_PRIORITY)
-        super()._monitor()  # type: ignore[misc]  # typeshed does not know it
+        super()._monitor()  # type: ignore[misc]  # missing in typeshed
 
     def handle(self, record: logging.LogRecord) -> None:
         written = self._write(record)
@@ -114,7 +114,7 @@ class _Writing(QueueListener):
                     data = data[os.write(self._log_writer.descriptor, data) :]
                 except BlockingIOError:  # another program has made the shared terminal non-blocking
                     select.select([], [self._log_writer.descriptor], [])
-        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: continue with the next
+        except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: skip the line
             self._log_writer.dropped += 1
             return False
         return True
@@ -130,7 +130,7 @@ class _Line(threading.local):
 
 
 class LogStream(io.TextIOBase):
-    """Replaces `sys.stdout` or `sys.stderr`, for results, what libraries print, and tracebacks of threads."""
+    """Replaces `sys.stdout` or `sys.stderr`, for results, output of libraries, and tracebacks of threads."""
 
     def __init__(self, log_writer: LogWriter) -> None:
         self._log_writer = log_writer
@@ -160,15 +160,15 @@ class LogStream(io.TextIOBase):
 
 
 FLUSH_S: Final = 0.3
-"""How long the end waits for unwritten lines, of the second that it may take (docs/interface.md, Behaviour *End*)."""
+"""How long the end waits for unwritten lines; it may take a second (docs/interface.md, Behaviour *End*)."""
 
 _log_writers: list[LogWriter] = []
 
 
 def set_up() -> None:
-    """Log to stderr from INFO on; from DEBUG on in Python's development mode (`python -X dev`).
+    """Log to stderr from INFO on, in Python's development mode (`python -X dev`) from DEBUG on.
 
-    From now on two background threads write to stdout and stderr.
+    Two background threads write to stdout and stderr from now on.
     """
     out, err = LogWriter(1), LogWriter(2, _formatter(terminal=os.isatty(2), journal=_is_journal(2)))
     _log_writers[:] = [out, err]
@@ -180,13 +180,13 @@ def set_up() -> None:
 
 
 def _is_journal(descriptor: int) -> bool:
-    """Whether the descriptor is the journal, by JOURNAL_STREAM (systemd.exec(5))."""
+    """Return whether the descriptor is the journal, by JOURNAL_STREAM (systemd.exec(5))."""
     found = os.fstat(descriptor)
     return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
 
 
 def close(timeout_s: float = FLUSH_S) -> None:
-    """Write the queued lines; gives up after `timeout_s`."""
+    """Write the queued lines. Give up after `timeout_s`."""
     end = time.monotonic() + timeout_s
     for log_writer in reversed(_log_writers):
         log_writer.stop(max(0.0, end - time.monotonic()))
@@ -194,22 +194,22 @@ def close(timeout_s: float = FLUSH_S) -> None:
 
 
 def dropped() -> int:
-    """Lines that were not written, because stdout or stderr was not read in time."""
+    """Return how many lines were not written because stdout or stderr was not read in time."""
     return sum(log_writer.dropped for log_writer in _log_writers)
 
 
 def keep_stacks() -> None:
-    """Under systemd, write the stacks of all threads to a file after a crash or a hang.
+    """Under systemd, write the stacks of all threads to a file after a crash or a hang. The unit logs the file later.
 
-    Not to stderr: the signal handler writes directly, and with a stuck stderr the process would not die, and
-    `stop-servos` would not run. The file is in memory, so writing never blocks. The unit logs it afterwards.
+    The file is in memory, so writing never blocks. With a stuck stderr, the signal handler would block, the process
+    would not end, and `stop-servos` would not run.
     """
     folder = runtime_directory()
     if folder is not None:
         try:
             stacks = (folder / "stacks").open("w")
             faulthandler.enable(stacks)
-            faulthandler.register(signal.SIGALRM, stacks, chain=True)  # see SystemdNotifier; `chain`: then it ends
+            faulthandler.register(signal.SIGALRM, stacks, chain=True)  # see SystemdNotifier; `chain` ends the process
         except OSError as error:
             logging.getLogger(__name__).warning("the stacks of a hang cannot be kept: %s", error)
 
@@ -221,7 +221,7 @@ def _formatter(*, terminal: bool, journal: bool) -> logging.Formatter:
 
 
 class _JsonLines(logging.Formatter):
-    """One JSON line per record, of printable characters only."""
+    """One JSON line for each record, of printable characters only."""
 
     def format(self, record: logging.LogRecord) -> str:
         line: dict[str, object] = {
@@ -237,7 +237,7 @@ class _JsonLines(logging.Formatter):
 
 
 class _LinesForPeople(logging.Formatter):
-    """Text for a terminal. Escaped, so that a sender's text can neither control the terminal nor fake log lines."""
+    """Text for a terminal, escaped: a client's text can neither control the terminal nor fake log lines."""
 
     def __init__(self, *, colours: bool) -> None:
         super().__init__()
@@ -261,10 +261,7 @@ class _LinesForPeople(logging.Formatter):
 
 
 class _LinesForJournal(_LinesForPeople):
-    """The message first, each line behind its syslog priority, for `journalctl -p warning`; the journal removes that.
-
-    The journal adds the time.
-    """
+    """The message, each line after its syslog priority for `journalctl -p warning`. The journal adds the time."""
 
     def format(self, record: logging.LogRecord) -> str:
         levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
@@ -278,23 +275,23 @@ class _LinesForJournal(_LinesForPeople):
 _BOLD, _DIM, _RED, _BLUE, _CYAN, _MAGENTA = "1", "2", "31;1", "34;1", "36", "35"
 _COLOURS: Final = {logging.DEBUG: "32;1", logging.INFO: "32;1", logging.WARNING: "33;1"}
 _BARE: Final = re.compile(r"[\w./:@+-]+")
-"""A value without quotes."""
+"""A value that needs no quotes."""
 _MOST_CAUSES: Final = 10
 _OF_EACH_RECORD: Final = {*vars(logging.makeLogRecord({})), "taskName"}
 
 
 def _fields(record: logging.LogRecord) -> dict[str, object]:
-    """The `extra` values of a log call that are not None."""
+    """Return the `extra` values of a log call that are not None."""
     return {name: value for name, value in vars(record).items() if name not in _OF_EACH_RECORD and value is not None}
 
 
 def _time(record: logging.LogRecord) -> str:
-    """Time of the log call; the line may be written much later."""
+    """Return the time of the log call; the line may be written much later."""
     return datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
 
 
 def _exceptions(error: BaseException | None) -> list[dict[str, object]]:
-    """An exception and its causes, without local variables, which may hold passwords."""
+    """Return an exception and its causes, without local variables, which may contain passwords."""
     found: list[dict[str, object]] = []
     while error is not None and len(found) < _MOST_CAUSES:
         trace = traceback.extract_tb(error.__traceback__)

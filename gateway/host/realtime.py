@@ -1,8 +1,8 @@
-"""Priorities, garbage collection and memory: what keeps Stops on time on a busy machine.
+"""Priorities, garbage collection and memory settings that keep Stops on time on a busy machine.
 
-All of these are optional: each is tried by itself, and changes nothing where the right to it (RLIMIT_RTPRIO,
-RLIMIT_NICE or root) is missing. Measured on two cores with fifty clients, a flood, 100 queries a second and a spinning
-process on each core; worst lateness of 25 watchdog Stops, two runs each (tests/hil/load.py):
+Each is optional, and changes nothing without its permission (RLIMIT_RTPRIO, RLIMIT_NICE or root). Measured on two cores
+with fifty clients, a flood, 100 queries a second and a spinning process on each core: worst lateness of 25 watchdog
+Stops, two runs each (tests/hil/load.py):
 
 | variant                                                                     | ms           |
 |-----------------------------------------------------------------------------|--------------|
@@ -26,56 +26,55 @@ from pathlib import Path
 from typing import Final
 
 LOOP_PRIORITY: Final = 20
-"""Of the loop, which runs the watchdog, and of the emergency stop's threads: the service unit's maximum."""
+"""For the loop, which runs the watchdog, and the emergency stop's threads: the service unit's maximum."""
 RECEIVER_PRIORITY: Final = 10
-"""Of the other receiver threads. They write commands' frames as owners of the state; preempted there, they would delay
-a Stop. The same holds for the interpreter's lock."""
+"""For the other receiver threads. They own the state or hold the interpreter's lock while they write frames; preempted
+then, they would delay a Stop."""
 PAGE_PRIORITY: Final = 1
-"""Of the metrics page and the log: lower, but not preempted while they hold the interpreter's lock."""
+"""For the metrics page and the log: low, but not preempted while they hold the interpreter's lock."""
 ZENOH_NICE: Final = -10
-"""Of Zenoh's own threads: ahead of other programs, but low enough that a flood does not starve those."""
+"""For Zenoh's own threads: ahead of other programs, but a flood does not starve those."""
 SWITCH_INTERVAL_S: Final = 0.0005
-"""How long another thread may hold the interpreter's lock while the loop waits for it. Python's default of 5 ms is half
-of what an emergency stop may take."""
+"""How long another thread may hold the interpreter's lock while the loop waits. Python's default of 5 ms is half of an
+emergency stop's allowed time."""
 
 TIMER_SLACK_NS: Final = 1
-"""By how much Linux may delay the timers of a thread without real-time priority, to bundle them (50 µs by default).
+"""How much Linux may delay the timers of a thread without real-time priority, to bundle them (default: 50 µs).
 
 By default, a pause of 50 µs between two transfers took 104 µs in the median; with 1 ns it takes 53, for the same 4 µs
-of CPU time. Busy waiting would use 50, and hold the interpreter's lock.
+of CPU time. Busy waiting would take 50, and hold the interpreter's lock.
 """
 _PR_SET_TIMERSLACK: Final = 29  # as linux/prctl.h has it
 
 MALLOC_ARENAS: Final = 2
-"""glibc's default is up to eight a processor, and memory that is free in one cannot be used by another. With mixed
-traffic at ten times the real rate, memory grew by 8.6 MB in an hour by default, and by 1.5 MB with two.
-"""
+"""glibc's default is up to eight for each processor; free memory of one cannot be used by another. With mixed traffic
+at ten times the real rate, memory grew by 8.6 MB in an hour by default, and by 1.5 MB with two."""
 _M_ARENA_MAX: Final = -8  # as glibc's malloc.h has it
 
 
 def prefer_process() -> None:
-    """Schedule this thread, and the threads that it starts (Zenoh's), ahead of other programs, with precise timers."""
+    """Schedule this thread and the threads that it starts (Zenoh's) ahead of other programs, with precise timers."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    with suppress(OSError, AttributeError):  # only Linux knows this
+    with suppress(OSError, AttributeError):  # Linux only
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, TIMER_SLACK_NS, 0, 0, 0)
     with suppress(PermissionError):
         if os.getpriority(os.PRIO_PROCESS, 0) > ZENOH_NICE:
             os.setpriority(os.PRIO_PROCESS, 0, ZENOH_NICE)
-    # Where Linux schedules sessions as groups (autogroup), the above counts only within one. A terminal's session has
-    # other programs, a service leads its own. The file is missing where there are no such groups.
+    # If Linux schedules sessions as groups (autogroup), nice counts only within a session. A service leads its own; a
+    # terminal's session has other programs. Without such groups the file is missing.
     if os.getsid(0) == os.getpid():
         with suppress(OSError):
             Path("/proc/self/autogroup").write_text(str(ZENOH_NICE))
 
 
 def limit_malloc_arenas() -> None:
-    """Make all threads allocate from the same few arenas. Call it before the first thread starts. Needs glibc."""
-    with suppress(OSError, AttributeError, TypeError):  # Windows wants a name
+    """Make all threads allocate from MALLOC_ARENAS arenas. Call it before the first thread starts. Needs glibc."""
+    with suppress(OSError, AttributeError, TypeError):  # CDLL(None) fails on Windows
         ctypes.CDLL(None).mallopt(_M_ARENA_MAX, MALLOC_ARENAS)
 
 
 def prefer_thread(priority: int) -> bool:
-    """Give the calling thread, not those that it starts, real-time priority; returns whether it was granted."""
+    """Give the calling thread, but not threads that it starts, real-time priority. Return whether it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
     except (AttributeError, OSError):  # not Linux; not allowed
@@ -86,7 +85,7 @@ def prefer_thread(priority: int) -> bool:
 def freeze_gc() -> None:
     """Exempt all present objects from garbage collection. Call it once, after the service is built.
 
-    A full collection took 64 ms before, and less than 0.01 ms after (48 900 objects, most of them pydantic's).
+    A full collection took 64 ms without this, and less than 0.01 ms with it (48 900 objects, most of them pydantic's).
     """
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""Reads values of a TOML file, or text of the environment, into the sections of the settings' table."""
+"""Reads a TOML file's values, or the environment's text, into the sections of the settings' table."""
 
 import enum
 import math
@@ -26,30 +26,30 @@ S = TypeVar("S")
 
 
 class SettingFault(NamedTuple):
-    """What is wrong, and where."""
+    """A fault: its place and its sentence."""
 
     place: Place
     sentence: str
     together: bool = False
-    """Each value is right alone, and they do not go together."""
+    """Whether each value is valid alone, but not together with the others."""
 
 
 class Text(str):
-    """A value of the environment, which has only text: it is converted. A value of a file never is."""
+    """A value from the environment. Its text is converted to the setting's type; a file's value is not."""
 
     __slots__ = ()
 
 
 def dotted(place: Place) -> str:
-    """`spi.speed_hz`, `zenoh.listen[0]`; a name that is no bare TOML key is quoted."""
+    """Return a place as text: `spi.speed_hz`, `zenoh.listen[0]`. A name that is no bare TOML key is quoted."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{key_name(part)}" for part in place)
     return text.removeprefix(".")
 
 
 def read(kind: type[S], table: object, faults: list[SettingFault], place: Place = ()) -> S:
-    """Return the section (or all settings) that this table states.
+    """Return the section (or all settings) in this table.
 
-    A fault is added to `faults`; a value of the wrong type or out of range then has its default.
+    Faults are added to `faults`. A value of the wrong type or out of range is replaced by its default.
     """
     if not isinstance(table, Mapping):
         faults.append(_wrong(place, table, "an object"))
@@ -77,22 +77,22 @@ def read(kind: type[S], table: object, faults: list[SettingFault], place: Place 
 
 
 def is_others(each: "Field[Any]") -> bool:
-    """Whether this is no setting of its own, but all other keys of its section."""
+    """Return whether the field collects all other keys of its section."""
     return "others" in each.metadata
 
 
 class ForStops(NamedTuple):
-    """What a Stop needs of the settings."""
+    """The settings that a Stop needs."""
 
     wire: WireSettings
     spi: SpiSettings
     controller: ControllerSettings
     power: PowerSettings | None
-    """None: it is wrong, which is no reason to write no Stop."""
+    """None: the section is wrong, which must not prevent Stops."""
 
 
 def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[SettingFault]]:
-    """What a Stop needs of these tables, and the faults that prevent it: of [wire], [spi] and of the UART only."""
+    """Return the settings that a Stop needs, and the faults that prevent it: only in [wire], [spi] and the UART."""
     of_spi, of_controller, of_power = list[SettingFault](), list[SettingFault](), list[SettingFault]()
     wire = read(WireSettings, tables.get("wire", {}), of_spi, ("wire",))
     spi = read(SpiSettings, tables.get("spi", {}), of_spi, ("spi",))
@@ -112,7 +112,7 @@ _ANY: Final = Allowed("")
 
 
 def _value(kind: Any, allowed: Allowed, value: object, place: Place, faults: list[SettingFault]) -> Any:
-    """The value, or None and a fault."""
+    """Return the value, or None and add a fault."""
     if is_dataclass(kind):
         return read(cast("type[Any]", kind), value, faults, place)
     if get_origin(kind) is tuple:
@@ -171,14 +171,14 @@ _WANTED: Final[Mapping[type, tuple[str, str]]] = {
 
 
 def words(kind: Any) -> tuple[str, ...]:
-    """The words that such a setting may be; (): it is no choice among words."""
+    """Return the words that a setting of this type may be; empty if it is no choice among words."""
     if get_origin(kind) is Literal:
         return get_args(kind)
     return tuple(map(str, kind)) if isinstance(kind, enum.EnumMeta) else ()
 
 
 def _wrong_type(kind: Any, value: object) -> str:
-    """What the value should have been; "": it is."""
+    """Return what the value should have been, or "" if its type is right."""
     if choice := words(kind):
         return "" if isinstance(value, str) and value in choice else " or ".join(f"'{word}'" for word in choice)
     wanted, unread = _WANTED[kind]
@@ -205,7 +205,7 @@ def _plain(limit: float) -> str:
 
 
 def _converted(kind: Any, value: Any) -> Any:
-    """The value as its setting has it; None: the text is no such value."""
+    """Return the value in its setting's type, or None if the text is no such value."""
     if isinstance(kind, enum.EnumMeta):
         return kind(str(value))
     if not isinstance(value, Text):

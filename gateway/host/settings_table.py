@@ -1,8 +1,8 @@
 """The table of all settings: section, name, type, limits, default and meaning, each once.
 
-The service and `stop-servos` read files by it (`gateway.host.settings_reader`). The table in docs/interface.md and the
-JSON Schema (docs/settings.schema.json) are made from it (`python -m release.interface_page`). Imports no pydantic: loading
-that takes longer than all Stops.
+`gateway.host.settings_reader` reads files by it, for the service and for `stop-servos`. `python -m release.interface_page`
+makes the table in docs/interface.md and the JSON Schema (docs/settings.schema.json) from it. It imports no pydantic,
+whose loading takes longer than all Stops.
 """
 
 # ruff: noqa: E501, RUF009  (a row for each setting, however long; `_setting` returns a field)
@@ -22,18 +22,18 @@ from schemas.robot import SERVO_IDS
 SIMULATED: Final = "sim"
 """The interface of a simulated power board."""
 START_STAGGER_MS: Final = 15.0
-"""Six legs start within 75 ms, well within a usual watchdog; a servo draws most in its first milliseconds."""
+"""A servo draws most current in its first milliseconds. Six legs start within 75 ms, well within a usual watchdog."""
 DEFAULT_LISTEN: Final = ("tcp/127.0.0.1:7447",)
 
 
 class Allowed(NamedTuple):
-    """What a setting may be, besides its type, and what it means."""
+    """A setting's meaning, and its allowed values besides its type."""
 
     meaning: str
     limits: tuple[float, float] | None = None
     """Both ends included."""
     fault: Callable[[Any], str] = lambda _value: ""
-    """What is wrong with a value of the right type; "": nothing."""
+    """Returns why a value of the right type is wrong, or ""."""
 
 
 def _setting(
@@ -46,12 +46,12 @@ def _setting(
 
 
 def _table(meaning: str, limits: tuple[float, float] | None = None) -> Any:
-    """A setting for each servo that the file names."""
+    """Return a setting for each servo that the file names."""
     return field(default_factory=dict, metadata={"allowed": Allowed(meaning, limits)})
 
 
 def _others() -> Any:
-    """All other keys of the section, whatever they are."""
+    """Return a field for all other keys of the section."""
     return field(default_factory=dict, metadata={"others": True})
 
 
@@ -99,7 +99,7 @@ class Section:
     """One table of the file."""
 
     def fault(self) -> str:
-        """What is wrong with values that are right one by one; "": nothing."""
+        """Return why values that are valid alone do not fit together, or ""."""
         return ""
 
 
@@ -122,19 +122,19 @@ class WireSettings(Section):
 
     @property
     def built_in(self) -> SpiProtocol | None:
-        """The wire, where the gateway brings it along; None: a plug-in."""
+        """The built-in wire of this name, or None for a plug-in."""
         return BUILT_IN.get(self.name)
 
     @cached_property
     def plugin(self) -> ServoWire:
-        """The plug-in of this name. Raises ValueError with a sentence."""
+        """The plug-in of this name. Raises ValueError if it is missing, broken or rejects its options."""
         from gateway.host.wire_plugins import load  # noqa: PLC0415  (a Stop over SPI does not wait for it)
 
         return load(self.name, self.options, tuple(BUILT_IN))
 
     @property
     def framed(self) -> bool:
-        """Whether its frames need a framing (`spi.framing`)."""
+        """Whether the wire's frames need a framing (`spi.framing`)."""
         return self.built_in is FRAMED
 
     @property
@@ -144,17 +144,17 @@ class WireSettings(Section):
 
     @property
     def supply_starts(self) -> bool:
-        """Whether a power board's supply is what starts each servo."""
+        """Whether servos start by a power board's supply."""
         return self.built_in is not None and self.built_in.supply_starts
 
     @property
     def capabilities(self) -> Capabilities:
-        """What it can do."""
+        """The wire's capabilities; the default ones if a plug-in cannot be loaded."""
         if self.built_in is not None:
             return self.built_in.capabilities
         try:
             return self.plugin.capabilities
-        except ValueError:  # which is a fault of these settings
+        except ValueError:  # `fault` reports it
             return Capabilities()
 
     def fault(self) -> str:
@@ -181,24 +181,24 @@ class SpiSettings(Section):
     frame_gap_us: float = _setting(50.0, "least pause behind a transfer, chip select asserted; then 10 µs released. With `length-prefixed` 20 at least, else the published firmware loses frames, Stops too", (0, 1000))
 
     def of(self, wire: WireSettings) -> "SpiSettings":
-        """The same for this wire: with its clock by default, and without a framing where it has none."""
+        """Return the settings for this wire: by default with its clock, and without a framing if it has none."""
         speed_hz = self.speed_hz or (wire.built_in or FRAMED).speed_hz
         return replace(self, speed_hz=speed_hz, framing=self.framing if wire.framed else Framing.PLAIN)
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
-        """Wire angles that are never sent, in hundredths of a degree: first <= angle < second; None: all are sent."""
+        """Wire angles that are never sent: first <= angle < second, in hundredths of a degree; None: all are sent."""
         return self.framing.avoid_cdeg
 
     @property
     def too_fast(self) -> str:
-        """Why the controller loses frames of such transfers; "": it does not."""
+        """Why the controller would lose frames at this clock and pause, or ""."""
         return self.framing.too_fast(self.speed_hz, self.frame_gap_us)
 
     def within_limits(self) -> tuple["SpiSettings", str]:
-        """Return these with the clock and the pause that the framing allows, and a sentence if that changed them.
+        """Return the settings with clock and pause within the framing's limits, and a sentence if that changed them.
 
-        The service rejects what this changes. The last means of stopping must not fail for it, nor lose Stops by it.
+        The service rejects such settings. `stop-servos` must neither fail for them nor lose Stops by them.
         """
         fault, framing = self.too_fast, self.framing
         if not fault:
@@ -310,7 +310,7 @@ class PowerSettings(Section):
 
     @property
     def outputs(self) -> tuple[int, ...]:
-        """The servo on each of the board's outputs, in their order."""
+        """The servos on the board's outputs, in the outputs' order."""
         return self.servos or SERVO_IDS
 
 
@@ -322,4 +322,4 @@ FOR_STOPS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "power": ("interface", "channel"),
     }
 )
-"""What a Stop needs of the settings: nothing else of a file may prevent one."""
+"""The settings that a Stop needs. A fault elsewhere in a file must not prevent Stops."""

@@ -1,4 +1,4 @@
-"""Pages of memory that two processes share, about a simulated robot: where its servos are sent, and what it feels."""
+"""Memory pages that two processes share: a simulated robot's servo targets, and its sensors' values."""
 
 import math
 import mmap
@@ -12,7 +12,7 @@ from schemas.robot import LEGS, SERVO_IDS
 _NUMBER: Final = struct.Struct("=d")
 _PLACES: Final = {servo_id: place * _NUMBER.size for place, servo_id in enumerate(SERVO_IDS)}
 _UNFED: Final = struct.Struct("=Q")
-"""A bit for each servo, in the order of SERVO_IDS; a page of zeros feeds all."""
+"""A bit for each servo without power, in the order of SERVO_IDS; a page of zeros powers all."""
 _UNFED_AT: Final = len(SERVO_IDS) * _NUMBER.size
 _NEWEST: Final = struct.Struct("=q")
 """Which of the two copies is the newest, 1 or 2; 0 before the first."""
@@ -20,50 +20,47 @@ _NUMBERS: Final = struct.Struct(f"=4d3d3d{len(LEGS)}d{len(SERVO_IDS)}d")
 
 
 class SharedPage:
-    """It goes one way, and the writer never waits: it does not notice whether anybody reads, or is too slow.
-
-    An aligned number of eight bytes is written whole.
-    """
+    """A page from one writer to readers, for which the writer never waits. Aligned numbers of 8 bytes are atomic."""
 
     def __init__(self, fd: int | None = None) -> None:
-        """A new page of zeros; with `fd` the one that another process has made and passed on."""
+        """Make a page of zeros, or open another process's page by its descriptor `fd`."""
         self.fd = os.memfd_create("page") if fd is None else fd
-        """No disk is behind it, so a write never waits for one."""
+        """A file in memory, so a write never waits for a disk."""
         if fd is None:
             os.ftruncate(self.fd, mmap.PAGESIZE)
         self._memory = mmap.mmap(self.fd, mmap.PAGESIZE)
 
 
 class ServoPage(SharedPage):
-    """For each of the 18 servos the angle on the wire (degrees) that it is sent to, or None while it is off.
+    """The wire angle in degrees to which each of the 18 servos is sent, or None for a servo that is off.
 
-    The simulated controller writes the angles. A simulated power board, where there is one, writes which have supply.
+    The simulated controller writes the angles. A simulated power board, if there is one, writes which are powered.
     """
 
     def __init__(self, fd: int | None = None) -> None:
-        """A new page, all servos off and fed; with `fd` the one that another process has made and passed on."""
+        """Make a page with all servos off and powered, or open another process's page by its descriptor `fd`."""
         super().__init__(fd)
         if fd is None:
             for servo_id in SERVO_IDS:
                 self.write(servo_id, None)
 
     def write(self, servo_id: int, angle_deg: float | None) -> None:
-        """Send this servo there. Takes less than a microsecond."""
+        """Send this servo to a wire angle; None: off. Takes less than a microsecond."""
         _NUMBER.pack_into(self._memory, _PLACES[servo_id], math.nan if angle_deg is None else angle_deg)
 
     def feed(self, servo_ids: Collection[int]) -> None:
-        """Exactly these have supply."""
+        """Power exactly these servos."""
         unfed = sum(1 << place for place, servo_id in enumerate(SERVO_IDS) if servo_id not in servo_ids)
         _UNFED.pack_into(self._memory, _UNFED_AT, unfed)
 
     @property
     def fed(self) -> frozenset[int]:
-        """The servos that have supply; all, until a board writes otherwise."""
+        """The powered servos; all, unless a board writes otherwise."""
         (unfed,) = _UNFED.unpack_from(self._memory, _UNFED_AT)
         return frozenset(servo_id for place, servo_id in enumerate(SERVO_IDS) if not unfed >> place & 1)
 
     def read(self) -> dict[int, float | None]:
-        """All 18 as they are now. One without supply is off."""
+        """Return the wire angle of each servo in degrees, or None for a servo that is off or has no power."""
         angles_deg = struct.unpack_from(f"={len(SERVO_IDS)}d", self._memory)
         fed = self.fed
         return {
@@ -73,30 +70,30 @@ class ServoPage(SharedPage):
 
 
 class Sensed(NamedTuple):
-    """What the sensors of a robot feel, in the body's frame: x forward, y left, z up."""
+    """A robot's sensor values, in the body's frame: x forward, y left, z up."""
 
     orientation_wxyz: tuple[float, float, float, float]
     angular_velocity_rad_s: tuple[float, float, float]
     linear_acceleration_m_s2: tuple[float, float, float]
-    """As an accelerometer has it: 9.81 upward at rest."""
+    """As an accelerometer measures it: 9.81 upward at rest."""
     feet_n: tuple[float, ...]
-    """The ground's force on the foot of legs 1 to 6."""
+    """The ground's force on the feet of legs 1 to 6."""
     torques_nm: tuple[float, ...]
-    """Of the 18 servos, in the order of SERVO_IDS."""
+    """Of the servos, in the order of SERVO_IDS."""
 
 
 class SensedPage(SharedPage):
-    """The newest `Sensed`. Each goes into the older of two copies, so a reader never meets one that is half written."""
+    """The newest `Sensed`. Each goes into the older of two copies, so a reader never gets a half-written one."""
 
     def write(self, sensed: Sensed) -> None:
-        """This is the newest. Takes microseconds."""
+        """Write the newest values. Takes microseconds."""
         place = 2 if self._newest == 1 else 1
         orientation, turning, acceleration, feet_n, torques_nm = sensed
         _NUMBERS.pack_into(self._memory, _offset(place), *orientation, *turning, *acceleration, *feet_n, *torques_nm)
         _NEWEST.pack_into(self._memory, 0, place)
 
     def read(self) -> Sensed | None:
-        """The newest; None before the first."""
+        """Return the newest values, or None before the first."""
         place = self._newest
         if not place:
             return None

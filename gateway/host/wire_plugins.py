@@ -1,4 +1,4 @@
-"""Wires that other packages bring (`gateway.wire`), by their entry points."""
+"""Wires from other packages (`gateway.wire`), found by their entry points."""
 
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points
@@ -22,7 +22,7 @@ def load(name: str, options: Mapping[str, object], built_in: tuple[str, ...]) ->
 def _made(entry: EntryPoint, options: Mapping[str, object]) -> object:
     try:
         kind = entry.load()
-    except (Exception, SystemExit) as error:  # whatever somebody else's module raises
+    except (Exception, SystemExit) as error:  # a foreign module may raise anything
         raise ValueError(f'"{entry.name}" ({entry.value}) cannot be loaded: {type(error).__name__}: {error}') from error
     try:
         return kind(options)

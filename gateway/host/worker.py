@@ -1,4 +1,4 @@
-"""Background threads for work that may take long; callers never block."""
+"""Background threads for work that may take long. Callers never block."""
 
 import threading
 from collections.abc import Callable
@@ -15,7 +15,7 @@ class Worker:
     """
 
     def __init__(self, name: str, priority: int | None = PAGE_PRIORITY) -> None:
-        """`priority`: so that it is not preempted while it holds the interpreter's lock (realtime.py); None: normal."""
+        """With a `priority`, it is not preempted while it holds the interpreter's lock (realtime.py). None: normal."""
         self._priority = priority
         self._waiting: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self.thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -31,7 +31,7 @@ class Worker:
         return self._waiting.qsize()
 
     def close(self, timeout_s: float | None = None) -> None:
-        """Run the queue and end the thread. Blocks for `timeout_s` at most; not for the loop's thread."""
+        """Run the queue and end the thread. Blocks for `timeout_s` at most, so do not call it on the loop's thread."""
         self._waiting.put(None)
         self.thread.join(timeout_s)
 

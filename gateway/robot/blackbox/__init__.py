@@ -1,1 +1,1 @@
-"""The black box: what the gateway received, decided and wrote, in a ring that outlives SIGKILL."""
+"""The black box: a ring of received messages, decisions and written frames that survives SIGKILL."""

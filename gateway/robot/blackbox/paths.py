@@ -1,4 +1,4 @@
-"""Paths of the black box: a folder on the disk for incidents, with a link to the ring, which is in memory."""
+"""Paths of the black box: a folder on the disk for incidents, with a link to the ring in memory."""
 
 import os
 import zlib
@@ -11,51 +11,48 @@ from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 
 RECORDS_PER_FRAME: Final = 4
-"""A setpoint makes one record; two where a frame is two transfers. A stream above the rate limit makes twice as many,
+"""A setpoint makes one record, or two if a frame is two transfers. A stream above the rate limit makes twice as many,
 for coalesced commands and their Decisions."""
 OTHER_RECORDS_PER_S: Final = 100
 
 
 RING_S: Final = 60.0
-"""The 10 s before an incident must still be there when it is copied; for more than a minute there are recordings."""
+"""The copy of an incident needs the 10 s before it; recordings are for more than a minute."""
 REACH_S: Final = 50.0
-"""The ring keeps what messages have made of it for this time, also in a flood: an incident reaches 10 s back and lasts
-30 s at most. What the gateway records by itself is bounded by its own rates."""
+"""The ring keeps records of messages for this time, even in a flood: an incident begins 10 s back and lasts 30 s at
+most. Other records are bounded by their own rates."""
 
 
 def slots_for(settings: Settings) -> int:
-    """The number of records of `RING_S` with all legs commanded at their rate."""
+    """Return the number of records in `RING_S` with all legs commanded at their rate."""
     per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
     return min(MAX_SLOTS, round(RING_S * per_s))
 
 
 def client_records_a_second(settings: Settings) -> int:
-    """How many records messages may make: those of all legs at their rate, and no more than the ring has room for."""
+    """Return how many records a second messages may make: those of all legs at their rate, if the ring has room."""
     room = slots_for(settings) / REACH_S - OTHER_RECORDS_PER_S
     return max(1, round(min(RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz, room)))
 
 
 def folder_of(settings: Settings) -> Path | None:
-    """The folder that the gateway itself uses; None: the black box is off."""
+    """Return the gateway's own folder, or None if the black box is off."""
     return state_directory(settings.state.path)
 
 
 def folder_to_read(settings: Settings) -> Path | None:
-    """The same for a program that reads it: also the service's, or else that of `make run`."""
+    """Return the folder for a reader: the gateway's own, else the service's, else that of `make run`, else None."""
     return state_to_read(settings.state.path) or (tried() if tried().is_dir() else None)
 
 
 def tried() -> Path:
-    """The folder of this user's `make run`, which readers find without a settings file."""
+    """Return the folder of this user's `make run`, which readers find without a settings file."""
     state = os.environ.get("XDG_STATE_HOME")
     return (Path(state) if state else Path("~/.local/state").expanduser()) / "hexapod-gateway" / "tried"
 
 
 def prepare(folder: Path) -> Path:
-    """Make a link in the folder to the ring; returns the ring's path. Raises OSError.
-
-    A missing folder stays missing: nothing is known of what an earlier run has kept there.
-    """
+    """Make a link in the folder to the ring, and return the ring's path. Raises OSError, also for a missing folder."""
     os.listdir(folder)
     place, link = in_memory(folder), folder / RING_FILE
     if place == link:
@@ -69,7 +66,7 @@ def prepare(folder: Path) -> Path:
 
 
 def in_memory(folder: Path) -> Path:
-    """A path in memory for this folder's ring; in the folder itself if the system has none."""
+    """Return a path in memory for this folder's ring, or in the folder itself if the system has none."""
     runtime = runtime_directory()
     if runtime is not None:
         return runtime / RING_FILE

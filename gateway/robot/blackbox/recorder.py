@@ -1,12 +1,10 @@
-"""Writes the gateway's records into the black box, of each source no more than its share.
+"""Writes the gateway's records into the black box, up to a share for each source. For the owner of the state.
 
-A flood must not overwrite what precedes an incident: all sources together may make as many records a second as the
-ring has room for (`paths.client_records_a_second`), and one source SHARE of that. What is left out is counted.
+A flood must not overwrite the time before an incident. So all sources together may make as many records a second as
+the ring has room for (`paths.client_records_a_second`), and one source SHARE of that. Omitted records are counted.
 
 Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
 command that is carried out at once shares a record with its frame.
-
-Called by the owner of the state, like the supervisor.
 """
 
 import logging
@@ -46,13 +44,13 @@ from schemas.telemetry import Cause, Kind, Mode
 CHUNK: Final = 4096
 """Records copied at a time: half a megabyte of memory."""
 CLOSE_S: Final = 1.0
-"""A copy of the largest ring takes some 10 ms."""
+"""Longest wait for a copy; one of the largest ring takes about 10 ms."""
 
 
 class IncidentCopies:
-    """Decides which copies are made, and makes them on a thread of its own. A copy that fails stops nothing.
+    """Copies the ring for incidents, on a thread of its own. A copy that fails stops nothing.
 
-    A flood of emergency stops makes one copy: none follows another before servos have run, and none within FOLLOW_NS.
+    A flood of emergency stops makes one copy: the next one needs servos that have run since, and FOLLOW_NS.
     """
 
     def __init__(self) -> None:
@@ -63,21 +61,21 @@ class IncidentCopies:
         self._copied_ns = -FOLLOW_NS
 
     def open(self, ring: Path) -> None:
-        """The ring is open at this path, and has no other writer."""
+        """Begin with an open ring at this path, which has no other writer."""
         self._ring = ring
         self._worker = Worker("copy incident")
 
     def servos_run(self, running: bool) -> None:
-        """Servos run from now on, or no longer."""
+        """Record whether servos run from now on."""
         self._running = running
         self._ran |= running
 
     def happened(self) -> None:
-        """An incident begins, or goes on: what preceded this is to be copied, not now but behind its Stops."""
+        """Have the time before an incident copied, later: its Stops come first."""
         self._due |= self._ran
 
     def copy_due(self, now_ns: int, newest: int) -> None:
-        """Have the newest records copied, up to this sequence number, if that is due. Returns at once."""
+        """If a copy is due, have the records up to sequence number `newest` copied. Returns at once."""
         if self._ring is not None and self._due and now_ns - self._copied_ns >= FOLLOW_NS:
             self._due, self._ran, self._copied_ns = False, self._running, now_ns
             self._worker.do(partial(_take, self._ring, newest))
@@ -99,9 +97,9 @@ def _take(ring: Path, newest: int) -> None:
 
 
 def copy(ring: Path, newest: int) -> None:
-    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError."""
+    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError for a bad header."""
     staged = durable.staged_for(ring)
-    staged.unlink(missing_ok=True)  # of a process that was killed meanwhile
+    staged.unlink(missing_ok=True)  # from a killed process
     with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
         head = source.read(form.HEADER_BYTES)
         slots = header.slots_of(head, os.fstat(source.fileno()).st_size)
@@ -121,31 +119,31 @@ def copy(ring: Path, newest: int) -> None:
 
 
 SHARE: Final = 0.75
-"""Of all records that messages may make. In `plain` and in `length-prefixed`, a stream of six legs at the limit makes a
-quarter and a half of them."""
+"""One source's part of the records that messages may make. A stream of six legs at the limit makes a quarter of them
+with `plain` framing, half with `length-prefixed`."""
 SOURCES_COUNTED: Final = 64
-"""Sources with a share of their own at a time; all further ones have one together. Sources can be made up."""
+"""Sources with their own share at a time; all others have one together, since clients can make up sources."""
 
 
 @dataclass(slots=True)
 class _Share:
     full_ns: int = 0
-    """When its share will be whole again."""
+    """When the share will be whole again."""
     left_out: int = 0
 
 
 class RecordShares:
-    """Admits records. Two token buckets of one second, written out: it is asked for each setpoint."""
+    """Admits records by two token buckets of one second, inlined for speed: each setpoint asks."""
 
     def __init__(self, a_second: int) -> None:
-        """`a_second` records at once and a second, of all sources together."""
+        """Admit `a_second` records of all sources at once, and as many a second."""
         self._of_all_ns = NS_PER_S // a_second
         self._of_one_ns = int(NS_PER_S / (a_second * SHARE))
         self._all_full_ns = 0
         self._sources: dict[str | None, _Share] = {}
 
     def admit(self, source: str | None, count: int, now_ns: int) -> bool:
-        """Whether this source's next `count` records are written; if not, they are counted."""
+        """Return whether this source's next `count` records may be written. If not, count them."""
         known = self._sources[source] if source in self._sources else self._known(source, now_ns)
         one_ns, all_ns = known.full_ns, self._all_full_ns
         one_ns = (now_ns if one_ns < now_ns else one_ns) + count * self._of_one_ns
@@ -157,7 +155,7 @@ class RecordShares:
         return True
 
     def left_out(self) -> list[tuple[str | None, int]]:
-        """Each source of which records were left out since the last call, and how many."""
+        """Return each source with omitted records since the last call, and their number."""
         found = [(name, each.left_out) for name, each in self._sources.items() if each.left_out]
         for name, _ in found:
             self._sources[name].left_out = 0
@@ -174,19 +172,19 @@ class RecordShares:
 
 
 LAG_NS: Final = 10_000_000
-"""A timer later than this is recorded: it would have delayed a Stop as much."""
+"""A timer later than this is recorded, since it would have delayed a Stop as much."""
 CLOCK_NS: Final = 1_000_000_000
 ABOUT_NS: Final = 10_000_000_000
-"""How often versions and settings are recorded: an incident reaches back as far, and has them among its records."""
+"""Period of version and settings records. An incident begins this far back, so it contains one."""
 MEASURED_NS: Final = 100_000_000
-"""What the robot measures is recorded at most so often: 1 % of the ring, and a fall takes longer."""
+"""Shortest time between records of measurements: 1 % of the ring, and a fall takes longer."""
 KEPT_BEFORE_OPEN: Final = 200
-"""Records before the ring is open: the first Stops do not wait for it."""
+"""Records kept before the ring is open; the first Stops do not wait for the ring."""
 
 MODES_A_SECOND: Final = 50
-"""Emergency stops and resets in turns change it more often."""
+"""Emergency stops and resets in turns change the mode more often."""
 EVENT_SLOTS: Final = 3
-"""Of an event whose sentence is long."""
+"""Slots of an event with a long sentence."""
 _ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
 LIMITED: Final = (
     Kind.COMMAND_REJECTED,
@@ -201,13 +199,13 @@ LIMITED: Final = (
     Kind.BUTTON_LEFT,
     Kind.BUTTON_RETURNED,
 )
-"""Events that clients can cause at any rate. Each kind has a limit of its own, so that a flood of one hides no other:
-two people who fight for a leg hide no takeover."""
+"""Events that clients can cause at any rate. Each kind has its own limit, so that a flood of one hides no other: two
+clients that compete for a leg hide no takeover."""
 _BY_CLIENTS: Final = frozenset({*LIMITED, Kind.ESTOP_ENGAGED, Kind.ESTOP_RESET})
-"""Events that clients can cause at any rate. Those of the gateway's own rules are always recorded."""
+"""Events that clients can cause at any rate. Events of the gateway's own rules are always recorded."""
 
 _IF_LEGS_STOP: Final = frozenset({Kind.BUTTON_SILENT, Kind.BUTTON_LEFT})
-"""These are incidents only where legs are stopped for them."""
+"""Incidents only if they stop legs."""
 logger = logging.getLogger(__name__)
 
 Written = tuple[Transmit, Sent]
@@ -215,30 +213,30 @@ Written = tuple[Transmit, Sent]
 
 
 class Recorder:
-    """The black box. Records nothing without a folder, or if the ring cannot be opened."""
+    """The black box. Without a folder, or if the ring cannot be opened, it records nothing."""
 
     def __init__(
         self, settings: Settings, facts: dict[str, Any], clock: Callable[[], int], wall_ns: Callable[[], int]
     ) -> None:
-        """`facts` go into the start's record."""
+        """`facts` go into the start's record. `clock` is monotonic, `wall_ns` the wall clock, both in ns."""
         self.incident: str | None = None
         """The id of the latest incident of this run."""
         self.incidents = 0
-        """Incidents that this run has begun."""
+        """The number of incidents of this run."""
         self._settings = settings
         self._clock = clock
         self._wall_ns = wall_ns
         self._ring: RecordRing | None = None
         self._modes = Allowance(MODES_A_SECOND, MODES_A_SECOND)
         self._mode: Mode | None = None
-        """Not recorded yet."""
+        """The mode, if it is not recorded yet."""
         self._shares = RecordShares(paths.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._append: Callable[[int, int, bytes], None] = self._wait
         self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = -ABOUT_NS
         self._measured_ns = -MEASURED_NS
-        self._first_ns = self._until_ns = 0  # what belongs to the latest incident
+        self._first_ns = self._until_ns = 0  # begin and end of the latest incident
         self._copies = IncidentCopies()
         self._on = paths.folder_of(settings) is not None
         if self._on:
@@ -253,13 +251,13 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Record a GatewayError as the end; after any other error `incidents` finds none."""
+        """Record a GatewayError as the end. After any other error the black box has no end."""
         if isinstance(error, GatewayError):
             self.ended(str(error))
         self.close()
 
     def open(self) -> None:
-        """Open the ring. Until then, what comes waits. Never raises."""
+        """Open the ring, and write the records that wait for it. Never raises."""
         folder = paths.folder_of(self._settings)
         if folder is None:
             return
@@ -287,23 +285,23 @@ class Recorder:
             self._ring = None
 
     def step(self, received: Request | None, written: Sequence[Written], decided: Sequence[Result]) -> None:
-        """Record a step: the command that it took, if any, its frames, and the outcomes of commands.
+        """Record a step: its command, if any, its frames, and the outcomes of commands.
 
-        A request with the number 0 was rejected before the supervisor. Nothing is recorded of a step whose sender has
-        used up its share; steps that no message caused, such as the watchdog's, are always recorded.
+        A request with the number 0 was rejected before the supervisor. If the sender has used up its share, the step is
+        omitted. Steps without a message, such as the watchdog's, are always recorded.
         """
         if not self._on:
             return
         if received is not None or decided or (written and written[0][0].cause is _ESTOP):
             request = received or (decided[0][0] if decided else None)
-            source = None if request is None else request.source  # an emergency stop's is read behind its Stops
+            source = None if request is None else request.source  # an emergency stop's is read after its Stops
             now_ns = written[0][1].ns if written else self._clock()
             count = len(written) + len(decided)
             if not written and received is not None:
-                count += 1  # it has a record of its own, besides its outcome's
+                count += 1  # a record for the command, besides its outcome's
             if not self._shares.admit(source, count, now_ns):
                 return
-        accepted = 0  # with the only frame of this step: it then needs no Decision
+        accepted = 0  # the number of a command accepted with the step's only frame: it needs no Decision
         if len(written) == 1:
             commands = written[0][0].commands
             for request, verdict, _ in decided:
@@ -323,7 +321,7 @@ class Recorder:
                 self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))
 
     def _carried_out(self, command: Request, sent: Sent) -> bool:
-        """Record a command and its frame in one record; False: it does not fit, or the ring is not open."""
+        """Record a command and its frame in one record. Return False if that does not fit, or the ring is closed."""
         if self._ring is None:
             return False
         body = form.carried_out(
@@ -336,7 +334,7 @@ class Recorder:
         return True
 
     def mode(self, mode: Mode) -> None:
-        """Record a change of the gateway's mode; where it changes too often, what it is at the next beat."""
+        """Record a change of the gateway's mode. If it changes too often, record it at the next beat."""
         now_ns = self._clock()
         self._mode = mode
         self._copies.servos_run(mode is Mode.ACTIVE)
@@ -349,7 +347,7 @@ class Recorder:
             self._mode = None
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
-        """Record a published event; returns the id of the incident that it begins or belongs to, else None."""
+        """Record a published event. Return the id of the incident that it begins or belongs to, or None."""
         now_ns = self._clock()
         what = INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
         always = event.kind not in _BY_CLIENTS or (what is not None and self._begins(now_ns))
@@ -359,7 +357,7 @@ class Recorder:
         return None if what is None else self._happened(what, now_ns)
 
     def beat(self, lag_ns: int) -> None:
-        """Record a late timer, and what is due by time. Called ten times a second."""
+        """Record a timer that was `lag_ns` late, and the periodic records. Call it ten times a second."""
         if not self._on:
             return
         now_ns = self._clock()
@@ -378,7 +376,7 @@ class Recorder:
             self._append(form.ABOUT, now_ns, self._about)
 
     def measured(self, values: Measured, now_ns: int) -> None:
-        """Record what the robot measured, unless the latest record of that is too new."""
+        """Record the robot's measurements, at most once in MEASURED_NS."""
         if self._on and now_ns - self._measured_ns >= MEASURED_NS:
             self._measured_ns = now_ns
             self._append(form.MEASURED, now_ns, form.measured(values))
@@ -390,7 +388,7 @@ class Recorder:
         self._happened(MISTAKE, now_ns)
 
     def calibration(self, calibration: RobotCalibration) -> None:
-        """What is in force from now on; to be called at the start, and at each change."""
+        """Record the calibration in force. Call it at the start, and at each change."""
         if self._ring is None:
             return
         before, now = self._ring.calibration, form.calibration(report_of(calibration))
@@ -407,11 +405,11 @@ class Recorder:
         self._append(form.END, self._clock(), form.mode(why))
 
     def _begins(self, now_ns: int) -> bool:
-        """Whether what happens now begins an incident, rather than prolonging one."""
+        """Return whether an incident now would be a new one, and not prolong the latest."""
         return self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS)
 
     def _happened(self, what: str, now_ns: int) -> str | None:
-        """Begin an incident, or prolong the one whose time this falls in; returns its id."""
+        """Begin an incident or prolong the latest. Return its id."""
         if not self._on:
             return None
         if self._begins(now_ns):
@@ -430,7 +428,7 @@ class Recorder:
 
 
 def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
-    """Version and settings, under the same names as in a recording."""
+    """Return version and settings, with the names of a recording."""
     return {
         "version": __version__,
         "protocol": settings.protocol,
@@ -442,4 +440,4 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _forget(_kind: int, _ns: int, _rest: bytes) -> None:
-    """Discards a record: there is no ring."""
+    """Discard a record, without a ring."""

@@ -1,7 +1,7 @@
-"""The ring of records: a memory-mapped file that outlives its process.
+"""The ring of records: a memory-mapped file that survives its process.
 
-The pages of a shared mapping belong to the file, not to the process, so they survive SIGKILL. Writing a record copies
-it into memory: no system call, and no page fault, since all pages are mapped at opening.
+The pages of a shared mapping belong to the file, so they survive SIGKILL. Writing a record copies it into memory,
+without a system call or a page fault: all pages are mapped at opening.
 
 The file must be in memory (tmpfs). On a disk, the first write to a page after each write-back blocks while the disk is
 busy, which would delay a Stop (measured: docs/recordings.md).
@@ -27,11 +27,9 @@ class RecordRing:
     """The writer's side. Not thread-safe."""
 
     def __init__(self, path: Path, slots: int) -> None:
-        """Open the file, or begin it anew if it has another version or size. Raises OSError.
-
-        `note` is then a sentence about a file begun anew or damaged, else empty.
-        """
+        """Open the file. If it has another version or size, begin it anew. Raises OSError, also for another's file."""
         self.note = ""
+        """A sentence about a file that was begun anew or is damaged, else ""."""
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         self._fd = os.open(path, flags, 0o600)
         try:
@@ -41,7 +39,7 @@ class RecordRing:
             whole = self._is_whole(slots)
             if not whole:
                 os.ftruncate(self._fd, 0)
-                for copy in copies_of(path):  # their sequence numbers are those of another ring
+                for copy in copies_of(path):  # they have sequence numbers of another ring
                     with suppress(OSError):
                         copy.unlink()
             # Allocate all blocks: with a hole and a full disk, a later write would end in SIGBUS.
@@ -70,14 +68,14 @@ class RecordRing:
         self.append(form.MORE, ns, rest[form.ROOM :])
 
     def put(self, body: bytes) -> None:
-        """Write a record of one slot whose `body` begins with its head, with the number `sequence`."""
+        """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
         sequence = self.sequence
         pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
         self.sequence = sequence + 1
 
     @property
     def calibration(self) -> bytes:
-        """The header's calibration, in the bytes of `format.calibration`; empty: none."""
+        """The header's calibration, as bytes of `format.calibration`; empty: none."""
         return header.calibration(self._map[: form.HEADER_BYTES])
 
     @calibration.setter
@@ -103,7 +101,7 @@ class RecordRing:
         return found == slots
 
     def _newest(self) -> int:
-        """The highest sequence number of a valid record; 0: none."""
+        """Return the highest sequence number of a valid record, or 0."""
         number, torn = form.newest(self._map, self._slots)
         if number and torn:
             self.note = f"the black box is continued; {torn} of its newest records are not whole"
@@ -111,7 +109,7 @@ class RecordRing:
 
 
 def _check_owner(fd: int, path: Path) -> None:
-    """Raises PermissionError for a file of another user, which in a folder such as /dev/shm may be planted."""
+    """Raise PermissionError for another user's file, which may be planted in a folder such as /dev/shm."""
     found = os.fstat(fd)
     if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
         raise PermissionError(f"{path} belongs to another user")

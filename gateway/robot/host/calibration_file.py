@@ -1,6 +1,6 @@
-"""The calibration on disk: TOML for people, written atomically, with the ten earlier versions kept.
+"""The calibration on disk: TOML for people, written atomically, with ten earlier versions kept.
 
-A damaged, truncated or foreign file is an error, never replaced by a default: with the wrong direction or trim a servo
+A damaged, truncated or foreign file is an error and not replaced by a default: with a wrong direction or trim, a servo
 would move to an angle that was not commanded.
 """
 
@@ -31,15 +31,14 @@ CALIBRATION_FILE: Final = "calibration.toml"
 """File name in the service's state directory."""
 CALIBRATION_VERSION: Final = 1
 EARLIER_KEPT: Final = 10
-"""Earlier calibrations kept in the same folder."""
 MAX_CALIBRATION_BYTES: Final = 64 * 1024
 """A whole calibration takes 2 kB; a larger file is rejected unread."""
 
 SLOW_S: Final = 5.0
-"""A write takes milliseconds, on a worn card a second: a longer one counts as hanging, and is reported."""
+"""A longer write counts as hanging and is reported. It takes milliseconds, on a worn card a second."""
 
 MOST_DIGITS: Final = 18
-"""Of a revision; the gateway writes none longer, and parsing one would take long."""
+"""Of a revision. The gateway writes no longer ones, which would take long to parse."""
 
 _HEAD: Final = """\
 # How this robot's servos differ from the drawing (docs/robot.md). The gateway writes this file; restart it after
@@ -49,12 +48,12 @@ _HEAD: Final = """\
 
 
 def path_of(settings: Settings) -> Path | None:
-    """The file in which the gateway itself keeps its calibration; None: in memory only."""
+    """Return the file in which the gateway keeps its calibration, or None for memory only."""
     return _path(state_directory(settings.state.path))
 
 
 def path_to_read(settings: Settings) -> Path | None:
-    """The same for a program that reads it, which systemd need not have started."""
+    """Return the calibration's file for a reader that systemd need not have started, or None."""
     return _path(state_to_read(settings.state.path))
 
 
@@ -63,10 +62,10 @@ def _path(folder: Path | None) -> Path | None:
 
 
 def load(path: Path) -> tuple[RobotCalibration, str | None]:
-    """The calibration to start with, and why no servo may be started with it (None: it may).
+    """Return the calibration at the start, and why no servo may be started with it (None: servos may).
 
-    If the file cannot be used, it is the default, with a revision above those of all earlier files, so that the next
-    one written is newer.
+    If the file cannot be used, this is the default calibration. Its revision is above those of all earlier files, so
+    that the next one written is newer.
     """
     earlier: list[Path] = []
     with suppress(OSError):
@@ -86,9 +85,9 @@ def load(path: Path) -> tuple[RobotCalibration, str | None]:
 
 
 def read(path: Path) -> RobotCalibration | None:
-    """The calibration in the file at `path`; None: there is no file. Raises ConfigError with one sentence.
+    """Return the calibration in the file, or None if there is no file. Raises ConfigError if it cannot be used.
 
-    Waits only for the disk: a FIFO at `path` is rejected without blocking.
+    This waits only for the disk: a FIFO at `path` is rejected without blocking.
     """
     try:
         data = durable.read(path, MAX_CALIBRATION_BYTES)
@@ -100,7 +99,7 @@ def read(path: Path) -> RobotCalibration | None:
 
 
 def write(path: Path, calibration: RobotCalibration) -> None:
-    """Write atomically; on disk when this returns. Raises ConfigError, and the old file stays. Blocks on the disk."""
+    """Write atomically; it is on the disk when this returns. Raises ConfigError if that fails; the old file stays."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         durable.write(path, to_toml(calibration).encode(), before=partial(_keep_previous, path))
@@ -109,20 +108,20 @@ def write(path: Path, calibration: RobotCalibration) -> None:
 
 
 def previous(path: Path) -> list[Path]:
-    """The earlier calibrations in the same folder, newest first."""
+    """Return the files of earlier calibrations in the same folder, newest first."""
     beside = path.parent.glob(f"{glob.escape(path.stem)}.*{glob.escape(path.suffix)}")
     numbered = [(number, found) for found in beside if (number := _number(path, found)) >= 0]
     return [found for _, found in sorted(numbered, reverse=True)]
 
 
 def _number(path: Path, found: Path) -> int:
-    """The revision in the name of an earlier calibration's file; -1: it has none."""
+    """Return the revision in the name of an earlier calibration's file, or -1."""
     text = found.name[len(path.stem) + 1 : len(found.name) - len(path.suffix)]
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= MOST_DIGITS else -1
 
 
 def _keep_previous(path: Path) -> None:
-    """Hard-link the current file under its revision; a complete file exists at any time."""
+    """Hard-link the current file under its revision. A complete file exists at any time."""
     try:
         before = read(path)
     except ConfigError:
@@ -142,7 +141,7 @@ def _keep_previous(path: Path) -> None:
 
 
 def to_toml(calibration: RobotCalibration) -> str:
-    """The file's text. The last line repeats the revision, so that a truncated file is recognised."""
+    """Return the file's text. Its last line repeats the revision, which reveals a truncated file."""
     report = report_of(calibration)
     lines = [f"{_HEAD}version = {CALIBRATION_VERSION}", f"revision = {report.revision}", "", "[landing]"]
     lines += [f"{name} = {angle!r}" for name, angle in report.landing.items()]
@@ -177,7 +176,7 @@ _WHOLE: Final = "a whole calibration names every servo and all of its numbers"
 
 
 def from_toml(data: bytes) -> RobotCalibration:
-    """Parse a file's bytes. Raises ValueError with one sentence."""
+    """Return the calibration in a file's bytes. Raises ValueError with a sentence for the first fault."""
     values = nesting.read_toml(data)
     version = values.get("version")
     if version != CALIBRATION_VERSION:

@@ -1,7 +1,7 @@
-"""The emergency stop on disk: what the next run must know of it.
+"""The emergency stop on disk, for the next run.
 
-`estop.json` is there while an emergency stop is engaged. `estop-last.json` has the number of the latest one that was
-left, since numbers go on: a reset that was sent to an earlier run must not name an emergency stop of this one.
+`estop.json` exists while an emergency stop is engaged. `estop-last.json` has the number of the latest one that was
+left. Numbers continue, so that a reset for an earlier run names no emergency stop of this one.
 """
 
 import os
@@ -18,24 +18,24 @@ from gateway.errors import ConfigError
 ESTOP_FILE: Final = "estop.json"
 LAST_FILE: Final = "estop-last.json"
 MAX_BYTES: Final = 4096
-"""A file has some 200; a larger one is rejected unread."""
+"""A file has about 200; a larger one is rejected unread."""
 MAX_NUMBER: Final = 2**53
-"""JSON's largest exact integer in JavaScript."""
+"""The largest exact integer in JavaScript."""
 _UNHEARD_OF: Final = 10**9
-"""Numbers go on from here, and a random number more, if the last one is not known: no earlier reset names these."""
+"""If the last number is not known, numbers continue a random step above this, so that no earlier reset names them."""
 
 
 class KeptEstop(NamedTuple):
-    """What is known of the emergency stop."""
+    """The latest emergency stop."""
 
     number: int
-    """Of the latest; 0: there was none."""
+    """Its number; 0: there was none."""
     engaged: bool = False
     source: str | None = None
     time: datetime | None = None
-    """Since when it is engaged."""
+    """When it was engaged."""
     fault: str | None = None
-    """Why it is not known whether one is engaged, so that it counts as engaged."""
+    """Why it is not known, and so counts as engaged."""
 
 
 class _Last(BaseModel):
@@ -53,14 +53,14 @@ Model = TypeVar("Model", bound=_Last)
 
 
 def read(folder: Path) -> KeptEstop:
-    """Return what an earlier run has left in `folder`. Blocks on the disk.
+    """Return the emergency stop that an earlier run left in `folder`. Waits for the disk. Never raises.
 
-    An emergency stop counts as engaged if the files cannot be read, or if the folder cannot be written: an earlier run
-    could then not keep it.
+    It counts as engaged if the files cannot be read, or the folder cannot be written: an earlier run may have failed to
+    keep it.
     """
     last = 0
     try:
-        os.listdir(folder)  # a missing file in a missing folder is no information
+        os.listdir(folder)  # raises for a missing folder, whose missing files mean nothing
         last = _number(folder)
         engaged = _content(folder / ESTOP_FILE, _Engaged)
         if engaged is not None:
@@ -81,13 +81,13 @@ def unknown(fault: str, last: int = 0) -> KeptEstop:
 
 
 def write(folder: Path, kept: KeptEstop) -> None:
-    """Write it atomically; on disk when this returns. Raises ConfigError. Blocks on the disk."""
+    """Write atomically; it is on the disk when this returns. Raises ConfigError if it cannot be written."""
     try:
         if kept.engaged:
             source = None if kept.source is None else kept.source.encode(errors="replace").decode()
             engaged = _Engaged(number=kept.number, source=source, time=kept.time or datetime.now(UTC))
             _write_engaged(folder / ESTOP_FILE, engaged.model_dump_json().encode())
-        else:  # the number first: of a crash between the two, the emergency stop is engaged
+        else:  # the number first: after a crash between the two, the emergency stop is engaged
             durable.write(folder / LAST_FILE, _Last(number=kept.number).model_dump_json().encode())
             (folder / ESTOP_FILE).unlink(missing_ok=True)
             durable.sync(folder)
@@ -96,7 +96,7 @@ def write(folder: Path, kept: KeptEstop) -> None:
 
 
 def _write_engaged(path: Path, data: bytes) -> None:
-    """Write it. A new file is there before it is synced: a gateway that is killed meanwhile has left it.
+    """Write the file. A new file exists before its sync, so a gateway killed meanwhile leaves it.
 
     A power cut may leave a part of it, and a damaged file counts as engaged.
     """
@@ -113,16 +113,16 @@ def _write_engaged(path: Path, data: bytes) -> None:
 
 
 def _number(folder: Path) -> int:
-    """The number of the latest emergency stop that was left. Raises OSError."""
+    """Return the number of the latest emergency stop that was left. Raises OSError."""
     try:
         found = _content(folder / LAST_FILE, _Last)
-    except ConfigError:  # no file states that one is engaged
+    except ConfigError:  # a damaged number alone engages nothing
         return unknown("").number
     return 0 if found is None else found.number
 
 
 def _content(path: Path, model: type[Model]) -> Model | None:
-    """Return what the file has; None: there is no file. Raises OSError, and ConfigError where it is damaged."""
+    """Return the file's content, or None without a file. Raises OSError, or ConfigError if it is damaged."""
     try:
         data = durable.read(path, MAX_BYTES)
         return None if data is None else model.model_validate_json(data)

@@ -1,14 +1,14 @@
 """The lock on the robot's state, and the loop's timers, which any owner of the state may set.
 
-The rule: the thread that holds the lock owns the state (supervisor, bus, conductor, inbox), and meanwhile waits only
-for the bus, and for microseconds for a ring into which Zenoh puts a message. No owner takes another lock that is held
-for longer, so there is no deadlock.
+The rule: the thread that holds the lock owns the state (supervisor, bus, conductor, inbox). It waits only for the bus,
+and for microseconds for a ring into which Zenoh puts a message. An owner takes no lock that is held for longer, so
+there is no deadlock.
 
 Owners are the receiver threads, each for one tick, the loop for its timers, and the service at its start and end. An
-emergency stop is noted before its thread requests the lock; the current owner serves it between two commands. So it
-waits for one command, never for a whole tick.
+emergency stop's thread queues it before it requests the lock, and the current owner serves it between two commands. So
+an emergency stop waits for one command at most.
 
-The metrics page takes no lock: it reads numbers one by one, and its low-priority thread never delays a Stop.
+The metrics page takes no lock: it reads single numbers, and its low-priority thread delays no Stop.
 """
 
 import asyncio
@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Final
 
 _EARLY_S: Final = 1e-6
-"""The loop's timers may fire this early; so little time left is not worth another wakeup."""
+"""The loop's timers may fire this early, which is not worth another wakeup."""
 
 
 class Ownership:
@@ -28,7 +28,7 @@ class Ownership:
 
     def __init__(self, lock: Callable[[], threading.Lock] = threading.Lock) -> None:
         self._state = lock()
-        # Held by the next in line while it waits. Python's locks are not fair: a thread that releases one and takes it
+        # Held by the first waiting thread. Python's locks are not fair: a thread that releases a lock and takes it
         # again at once would starve all others; here it queues behind the first.
         self._next = lock()
 
@@ -51,19 +51,19 @@ class OwnersTimer:
         self._loop_thread = threading.get_ident()
         self._due_s = math.inf
         self._wakes_s = math.inf
-        """When the loop wakes up for it, or was asked to."""
+        """When the loop wakes up for this timer."""
         self._handle: asyncio.TimerHandle | None = None  # only the loop's thread touches it
 
     @property
     def armed(self) -> bool:
-        """Whether a callback is due at some time."""
+        """Whether a callback is pending."""
         return self._due_s < math.inf
 
     def set(self, due_s: float) -> None:
-        """Call back at `due_s` (the loop's clock), which replaces the time set before.
+        """Call back at `due_s` of the loop's clock, instead of the time set before.
 
-        Only an earlier time wakes the loop. For a later one, it wakes up at the earlier time and looks again: a few
-        times a second, where a wakeup from another thread would cost each command 20 µs and a change of threads.
+        Only an earlier time wakes the loop. For a later one, it wakes up at the old time and sets the timer again. That
+        happens a few times a second; waking it from another thread would cost each command 20 µs and a context switch.
         """
         self._due_s = due_s
         if due_s >= self._wakes_s:

@@ -1,9 +1,8 @@
-"""Whether a servo runs, for an upgrade and `setup`, which have no certificate to ask over the network.
+"""A file that shows whether a servo runs, for an upgrade and `setup`, which have no certificate to ask over Zenoh.
 
-It is no part of `stop_note`, since `stop-servos` loads neither logging nor mmap.
-
-One line in the service's runtime directory: `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written ten times a second. The file
-is memory-mapped, so a write needs no system call. A line older than a second means that the service hangs.
+It has one line, `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written ten times a second into the service's runtime directory.
+The file is memory-mapped, so a write needs no system call. A line older than a second means that the service hangs.
+It is separate from `stop_note`, since `stop-servos` loads neither logging nor mmap.
 """
 
 import logging
@@ -20,7 +19,7 @@ logger = logging.getLogger(__name__)
 
 
 class ServosFile:
-    """The file in `folder`, the service's runtime directory; None: no file is written."""
+    """The file in `folder`, the service's runtime directory. None: no file is written."""
 
     def __init__(self, folder: Path | None) -> None:
         self._map: mmap.mmap | None = None

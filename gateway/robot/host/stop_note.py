@@ -1,6 +1,6 @@
-"""When `stop-servos` wrote its Stops: a note for the black box of the gateway that starts next.
+"""A note of when `stop-servos` wrote its Stops, for the black box of the next gateway.
 
-It is in the service's runtime directory, in memory: a reboot resets both the note and the monotonic clock of its times.
+It is in the service's runtime directory, in memory: a reboot ends both the note and the monotonic clock of its times.
 Only people use it, so every error is ignored.
 """
 
@@ -12,18 +12,18 @@ from gateway.host.directories import runtime_directory
 
 _NAME: Final = "stop-servos"
 _MOST_BYTES: Final = 50
-"""The note has some 30."""
+"""The note has about 30."""
 
 
 class StopNote(NamedTuple):
-    """Times of the monotonic clock: after the first round of Stops, and after the last."""
+    """Times after the first and after the last round of Stops, in ns of the monotonic clock."""
 
     first_ns: int
     last_ns: int
 
 
 def leave(note: StopNote) -> None:
-    """Write the note, after the Stops; nothing without a runtime directory. Never raises."""
+    """Write the note, after the Stops. Without a runtime directory, do nothing. Never raises."""
     path = _path()
     if path is not None:
         with suppress(OSError):
@@ -31,7 +31,7 @@ def leave(note: StopNote) -> None:
 
 
 def take() -> StopNote | None:
-    """Read and remove the note; None: there is none that can be read. Never raises."""
+    """Remove and return the note, or None if there is no readable one. Never raises."""
     path = _path()
     if path is None:
         return None

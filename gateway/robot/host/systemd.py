@@ -1,4 +1,4 @@
-"""Notifies systemd that the service is ready, alive or stopping (sd_notify); does nothing without systemd."""
+"""Notifies systemd that the service is ready, alive or stopping (sd_notify). Does nothing without systemd."""
 
 import os
 import signal
@@ -7,17 +7,17 @@ from collections.abc import Mapping
 from typing import Final
 
 NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
-"""The variable by which systemd names its socket to the service."""
+"""The variable with systemd's socket."""
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a working service."""
 
 HANGS_AFTER: Final = 3
-"""The kernel ends the process after so many of the watchdog's periods without `alive`; systemd does so after one. But
-systemd's watchdog ends with the stop request: then it waits for TimeoutStopSec=, which is as long as `stop-servos` may
+"""The kernel ends the process after this many watchdog periods without `alive`; systemd does so after one. But
+systemd's watchdog ends with a stop request; then systemd waits for TimeoutStopSec=, the time that `stop-servos` may
 take on a busy machine."""
 
 ANEW_S: Final = 20.0
-"""From the old program's last notification to the new one's first. TimeoutStartSec= is 30 s."""
+"""From the old program's last notification to the new program's first. TimeoutStartSec= is 30 s."""
 
 
 class SystemdNotifier:
@@ -31,10 +31,10 @@ class SystemdNotifier:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)  # the loop must not wait for systemd to read
         self.ping_period_s: Final = _ping_period_s(environment) if path else None
-        """How often to call `alive`: a quarter of systemd's watchdog period; None: it has no watchdog for us."""
+        """How often to call `alive`: a quarter of systemd's watchdog period. None: there is no watchdog."""
 
     def ready(self, status: str) -> None:
-        """Commands are accepted from now on; resets systemd's watchdog to the unit's period."""
+        """Report that commands are accepted from now on. Resets systemd's watchdog to the unit's period."""
         period = (
             ""
             if self.ping_period_s is None
@@ -43,25 +43,25 @@ class SystemdNotifier:
         self._send(f"READY=1\nSTATUS={status}{period}")
 
     def status(self, status: str) -> None:
-        """Set the sentence in `systemctl status`. From any thread."""
+        """Set the sentence in `systemctl status`. For any thread."""
         self._send(f"STATUS={status}")
 
     def alive(self) -> None:
-        """The loop runs and can own the state. Without this for WATCHDOG_USEC, systemd kills the service."""
+        """Report that the loop runs and can own the state. Without it for WATCHDOG_USEC, systemd kills the service."""
         self._send("WATCHDOG=1")
         self._end_unless_alive()
 
     def stopping(self, *, anew: bool = False) -> None:
-        """The service ends, or (`anew`) the process is about to execute its program again.
+        """Report that the service ends, or (`anew`) that the process executes its program again.
 
-        Then no notification is needed for ANEW_S; after that the kernel ends the process, or else systemd's watchdog.
+        With `anew`, no notification is needed for ANEW_S. Then the kernel, or systemd's watchdog, ends the process.
         """
         if not anew:
             self._send("STOPPING=1")
             self._end_unless_alive()
         elif self.ping_period_s is not None:
             self._send(f"RELOADING=1\nSTATUS=starts anew\nWATCHDOG_USEC={round(ANEW_S * 1e6)}\nWATCHDOG=1")
-            signal.setitimer(signal.ITIMER_REAL, ANEW_S)  # a new program in this process keeps it
+            signal.setitimer(signal.ITIMER_REAL, ANEW_S)  # a new program in this process keeps the timer
 
     def _end_unless_alive(self) -> None:
         """Have the kernel end this process unless this is called again in time, even if all threads hang."""

@@ -1,15 +1,15 @@
-"""What is sent to the power board and when, and what its answers mean. No I/O, no clock: frames and times in and out.
+"""Decides which frames the power board gets and when, and what its answers mean. No I/O, no clock.
 
-- **Off** goes out at once, and again every 20 ms until it is confirmed, for 3 s.
-- **On** waits until each off is confirmed, or late, and the board's counter is at rest: 5 ms behind its answer. The
-  board answers once all are on, so that six go on at a time. It is only sent while the board answers, so that no queue
-  of a broken link delivers it later.
-- **Confirmed** is an answer 6B that was given after the mask had reached the board (offs.py). The board answers
-  questions in its receive interrupt, masks later: so one that comes behind the answer to a question that was sent after
-  the mask (questions.py).
-- **Nothing comes on unasked.** A board whose error is deleted feeds all of the last mask again.
-  So each mask leaves out outputs that it has blocked, that another node took, or that were off after a silence, until
-  the owner has once not wanted their servos and then wants them anew.
+- **Off** is sent at once, and every 20 ms until it is confirmed, for 3 s.
+- **On** waits until each off is confirmed or late, and until the board's counter is at rest, 5 ms after its answer. Six
+  outputs go on at a time: the board answers once all are on. On is sent only while the board answers, since the queue
+  of a broken link could deliver it later.
+- **Confirmed** means an answer 6B given after the mask had reached the board (offs.py). The board answers questions in
+  its receive interrupt, and masks later. So the 6B must follow the answer to a question sent after the mask
+  (questions.py).
+- **No output comes on unasked.** A board whose error is deleted powers all of its last mask again. So masks leave out
+  outputs that the board has blocked, that another node has cut, or that were off after a silence, until the owner has
+  dropped their servos once and wants them again.
 """
 
 from collections import deque
@@ -41,29 +41,29 @@ from gateway.robot.power.questions import BoardQuestions
 from schemas.telemetry import Kind
 
 REPEAT_NS: Final = 20 * NS_PER_MS
-"""Between two masks, until what is off is confirmed."""
+"""Between two masks, until each off is confirmed."""
 START_NS: Final = 1000 * NS_PER_MS
-"""Behind the first opening nothing is reported as not confirmed: a gateway that starts keeps its threads waiting."""
+"""After the first opening, no missing confirmation is reported for this long: a starting gateway delays its threads."""
 REPEAT_FOR_NS: Final = 3000 * NS_PER_MS
-"""Longer than a lost question is waited for (questions.FORGOTTEN_NS): before, a link that lost six confirms nothing."""
+"""Longer than questions.FORGOTTEN_NS: until then, a link that lost six questions confirms nothing."""
 REPEAT_ON_NS: Final = 100 * NS_PER_MS
-"""Between two masks, until what is on is confirmed, and at least until the answer to the first is overdue."""
+"""Between two masks until each on is confirmed, but not before the first answer is overdue."""
 REST_NS: Final = 5 * NS_PER_MS
-"""Behind an answer 6B: within a pass of the board's loop (2 ms at most) its counter is one too far."""
+"""After an answer 6B, the board's counter is one too far for a pass of its loop, 2 ms at most."""
 STEP_NS: Final = 54 * NS_PER_MS
-"""The longest time for 27 passes of the board's loop: until the answer, and for each output that goes on."""
+"""The longest time for 27 passes of the board's loop, one for the answer and one for each output that goes on."""
 LASTS_NS: Final = 1000 * NS_PER_MS
-"""Without a frame of its kind for this long, a state that was reported once has ended, and is reported again."""
+"""A state that is reported once has ended after this long without its frames; the next frame reports it again."""
 
 _OFF_PRESSED: Final = "somebody pressed the power board's off button"
 _GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
 _SIXES: Final = (0o77, 0o77 << 6, 0o77 << 12)
 NOTHING: Final = -1
-"""No mask has this number, or a smaller one."""
+"""Smaller than every mask's number."""
 
 
 class News(NamedTuple):
-    """An event to publish: its sentence, and the servos that it concerns."""
+    """An event to publish: kind, sentence, and the servos concerned."""
 
     kind: Kind
     detail: str
@@ -71,67 +71,67 @@ class News(NamedTuple):
 
 
 class Status(NamedTuple):
-    """What is known of the board at one time. Servos by their ids."""
+    """The board's state at one time. Servos by their ids."""
 
     alive: bool = False
-    """Whether it answers."""
+    """Whether the board answers."""
     supplied: frozenset[int] = frozenset()
-    """Fed, by its last answer."""
+    """Powered, by the board's last answer."""
     confirmed: bool = False
-    """It has confirmed that all is off which is to be off."""
+    """Whether the board has confirmed every off."""
     lost: frozenset[int] = frozenset()
-    """Wanted, and not fed, though we have not taken their supply."""
+    """Wanted but not powered, though the gateway has not cut them."""
     refused: Mapping[int, str] = {}
-    """Blocked by the board, so not fed whatever is wanted: why."""
+    """Blocked by the board, and why."""
     fed: frozenset[int] = frozenset()
-    """Confirmed to be fed, since that was last wanted."""
+    """Confirmed to be powered since they were last wanted."""
     changes: int = 0
     """The number of the newest `want`."""
     answered_ns: int | None = None
-    """When it last answered; None: never."""
+    """When the board last answered; None: never."""
     currents_ma: Mapping[int, int] = {}
-    """What each servo draws, as far as measured since the board answers."""
+    """The current of each servo, if measured since the board answers."""
     rails: Mapping[int, tuple[int, ...]] = {}
     """The newest answers about rails, by the question's identifier, in mA, mV and °C."""
 
 
 class PowerBoard:
-    """One board. Each method belongs to one owner at a time; `now_ns` is monotonic and the same clock for all."""
+    """One board, used by one thread at a time. All times are of one monotonic clock, in ns."""
 
     def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
-        """`outputs`: the servo on each output, from output 1 on. `confirm_ns`: what is confirmed later is reported."""
+        """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)
         self._bit = {servo: 1 << place for place, servo in enumerate(outputs)}
         self._news: deque[News | Confirmed] = deque()
-        # What is wanted. Nothing is sent before the first want or cut.
+        # The wanted state. Nothing is sent before the first `want` or `cut`.
         self._begun = self._cut = False
         self._changes = 0
         self._wanted = 0
         self._lost = 0
         self._unknown = 0
-        """Lost to a silence: perhaps still fed, and a leg may land on them. Only the owner has a mask take them."""
-        # What was sent: 0 is also what a board feeds that has started anew.
+        """Lost to a silence: perhaps still powered, for landing. Only the owner's wish puts them off in a mask."""
+        # The sent state. A restarted board powers nothing, which is mask 0, too.
         self._sent = 0
         self._number = self._on_number = 0
-        """Of the newest mask, and of the newest one that switches something on."""
+        """The number of the newest mask, and of the newest one that switches an output on."""
         self._sent_ns: int | None = None
         self._leave_ns: int | None = None
-        """When the next mask leaves; None: none has to."""
+        """When the next mask leaves, or None."""
         self._repeat_until_ns = 0
         self._answer_ns = -REST_NS
         """When the board last sent its mask."""
         self._rest_ns = 0
-        """From when on its counter is at rest."""
+        """When the board's counter comes to rest."""
         self._on_until_ns = 0
         self._off = OutputsOff(confirm_ns)
         self._unconfirmed = False
         self._started_ns: int | None = None
-        # What was answered.
+        # The answered state.
         self.alive = False
         self._answered_ns: int | None = None
         self._shown = 0
         self._fed: dict[int, int] = {}
-        """Outputs that the board has confirmed to feed, and when."""
+        """Outputs that the board has confirmed to power, and when."""
         self._milliamperes: dict[int, int] = {}
         self._rails: dict[int, tuple[int, ...]] = {}
         self._questions = BoardQuestions()
@@ -142,9 +142,9 @@ class PowerBoard:
     # ---- requests of the owner
 
     def want(self, servos: frozenset[int], number: int, now_ns: int) -> None:
-        """From now on exactly these are to be fed. After `cut`, nothing until this was called with no servos.
+        """Power exactly these servos from now on. After `cut`, call it without servos first.
 
-        `number`: of this change of what is wanted, for `status`.
+        `number` numbers this change, for `status`.
         """
         mask = self._mask(servos)
         self._begun, self._changes = True, number
@@ -161,9 +161,9 @@ class PowerBoard:
         self._settle(now_ns)
 
     def cut(self, now_ns: int) -> None:
-        """Nothing is to be fed, until `want` was called with no servos: a `want` of an earlier step gives nothing back.
+        """Cut all power, until `want` is called without servos: a `want` of an earlier step restores nothing.
 
-        A mask leaves at once even if all is off already: the emergency stop is to be confirmed anew.
+        A mask leaves at once even if all is off, so that the board confirms the emergency stop.
         """
         self._begun = self._cut = True
         self._wanted = self._unknown = 0
@@ -172,20 +172,20 @@ class PowerBoard:
         self._anew(ALL, now_ns)
 
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int, now_ns: int) -> None:
-        """`news` gives a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
+        """Have `news` return a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
         mask = self._mask(servos)
         self._anew(mask & self._off.mask & ~self._off.unconfirmed, now_ns)
-        self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of what was given up
+        self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of masks that were given up
         self._off.wait(mask, asked_ns, token, self._number)
 
     def clear_errors(self, now_ns: int) -> None:
-        """Delete all errors of the board, so that it feeds what it has blocked, once that is wanted anew."""
+        """Delete all errors of the board, so that it powers blocked servos once they are wanted again."""
         self._errors.delete(now_ns)
-        self._questions.doubles = 0  # somebody may have unplugged one of two boards
+        self._questions.doubles = 0  # one of two boards may have been unplugged
         self._seen_ns.clear()
 
     def not_sent(self, frames: Iterable[CanFrame], now_ns: int) -> None:
-        """The interface has no room for these yet. Once there is room, the mask of that time leaves first."""
+        """Record that the interface had no room for these frames. Once it has, the latest mask leaves first."""
         for frame in frames:
             self._questions.not_sent(frame)
             if frame.id == SET_SUPPLY:
@@ -193,13 +193,13 @@ class PowerBoard:
                 self._leave_ns = now_ns
 
     def opened(self, now_ns: int) -> None:
-        """The interface was opened: nothing that was asked before is answered any more."""
+        """Record that the interface was opened. Earlier questions get no answer any more."""
         self._started_ns = now_ns if self._started_ns is None else self._started_ns
         self._questions.opened(now_ns)
         self._anew(self._off.unconfirmed, now_ns)
 
     def closed(self, why: str, now_ns: int) -> None:
-        """The interface is gone, so the board is silent."""
+        """Record that the interface is gone, which makes the board silent."""
         if self.alive:
             self._fall_silent(why, now_ns)
 
@@ -207,12 +207,12 @@ class PowerBoard:
 
     @property
     def confirmed(self) -> bool:
-        """Whether the board has confirmed that all is off which is to be off."""
+        """Whether the board has confirmed every off."""
         return self._begun and not self._off.unconfirmed and not self._errors.two_boards
 
     @property
     def status(self) -> Status:
-        """What is known of the board now."""
+        """The board's present state."""
         return Status(
             self.alive,
             self._named(self._shown),
@@ -227,7 +227,7 @@ class PowerBoard:
         )
 
     def news(self) -> list[News | Confirmed]:
-        """What has happened since the last call."""
+        """Return the events since the last call."""
         news = list(self._news)
         self._news.clear()
         return news
@@ -235,7 +235,7 @@ class PowerBoard:
     # ---- received frames
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
-        """A frame was on the bus; those that are not the board's, or are malformed, change nothing."""
+        """Take a frame from the bus. Malformed frames, and frames of no concern, change nothing."""
         foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
         if foreign is not None:
             self._meddled(foreign, now_ns)
@@ -271,7 +271,7 @@ class PowerBoard:
         self.poll(now_ns)
 
     def poll(self, now_ns: int) -> None:
-        """Find what time brings: a silent board, an unconfirmed off, the end of a wait. Every 10 ms at least."""
+        """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
         late, ended = self._off.late(now_ns)
@@ -287,12 +287,12 @@ class PowerBoard:
 
     @property
     def due_ns(self) -> int:
-        """When `next_frames` has something to send; it may have by then."""
+        """When to call `next_frames` next."""
         due_ns = (self._questions.due_ns, self._mask_due_ns(), self._errors.due_ns)
         return min(each for each in due_ns if each is not None)
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
-        """What leaves now, in this order: masks first. They count as sent."""
+        """Return the frames to send now, in this order. They count as sent."""
         self.poll(now_ns)
         frames: list[CanFrame] = []
         mask_ns = self._mask_due_ns()
@@ -300,7 +300,7 @@ class PowerBoard:
             frames.append(self._send(now_ns))
             if not self.confirmed or self._on_number == self._number:
                 frames += self._questions.due_after(self._number, now_ns)
-        # What is deleted before the board has the mask without it comes on again.
+        # An output whose error is deleted before the board has a mask without it would come on again.
         without = self._off.have_reached(self._errors.mask, self._questions.reached)
         error_frame = self._errors.next_frame(now_ns, without=without)
         frames += [] if error_frame is None else [error_frame]
@@ -318,31 +318,31 @@ class PowerBoard:
 
     @property
     def _target(self) -> int:
-        """The mask that the board is to have."""
+        """The mask that the board should have."""
         return self._wanted & ~self._lost & ~self._errors.mask
 
     def _settle(self, now_ns: int) -> None:
-        """What is no longer to be fed goes off at once; what is, is no longer off."""
+        """Apply a changed target: outputs that left it go off at once."""
         target = self._target
         self._off.feed(target)
         self._anew(ALL & ~target & ~self._unknown & ~self._off.mask, now_ns)
         self._fed = {place: at_ns for place, at_ns in self._fed.items() if target >> place & 1}
 
     def _anew(self, mask: int, now_ns: int) -> None:
-        """These are off, and are to be confirmed by a mask that is yet to be sent."""
+        """Have these outputs confirmed off, by a mask that is sent next."""
         self._off.take(mask, self._number + 1, now_ns)
         if mask:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
 
     def _mask_due_ns(self) -> int | None:
-        """When the next mask is due; None: none is."""
+        """Return when the next mask is due, or None."""
         if not self._begun:
             return None
         due_ns = [] if self._leave_ns is None else [self._leave_ns]
         sent_ns = self._sent_ns or 0
         if not self.confirmed:
-            # A repeat waits behind an answer, too: only the first mask has pins to switch.
+            # A repeat waits for the board's rest, since only the first mask has pins to switch.
             repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
             due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
         target = self._target if self.alive else 0
@@ -360,7 +360,7 @@ class PowerBoard:
         return next((on & six for six in _SIXES if on & six), 0)
 
     def _send(self, now_ns: int) -> CanFrame:
-        """The mask as it may be now."""
+        """Return the mask to send now, and count it as sent."""
         before = self._sent
         self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else 0)
         self._number += 1
@@ -373,10 +373,10 @@ class PowerBoard:
         return set_supply(self._sent)
 
     def _answered_mask(self, mask: int, now_ns: int) -> None:
-        """6B: what the board feeds, as new as the newest mask and question that have reached it."""
+        """Take an answer 6B: the outputs that the board powers, after the masks that have reached it."""
         self._shown = mask
         self._answer_ns = now_ns
-        # A mask that was on its way when this answer left it has an answer of its own.
+        # A mask that was on its way when this answer left will get its own answer.
         if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
         reached = NOTHING if self._errors.two_boards else self._questions.reached
@@ -392,45 +392,45 @@ class PowerBoard:
         for place in range(OUTPUTS):
             if on >> place & 1 and place not in self._fed:
                 self._fed[place] = now_ns
-                self._milliamperes.pop(place, None)  # measured before it was fed
+                self._milliamperes.pop(place, None)  # measured before the output was on
         if self.confirmed:
             self._unconfirmed = False
 
     def _lose(self, mask: int, why: str, now_ns: int, *, report: bool = True) -> None:
-        """These are off, and not by us: they stay off until they are wanted anew."""
+        """Record outputs that went off by another cause. They stay off until they are wanted again."""
         self._lost |= mask & self._wanted
         self._settle(now_ns)
         if report:
             self._news.append(News(Kind.POWER_FAULT, why, self._named(mask)))
 
     def _failed(self, error: BoardError, now_ns: int) -> None:
-        """65: the board has blocked servos or converters, and leaves them so until the error is deleted."""
+        """Take an answer 65: the board has blocked servos or converters until the error is deleted."""
         why, mask, new = self._errors.shown(error, now_ns)
         begins = self._begins(f"{why} {error.mask}", now_ns)
         if mask or (new and begins):
             self._lose(mask, why, now_ns, report=new and begins)
 
     def _meddled(self, mask: int, now_ns: int) -> None:
-        """Another node has sent this mask: ours follows, without what that one took, also where ours still waits."""
+        """Answer another node's mask with ours, without the outputs that it cut, even those still waiting for on."""
         taken = self._target & ~mask
         self._lost |= taken
         self._settle(now_ns)
         if self._begun:
             self._anew(mask & ~self._target & ~self._unknown, now_ns)
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
-            # Our own masks never wait; answers to a node that floods the bus do.
+            # Unlike our own masks, answers to another node wait: it may flood the bus.
             self._leave_ns = max(now_ns, (self._sent_ns or 0) + REST_NS)
         why = "another program switches servos through the power board"
         if self._begins(why, now_ns):
             self._news.append(News(Kind.POWER_FAULT, why, self._named(taken)))
 
     def _begins(self, state: str, now_ns: int) -> bool:
-        """Whether a state that is seen now is to be reported: it had ended, or a reset came since it was reported."""
+        """Return whether to report a state seen now: it is new, had ended, or there was a reset since."""
         seen_ns, self._seen_ns[state] = self._seen_ns.get(state), now_ns
         return seen_ns is None or now_ns - seen_ns >= LASTS_NS
 
     def _fall_silent(self, why: str, now_ns: int) -> None:
-        """The board may have started anew, with all off: what was fed counts as lost."""
+        """Record a silent board. It may have restarted with all off, so all powered servos count as lost."""
         self.alive = False
         target = self._target
         self._unknown |= target

@@ -1,6 +1,6 @@
-"""What the servos' currents show of their Stops. Pure: time is an argument.
+"""Judges the servos' Stops by their currents. Pure: time is an argument.
 
-A stopped servo that draws was not stopped on its wire; a running one that draws nothing is unplugged, or broken.
+A stopped servo that draws current has not received its Stop. A running servo without current is unplugged or broken.
 """
 
 from collections.abc import Mapping
@@ -12,14 +12,14 @@ from gateway.robot.power.board import News
 from schemas.telemetry import Kind
 
 IDLE_MA: Final = 150
-"""A fed servo at rest draws some 8 mA, and one that holds its share of a standing robot some 200 mA (assumed)."""
+"""A powered servo at rest draws about 8 mA, one that bears its share of a standing robot about 200 mA (assumed)."""
 SETTLE_NS: Final = 300 * NS_PER_MS
-"""Behind a Stop: a servo that swings out may draw, and its current is asked for every 140 ms."""
+"""After a Stop a servo may draw current while it comes to rest. Its current is measured every 140 ms."""
 NOTHING_MA: Final = 5
-"""A servo that is fed and at rest draws some 8 mA for its own electronics."""
+"""Below the 8 mA of a powered servo's electronics."""
 SILENT_NS: Final = 1 * NS_PER_S
 IN_A_ROW: Final = 2
-"""Measurements that show a stopped servo's current, before its supply is taken for it: one may be wrong."""
+"""Measurements of a stopped servo's current before its power is cut, since one may be wrong."""
 
 
 @dataclass(slots=True)
@@ -32,14 +32,13 @@ class _Judged:
 
 
 class CurrentRules:
-    """Compares what servos do with what they draw; each finding is reported once for each start and Stop."""
+    """Compares the servos' currents with their state. Each finding is reported once for each start and Stop."""
 
     def __init__(self) -> None:
-        """Nothing was measured yet."""
         self._servos: dict[int, _Judged] = {}
 
     def measured(self, currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int) -> list[News]:
-        """Take new measurements, of the servos that run and those that do not; returns what to report."""
+        """Take new currents in mA. `running` are the servos that run. Return the events to report."""
         news: list[News] = []
         for servo_id, ma in currents_ma.items():
             servo = self._servos.get(servo_id)

@@ -1,4 +1,4 @@
-"""The power board's interface, opened by python-can. Loads no more than that: `stop-servos` waits for it."""
+"""The power board's interface, opened by python-can. It loads nothing else, since `stop-servos` waits for it."""
 
 import errno
 from typing import TYPE_CHECKING, Final
@@ -17,19 +17,19 @@ FILTERS: Final = [
 """The board's identifiers, 60 to 9F."""
 
 BITRATE: Final = 1_000_000
-"""The board's, which its firmware fixes."""
+"""Fixed by the board's firmware."""
 
 
 class LineError(GatewayError):
-    """The interface cannot be opened, for the reason in the text."""
+    """The interface cannot be opened; the text has the reason."""
 
 
 class BusyError(GatewayError):
-    """The transmit queue is full: the frame was not sent, and may be sent later."""
+    """The transmit queue is full. The frame was not sent and may be sent later."""
 
 
 def open_bus(settings: PowerSettings) -> "can.BusABC":
-    """Open the interface. Raises LineError, with what is missing; ConfigError where it never can be opened."""
+    """Open the interface. Raises LineError if it does not open now, ConfigError if it never can."""
     import logging  # noqa: PLC0415  (no Stop waits for it)
 
     try:
@@ -38,7 +38,7 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
         from gateway.robot.power.slcan import Slcan  # noqa: PLC0415
     except ImportError as error:
         raise ConfigError("python-can is not installed: pip install 'hexapod-gateway[power]'") from error
-    logging.getLogger("can").setLevel(logging.ERROR)  # it warns of each interface that could not be opened
+    logging.getLogger("can").setLevel(logging.ERROR)  # python-can warns of each interface that does not open
     try:
         if settings.interface == "slcan":
             return Slcan(settings.channel, bitrate=BITRATE)
@@ -57,8 +57,10 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
 
 
 def send(bus: "can.BusABC", frame: CanFrame, timeout_s: float) -> None:
-    """Send a frame; wait for `timeout_s` at most, where the interface keeps that. Raises BusyError if the kernel has no
-    room for it, CanError or whatever else the interface does for other faults."""
+    """Send a frame. Wait for `timeout_s` at most, if the interface respects that.
+
+    Raises BusyError if the kernel has no room for the frame; for other faults CanError or an interface's own exception.
+    """
     from can import CanOperationError, Message  # noqa: PLC0415
 
     try:
@@ -70,10 +72,10 @@ def send(bus: "can.BusABC", frame: CanFrame, timeout_s: float) -> None:
 
 
 def received(message: "can.Message", settings: PowerSettings) -> CanFrame | None:
-    """The frame that another node has sent; None: an error, a remote request, or the echo of one of ours.
+    """Return another node's frame, or None for an error, a remote request, or the echo of our own frame.
 
-    Adapters such as gs_usb give echoes. socketcan gives none: there, `is_rx` is false of what other programs on this
-    computer send, such as `stop-servos`.
+    Adapters such as gs_usb give echoes. socketcan gives none; there, `is_rx` is false for frames of other programs on
+    this computer, such as `stop-servos`.
     """
     if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
         return None

@@ -1,6 +1,6 @@
-"""`stop-servos` takes the servos' supply: a mask of nothing, until the power board confirms it.
+"""`stop-servos` cuts the servos' power: it sends a mask of nothing until the power board confirms it.
 
-`PowerBoard` does more, and its imports take longer than all Stops. This loads python-can alone.
+The imports of `PowerBoard` take longer than all Stops. This loads python-can alone.
 """
 
 import threading
@@ -21,35 +21,34 @@ if TYPE_CHECKING:
 
 REPEAT_NS: Final = 20 * NS_PER_MS
 REST_NS: Final = 5 * NS_PER_MS
-"""Behind an answer 6B, in whose pass the board takes a mask 230 passes later."""
+"""After an answer 6B: a mask in the same pass of the board's loop takes effect 230 passes later."""
 TRY_NS: Final = 2 * NS_PER_S
-"""How long masks are sent, and the interface is opened again where it fails, from the end of the first opening on."""
+"""How long masks are sent and a failed interface is reopened, from the end of the first opening on."""
 LOAD_S: Final = 10.0
-"""How long that may take: it loads python-can, from a card that is slow to read. systemd gives all of this 20 s."""
+"""Time for the first opening, which loads python-can, perhaps from a slow card. systemd allows 20 s for everything."""
 START_S: Final = 0.02
-"""How long the first Stops on SPI are waited for: what is loaded here must not delay them, and they may hang."""
+"""How long to wait for the first Stops on SPI: the imports here must not delay them, but they may hang."""
 END_S: Final = 1.0
-"""Beyond TRY_NS, for what hangs in python-can: then nobody waits any longer."""
+"""Further time after TRY_NS for calls that hang in python-can."""
 _RETRY_S: Final = 0.1
 _LOOK_S: Final = 0.005
 _SEND_S: Final = 0.1
 
 
 class LastCut:
-    """All outputs off: what to send, and whether it is confirmed. Pure; times are monotonic.
+    """Decides what to send for all outputs off, and whether that is confirmed, on a just opened interface. Pure.
 
-    Confirmed is a 6B that shows all off, behind the answer to a question that was sent after the first mask: an answer
-    to somebody else's mask may be on its way.
+    Confirmed means a 6B that shows all off, after the answer to a question sent after the first mask: an answer to
+    another node's mask may be on its way.
     """
 
     def __init__(self) -> None:
-        """On an interface that was just opened."""
         self._questions = BoardQuestions()
         self._due_ns = 0
         self.confirmed = False
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
-        """What leaves now: the mask, a question whose answer proves that it has arrived, and questions in turn."""
+        """Return the frames to send now: the mask, a question whose answer proves its arrival, questions in turn."""
         frames: list[CanFrame] = []
         if self.confirmed:
             return frames
@@ -61,14 +60,14 @@ class LastCut:
         return frames
 
     def receive(self, frame: CanFrame, now_ns: int) -> None:
-        """A frame was on the bus."""
+        """Take a frame from the bus, received at `now_ns` (monotonic)."""
         self._questions.asked_by_another(frame, now_ns)
         answer = read(frame)
         if answer is not None:
             self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
-                proven = self._questions.reached > 0 and not self._questions.doubles  # another board may feed them
+                proven = self._questions.reached > 0 and not self._questions.doubles  # another board may power them
                 self.confirmed = self.confirmed or (mask == 0 and proven)
                 self._due_ns = max(self._due_ns, now_ns + REST_NS)
             case Rails(question):
@@ -76,7 +75,7 @@ class LastCut:
 
 
 class SupplyCut:
-    """Takes the supply on a thread of its own, which begins behind the first Stops, and reports how it ended."""
+    """Cuts the power on a thread of its own, after the first Stops, and reports the result."""
 
     def __init__(
         self,
@@ -84,24 +83,24 @@ class SupplyCut:
         say: Callable[[str, bool], None],
         opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
     ) -> None:
-        """`say`, called on that thread, gets a sentence, and whether the board has confirmed it."""
+        """`say` is called on that thread with a sentence, and with whether the board has confirmed it."""
         self._settings = settings
         self._say = say
         self._opener = opener
         self._begun_ns = time.monotonic_ns()
         self._stops_written = threading.Event()
         self._tried = threading.Event()
-        """The interface was opened, or could not be."""
+        """Set after the first attempt to open the interface."""
         self.confirmed = False
         self._thread = threading.Thread(target=self._run, name="supply cut", daemon=True)
         self._thread.start()
 
     def stops_written(self) -> None:
-        """The first Stops were tried."""
+        """Let the thread begin: the first Stops were tried."""
         self._stops_written.set()
 
     def end(self) -> bool:
-        """Wait until it has ended, but not for what hangs; whether the board has confirmed it."""
+        """Wait until the thread has ended, but not if it hangs. Return whether the board has confirmed."""
         self._stops_written.set()
         self._tried.wait(LOAD_S)
         self._thread.join((TRY_NS / NS_PER_S) + END_S)
@@ -123,7 +122,7 @@ class SupplyCut:
             except ConfigError as error:
                 why = str(error)
                 break
-            except Exception as error:  # from any of python-can's interfaces: another attempt is all that helps
+            except Exception as error:  # any exception of python-can's interfaces: only another attempt can help
                 where = "" if isinstance(error, LineError) else f"{self._settings.interface} {self._settings.channel}: "
                 why = f"{where}{error}"
                 time.sleep(_RETRY_S)
@@ -135,16 +134,16 @@ class SupplyCut:
 
 
 def not_confirmed(why: str) -> str:
-    """The sentence for a person."""
+    """Return the sentence for a person that the power may be on."""
     return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
 
 
 def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:
-    """Until it is confirmed, or the time is over."""
-    bus._is_shutdown = True  # this process ends: python-can would close the adapter's channel, and a gateway may use it
+    """Send masks until they are confirmed, or the time is over. Return whether they are confirmed."""
+    bus._is_shutdown = True  # else, as this process ends, python-can closes a channel that a gateway may use
     cut = LastCut()
     while not cut.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
-        with suppress(BusyError):  # it is sent again
+        with suppress(BusyError):  # the frame is sent again
             for frame in cut.next_frames(now_ns):
                 send(bus, frame, _SEND_S)
         message = bus.recv(_LOOK_S)

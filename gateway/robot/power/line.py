@@ -1,12 +1,12 @@
 """The power board on its interface: two threads around `PowerBoard`, by python-can.
 
-| thread   | does                                                          | may hang                    |
-|----------|---------------------------------------------------------------|-----------------------------|
-| sender   | opens, closes, sends                                          | in python-can or the kernel |
-| receiver | receives, looks at the time every 10 ms, reports what is new | no: `recv` has a limit      |
+| thread   | does                                              | may hang                    |
+|----------|---------------------------------------------------|-----------------------------|
+| sender   | opens, closes, sends                              | in python-can or the kernel |
+| receiver | receives, checks the time every 10 ms, reports    | no: `recv` has a limit      |
 
-Callers of `want`, `cut` and `when_off` wait for neither: a request goes into a queue, and the next of the two threads
-takes it. So a sender that hangs delays no Stop on SPI, and that the board is silent is reported all the same.
+Callers of `want`, `cut` and `when_off` wait for neither thread: the request is queued, and either thread takes it. So a
+sender that hangs delays no Stop on SPI, and a silent board is still reported.
 """
 
 import threading
@@ -29,26 +29,24 @@ if TYPE_CHECKING:
     import can
 
 LOOK_S: Final = 0.01
-"""How long the receiver waits for a frame, and so how late it notices that time has passed."""
+"""How long the receiver waits for a frame, and so its latest check of the time."""
 RETRY_S: Final = 0.1
 """Between two attempts to open the interface."""
 SEND_S: Final = 0.1
-"""How long a frame may wait to be sent, where python-can keeps that: it hangs then, or the bus is off."""
+"""How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
 BUSY_S: Final = 0.002
-"""Before the next attempt, where the kernel's transmit queue is full: ten frames, which leave within 1.3 ms at
-1 Mbit/s."""
+"""Before the next attempt with a full transmit queue: ten frames, which leave within 1.3 ms at 1 Mbit/s."""
 AT_ONCE: Final = 64
-"""Frames that are received before the receiver pauses: it has a real-time priority, and a flood is no reason to keep
-others off the processor."""
+"""Frames received before the receiver pauses: at its real-time priority, a flood would occupy the processor."""
 PAUSE_S: Final = 0.001
 
 STOPS_S: Final = 0.001
-"""For this long after the mask of a cut, the Stops on SPI have the interpreter to themselves."""
+"""Pause of the sender after a cut's mask, so that the Stops on SPI have the interpreter."""
 _NOTHING: Final = set_supply(0)
 
 
 _SHOWN: Final = slice(Status._fields.index("answered_ns"))
-"""What of a status is news."""
+"""The fields of a status whose change is news."""
 
 
 class PowerLine:
@@ -64,9 +62,9 @@ class PowerLine:
         opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`on_news` is called on the receiver's thread, and must not wait: there is news, or another status.
+        """`on_news` is called on the receiver's thread for news or a changed status, and must not wait.
 
-        `failed` is called with a mistake in the gateway that ended one of the threads.
+        `failed` is called with an unexpected exception that ended one of the threads. `clock` is monotonic, in ns.
         """
         self._settings = settings
         self._board = board
@@ -77,9 +75,9 @@ class PowerLine:
         self._requests: deque[Callable[[], None]] = deque()
         self._news: deque[News | Confirmed] = deque()
         self._lock = threading.Lock()
-        """Held while the board is used, never while anything is sent or received."""
+        """Held while the board is used, not while frames are sent or received."""
         self._wake = threading.Lock()
-        """Released: the sender has something to do. Releasing it is no call that gives up the interpreter's lock."""
+        """Released if the sender has work. Releasing a lock does not give up the interpreter's lock."""
         self._wake.acquire()
         self._bus: can.BusABC | None = None
         self._received_from: can.BusABC | None = None
@@ -87,19 +85,19 @@ class PowerLine:
         self._retry_ns = 0
         self.status = Status()
         self.looked_ns = clock()
-        """When the receiver last looked at the time: a thread that is stuck is noticed by it."""
+        """When the receiver last checked the time, by which a stuck thread is noticed."""
         self._sender = threading.Thread(target=self._run, args=(self._send,), name="power sender", daemon=True)
         self._receiver = threading.Thread(target=self._run, args=(self._receive,), name="power receiver", daemon=True)
 
     def start(self) -> None:
-        """Open the interface, or let the sender try until it opens. Raises ConfigError where it never can."""
+        """Open the interface, or let the sender try until it opens. Raises ConfigError if it never can."""
         with suppress(LineError):
             self._use(self._opener(self._settings))
         self._receiver.start()
         self._sender.start()
 
     def close(self, timeout_s: float = 1.0) -> None:
-        """Send what is due, and end. Blocks for `timeout_s` at most."""
+        """Send the frames that are due, and end the threads. Blocks for `timeout_s` at most."""
         self._closing = True
         self._awake()
         end_ns = time.monotonic_ns() + round(timeout_s * NS_PER_S)
@@ -114,7 +112,7 @@ class PowerLine:
         self._request(partial(self._board.want, servos, number, self._clock()))
 
     def cut(self) -> None:
-        """PowerBoard.cut, as soon as possible; the first mask leaves before that is asked."""
+        """PowerBoard.cut, as soon as possible. The first mask leaves even before."""
         self._cuts = True
         self._request(partial(self._board.cut, self._clock()))
 
@@ -127,7 +125,7 @@ class PowerLine:
         self._request(partial(self._board.clear_errors, self._clock()))
 
     def news(self) -> list[News | Confirmed]:
-        """What has happened since the last call."""
+        """Return the events since the last call."""
         news = []
         with suppress(IndexError):
             while True:
@@ -139,7 +137,7 @@ class PowerLine:
         self._awake()
 
     def _awake(self) -> None:
-        with suppress(RuntimeError):  # it is awake already
+        with suppress(RuntimeError):  # the sender is awake already
             self._wake.release()
 
     # ---- both threads
@@ -151,7 +149,7 @@ class PowerLine:
             self._failed(error)
 
     def _take_requests(self) -> None:
-        """With the lock: what was asked meanwhile, in its order."""
+        """Carry out the queued requests, in their order. The caller holds the lock."""
         while self._requests:
             self._requests.popleft()()
 
@@ -161,7 +159,7 @@ class PowerLine:
             self._board.opened(self._clock())
 
     def _lose(self, bus: "can.BusABC", error: Exception) -> None:
-        """The interface is gone: neither thread uses it any more."""
+        """Record that the interface is gone. Neither thread uses it any more."""
         with self._lock:
             if self._bus is bus:
                 self._bus = None
@@ -191,7 +189,7 @@ class PowerLine:
             self._wake.acquire(timeout=max(0, wait_ns) / NS_PER_S)
 
     def _open_again(self) -> None:
-        """Try it, and no more often than RETRY_S, also where it opens and then sends nothing: the bus is off."""
+        """Try to open the interface, once in RETRY_S at most: with the bus off, it opens but sends nothing."""
         time.sleep(max(0, self._retry_ns - time.monotonic_ns()) / NS_PER_S)
         self._retry_ns = time.monotonic_ns() + round(RETRY_S * NS_PER_S)
         with suppress(LineError):
@@ -222,7 +220,7 @@ class PowerLine:
             self._lose(bus, error)
 
     def _release(self, bus: "can.BusABC") -> None:
-        """Close what neither thread uses any more: its descriptor may be another file's from then on."""
+        """Close the interface once neither thread uses it, since its descriptor may then become another file's."""
         while self._received_from is bus:
             time.sleep(LOOK_S / 10)
         with suppress(Exception):
@@ -238,7 +236,7 @@ class PowerLine:
             try:
                 if bus is None:
                     time.sleep(LOOK_S)
-                elif bus is self._bus:  # still: nobody closes it now
+                elif bus is self._bus:  # unchanged, so the sender does not close it now
                     frames = self._frames(bus)
             finally:
                 self._received_from = None

@@ -1,13 +1,11 @@
-"""Which question the power board is asked next, and what its answers prove. No I/O, no clock.
+"""Chooses the next question to the power board, and derives what its answers prove. No I/O, no clock.
 
-Questions about currents are asked whatever is unanswered. One about rails is asked only while no ask of it is
-unanswered: its answer proves that all that was sent before it has reached the board, also behind a link that paused and
-delivers older answers at once. Where another node asks the same, the first answer counts as that node's: its question
-stands ahead of its answer in what we receive.
+Questions about currents are always asked. A question about rails is asked only after its last one was answered. So its
+answer proves that all earlier frames have reached the board, even if a link pauses and then delivers older answers. If
+another node asks the same, the first answer counts as that node's, since its question was received before the answer.
 
-Two answers to one question come from two boards. One of them may be unplugged and feed servos while the other confirms.
-A single second answer proves nothing: on slcan, `stop-servos` and the gateway read one terminal, and its questions are
-not seen here.
+Two answers to one question come from two boards, of which one may power servos while the other confirms. One second
+answer proves nothing: on slcan, `stop-servos` and the gateway read one terminal, and its questions are not seen here.
 """
 
 from typing import Final
@@ -20,50 +18,52 @@ SILENT_QUESTIONS: Final = 10
 SILENT_NS: Final = 100 * NS_PER_MS
 """After this many unanswered questions and this much time, the board counts as silent. A restart takes it longer."""
 LIKELY_SILENT: Final = 5
-"""Questions without an answer: some about rails are kept unasked, to prove something as soon as the board answers."""
+"""After this many unanswered questions, none about rails is asked: some must be left to prove something later."""
 LOST_NS: Final = 300 * NS_PER_MS
-"""An unanswered question is lost once it is so old and a later one was answered: links keep the order."""
+"""An unanswered question of this age is lost if a later one was answered, since links keep the order."""
 DOUBLE_NS: Final = 10 * NS_PER_MS
-"""Boards answer in their receive interrupt, so two answers to one question are no further apart."""
+"""The longest time between two answers to one question, since boards answer in their receive interrupt."""
 DOUBLES: Final = 3
 FORGOTTEN_NS: Final = 2000 * NS_PER_MS
-"""An unanswered question is lost, whatever came since: else a link that lost six answers could confirm nothing more."""
+"""An unanswered question of this age is lost in any case: else a link that lost six answers could confirm nothing."""
 
 
 class BoardQuestions:
-    """One question every 10 ms, and one behind a mask that is to be confirmed."""
+    """One question every 10 ms, and one after each mask that needs a confirmation."""
 
     def __init__(self) -> None:
-        """None is asked yet; the first is due."""
         self.due_ns = 0
         self.reached = 0
-        """The newest mask that has reached the board for certain, by its number."""
+        """The number of the newest mask that has certainly reached the board."""
         self.reached_ns = 0
-        """When the question was asked whose answer proves it."""
+        """When the question that proves this was asked."""
         self._answered_ns = 0
         self._unanswered = 0
         self._turn = 0
         self._rail_turn = 0
         self._asked: dict[CanFrame, tuple[int, int]] = {}
-        """Unanswered questions about rails: when each was asked, and the newest mask of then."""
+        """Unanswered questions about rails: when each was asked, and the number of the newest mask then."""
         self._foreign: dict[CanFrame, tuple[int, int]] = {}
-        """Of another node, about rails: how many are unanswered, and when the newest was received."""
+        """Other nodes' questions about rails: how many are unanswered, and when the newest was received."""
         self._latest: tuple[CanFrame, int] | None = None
-        """The newest answer that somebody had asked for, and when it came; None: a second one has come to it."""
+        """The newest answer to a known question, and when it was received; None after a second answer to it."""
         self.doubles = 0
         """How many of the newest questions were answered twice."""
 
     def opened(self, now_ns: int) -> None:
-        """On a new interface no older question is answered."""
+        """Forget earlier questions: a new interface brings no answers to them."""
         self._asked.clear()
         self.due_ns = now_ns
 
     def not_sent(self, question: CanFrame) -> None:
-        """This question has not left."""
+        """Record that this question was not sent."""
         self._asked.pop(question, None)
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:
-        """The question in turn, which counts as sent: six about currents, one about rails or errors."""
+        """Return the question in turn, and count it as sent: six about currents, then one about rails or errors.
+
+        `newest` is the number of the newest mask.
+        """
         self.due_ns = now_ns + ASK_NS
         self._unanswered += 1
         self._turn = (self._turn + 1) % (2 * len(ASK_CURRENTS) + 2)
@@ -74,7 +74,7 @@ class BoardQuestions:
         return [ASK_CURRENTS[self._turn % len(ASK_CURRENTS)]]
 
     def due_after(self, newest: int, now_ns: int) -> list[CanFrame]:
-        """A question whose answer proves that the mask with this number has reached the board, if there is one."""
+        """Return a question whose answer proves that mask number `newest` has reached the board, if one is free."""
         if self._unanswered > LIKELY_SILENT:
             return []
         for step in range(len(ASK_RAILS)):
@@ -89,12 +89,12 @@ class BoardQuestions:
         return now_ns - asked_ns >= (LOST_NS if self.reached_ns > asked_ns else FORGOTTEN_NS)
 
     def answered(self, now_ns: int) -> None:
-        """The board has answered."""
+        """Record an answer of the board."""
         self._answered_ns = now_ns
         self._unanswered = 0
 
     def asked_by_another(self, question: CanFrame, now_ns: int) -> None:
-        """Another node has asked this; only questions about rails matter."""
+        """Record another node's question. Only questions about rails matter."""
         if question in ASK_RAILS:
             self._foreign[question] = (self._foreign_unanswered(question, now_ns) + 1, now_ns)
 
@@ -103,7 +103,7 @@ class BoardQuestions:
         return number if now_ns - newest_ns < FORGOTTEN_NS else 0
 
     def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
-        """Take an answer to this question."""
+        """Take an answer to this question about rails."""
         others, ours = self._foreign_unanswered(question, now_ns), question in self._asked
         if others:
             self._foreign[question] = (others - 1, self._foreign[question][1])
@@ -124,9 +124,10 @@ class BoardQuestions:
         return self.doubles >= DOUBLES
 
     def silent(self, now_ns: int) -> bool:
-        """Whether the board is; to be asked every 10 ms, since a question that nobody fetched counts as unanswered.
+        """Return whether the board is silent. Call it every 10 ms.
 
-        Then whatever sends them hangs. Time alone is no silence: this process may have been suspended.
+        A due question that was not fetched counts as unanswered: the sender hangs. Time alone does not make the board
+        silent, since this process may have been suspended.
         """
         if now_ns >= self.due_ns + 2 * ASK_NS:
             self.due_ns = now_ns - ASK_NS

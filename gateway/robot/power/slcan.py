@@ -1,8 +1,8 @@
-"""python-can's slcan without its waits: it reads a byte at a time, and each write waits until the adapter has it.
+"""python-can's slcan without its waits: the original reads single bytes, and each write waits for the adapter.
 
-Of 8 000 frames a second it took 1 600 to 2 400, and the rest overflowed and garbled the terminal. Here a call reads all
-that has come, and drops what the power board does not send: 8 000 take 3 % of a processor, and 6 % if all are the
-board's. python-can's `select` takes no descriptor from 1024 on, either.
+Of 8 000 frames a second the original took 1 600 to 2 400; the rest overflowed and garbled the terminal. This one reads
+all available bytes in a call, and drops frames that are not the power board's. 8 000 take 3 % of a processor, 6 % if
+all are the board's. Also, python-can's `select` takes no descriptor from 1024 on.
 """
 
 import os
@@ -16,9 +16,9 @@ from can import CanError, CanOperationError, Message
 from can.interfaces.slcan import slcanBus
 
 _FRAME: Final = re.compile(rb"t(0[6-9][0-9A-Fa-f])([0-8])((?:[0-9A-Fa-f]{2})*)\r")
-"""A classic data frame of the board's identifiers, 060 to 09F: identifier, length, data and perhaps a time stamp."""
+"""A classic data frame of the board (identifiers 060 to 09F): identifier, length, data, maybe a time stamp."""
 _LONGEST: Final = 64
-"""Bytes of a line that are kept while its end is missing; a frame has 27 at most."""
+"""Bytes of an incomplete line that are kept; a frame has 27 at most."""
 COMMAND_S: Final = 0.1
 """How long the adapter may take to read a command that opens or closes its channel."""
 _MOST: Final = 65_536
@@ -26,13 +26,12 @@ _MOST: Final = 65_536
 
 
 class Slcan(slcanBus):
-    """An adapter that speaks slcan. It gives the board's frames alone."""
+    """An slcan adapter. It returns only the board's frames."""
 
     def __init__(self, channel: str, **kwargs: Any) -> None:
-        """As slcanBus."""
         self._left = b""
         self._frames: deque[Message] = deque()
-        self._is_shutdown = True  # as long as there is nothing to close
+        self._is_shutdown = True  # nothing to close yet
         super().__init__(channel, sleep_after_open=0, **kwargs)
         self._is_shutdown = False
         self._fd: int = self.serialPortOrig.fileno()
@@ -40,17 +39,17 @@ class Slcan(slcanBus):
         self._readable.register(self._fd, select.POLLIN)
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """Raises CanOperationError if the adapter accepts nothing within `timeout` seconds (None: wait forever)."""
+        """Send a frame. Raises CanOperationError if the adapter accepts nothing within `timeout` s (None: no limit)."""
         self._write(f"t{msg.arbitration_id:03X}{msg.dlc:d}{bytes(msg.data).hex().upper()}", timeout)
 
     def shutdown(self) -> None:
-        """Also of an adapter that is gone."""
+        """Close the adapter, even one that is gone."""
         with suppress(CanError):
             super().shutdown()
         self.serialPortOrig.close()
 
     def _write(self, string: str, timeout: float | None = COMMAND_S) -> None:
-        """A line, past pyserial, which waits until the adapter has it."""
+        """Write a line, not by pyserial, which would wait until the adapter has it."""
         line = string.encode() + self.LINE_TERMINATOR
         try:
             fd = self.serialPortOrig.fileno()
@@ -74,7 +73,7 @@ class Slcan(slcanBus):
             return
         except OSError as error:
             raise CanOperationError(f"the adapter cannot be read: {error.strerror}") from error
-        # Without that, another reader of the terminal was first: `stop-servos` on a gateway's.
+        # Without POLLHUP, another reader of the terminal was first, such as `stop-servos`.
         if not data and polled & (select.POLLHUP | select.POLLERR):
             raise CanOperationError("the adapter is disconnected")
         self._left += data

@@ -1,27 +1,24 @@
-"""What the service needs from an SPI device, real or simulated."""
+"""The contract of an SPI device, real or simulated."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
 
 Transfer = tuple[bytes, int]
-"""One chip-select cycle, and the least pause behind its bytes, in µs; nothing comes back in v1.0.0."""
+"""The bytes of one chip-select cycle, and the shortest pause after them in µs. In v1.0.0 nothing comes back."""
 Batch = Sequence[Transfer]
-"""Transfers that leave together: nothing of this or another program comes between them, or into the last pause."""
+"""Transfers that leave together. No other transfer, of any program, comes between them or into the last pause."""
 
 
 class OpenDevice(Protocol):
     """An opened SPI device. No other program reaches it, unless a device documents otherwise."""
 
     def stop_servos_at_work(self) -> bool | None:
-        """Whether `stop-servos` stops the servos through the same device now; None: not known.
-
-        Takes microseconds, never raises.
-        """
+        """Return whether `stop-servos` uses the same device now (None: not known). Takes microseconds, never raises."""
         return False
 
     def put_right(self) -> str | None:
-        """Set again what another program has changed on the device, and return what was found; None: nothing.
+        """Restore settings that another program has changed. Return what was found, or None for no change.
 
         Takes microseconds, never raises.
         """
@@ -29,34 +26,34 @@ class OpenDevice(Protocol):
 
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""
-        return  # without it, mypy takes the method for an abstract one
+        return  # without this, mypy takes the method for an abstract one
 
 
 class SpiDevice(OpenDevice, Protocol):
-    """One whose unit is the batch; nothing comes back."""
+    """A device that writes batches; nothing comes back."""
 
     most_transfers: int = 32
-    """The longest batch that it takes."""
+    """The longest batch."""
 
     @abstractmethod
     def transfer(self, batch: Batch) -> None:
-        """Write the batch, in one call that also takes its pauses.
+        """Write the batch and its pauses, in one call.
 
-        Raises `SpiError` when the device reports a fault: then nobody knows how far it came. Raises
-        `BatchRejectedError` when it takes no batches: then nothing was written.
+        Raises SpiError if the device reports a fault: any part of the batch may have been written. Raises
+        BatchRejectedError if the device takes no batches: nothing was written.
         """
 
 
 class DuplexDevice(OpenDevice, Protocol):
-    """One whose unit is a single transfer, during which as many bytes come back."""
+    """A device that makes single transfers, during which as many bytes come back."""
 
     @abstractmethod
     def exchange(self, data: bytes) -> bytes:
-        """One transfer. Raises SpiError: then nobody knows how far it came."""
+        """Write `data` and return the bytes that came back. Raises SpiError: any part may have been written."""
 
 
 class ByteDevice(SpiDevice):
-    """One that takes a batch transfer by transfer, without its pauses."""
+    """A device that writes a batch transfer by transfer, without pauses."""
 
     def transfer(self, batch: Batch) -> None:
         for data, _ in batch:
@@ -64,4 +61,4 @@ class ByteDevice(SpiDevice):
 
     @abstractmethod
     def take(self, data: bytes) -> None:
-        """One transfer of a batch. Raises SpiError: then the rest of the batch does not come."""
+        """Write one transfer of a batch. Raises SpiError, which ends the batch."""

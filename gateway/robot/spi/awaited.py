@@ -1,13 +1,13 @@
-"""How many bytes the controller may still await, where transfers may have been lost. Pure.
+"""How many bytes the controller may still await after transfers that may have been lost. Pure.
 
-With LENGTH_PREFIXED framing the controller reads a length, then awaits that many bytes. A call that failed may have
-ended behind any of its transfers, so afterwards there are several possibilities. Each later byte moves all of them, and
-a frame is executed where the only one that is left before it is 0: the controller awaits a length.
+With LENGTH_PREFIXED framing the controller reads a length, then awaits that many bytes. A failed call may have ended
+after any of its transfers, which leaves several possibilities. Each further byte advances all of them. A frame is
+certainly executed if the only possibility before it is 0: the controller awaits a length.
 
-A Stop of a whole leg brings a controller back that still awaits the body of another such frame: its announcement and
-thirteen of its bytes fill that body (whose type is then no type, so it is ignored), and its last byte is a length of 0,
-which is ignored too. So two transfers do what takes fourteen zeros. From wherever a controller is, Stops and zeros are
-executed as Stops, or not executed (`tests/unit/robot/test_awaited.py` tries each).
+A Stop of a whole leg resynchronises a controller that awaits the body of another such frame. The Stop's announcement
+and thirteen of its bytes fill that body, which is ignored for its wrong type; its last byte is a length of 0, also
+ignored. So two transfers do the work of fourteen zeros. In every state, a controller executes Stops and zeros as Stops
+or ignores them (`tests/unit/robot/test_awaited.py` tries each).
 """
 
 import heapq
@@ -21,24 +21,24 @@ from gateway.model.framing import ZERO
 NOTHING: Final = frozenset({0})
 """The controller is synchronised: it awaits a length."""
 ANYTHING: Final = frozenset(range(ONE_LEG_LEN + 1))
-"""A program before this one may have left it with an announcement and any part of the zeros of a preamble."""
+"""An earlier program may have left the controller after an announcement and any part of a preamble's zeros."""
 
 _MOST_TRANSFERS: Final = 6
-"""How far ahead a way back is looked for: three Stops. Of more, one would fail and scatter the possibilities, which a
+"""The longest resynchronisation that is searched: three Stops. Of more, one would fail and add possibilities, as a
 zero that fails does not."""
 
 Awaited = frozenset[int]
 
 
 def after(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
-    """What it may await once all these transfers have arrived."""
+    """Return what the controller may await once all these transfers have arrived."""
     for data in transfers:
         awaited = frozenset(_after(each, data) for each in awaited)
     return awaited
 
 
 def after_failure(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
-    """What it may await where the call of these transfers failed, and nobody knows how many of them arrived."""
+    """Return what the controller may await after a failed call, of which any number of transfers may have arrived."""
     possible = set(awaited)
     for data in transfers:
         awaited = after(awaited, (data,))
@@ -47,9 +47,9 @@ def after_failure(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
 
 
 def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
-    """What it may await where their call took so much time that the controller may have given up a frame within it.
+    """Return what the controller may await after a call so slow that the controller may have given up a frame in it.
 
-    It then takes the rest, such as a body without its announcement, for lengths.
+    The controller then takes the rest, such as a body without its announcement, for lengths.
     """
     possible = set(after_failure(awaited, transfers))
     for place in range(len(transfers)):
@@ -59,9 +59,9 @@ def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
 
 @lru_cache(maxsize=4096)
 def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
-    """What to write next, of these Stops and the zero, so that the fewest transfers bring the controller back.
+    """Return which of these Stops or a zero to write next, to resynchronise the controller with the fewest transfers.
 
-    With `NOTHING` awaited it is the first Stop.
+    If it awaits NOTHING, return the first Stop.
     """
     if awaited == NOTHING:
         return stops[0]
@@ -78,7 +78,7 @@ def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
         seen.add(reached)
         for unit, parts in units.items():
             if transfers + len(parts) <= _MOST_TRANSFERS:
-                number += 1  # of two ways of one length, the one that was found first
+                number += 1  # of two equally short ways, prefer the one found first
                 heapq.heappush(ways, (transfers + len(parts), number, after(reached, parts), first or unit))
     return ZERO
 

@@ -1,21 +1,21 @@
 """The SPI bus as the service sees it: frames in, batches of transfers out, with framing, guard, pauses and counters.
 
-What leaves together leaves in one call of the device. Stops are one batch; what moves is split, so that a Stop waits
-for a call of 1 ms at most. A batch that failed counts as failed wholly, since nobody knows how far it came.
+A batch is one call of the device. Stops are one batch. Frames that move are split, so that a Stop waits for a call of
+1 ms at most. A failed batch counts as failed wholly, since any part of it may have been written.
 
-In LENGTH_PREFIXED framing a frame is two transfers: its length (the announcement), then the frame (the body). A
-controller gets out of sync by one lost byte. It then takes bodies for lengths and receives nothing while traffic goes
-on, and the wire gives no sign of it. So the bus resynchronises it with the preamble's zeros (`PREAMBLE_ZEROS`):
+In LENGTH_PREFIXED framing a frame is two transfers: its length (the announcement), then the frame (the body). One lost
+byte takes a controller out of sync. It then takes bodies for lengths and executes nothing while traffic lasts, and the
+wire gives no sign of that. So the bus resynchronises the controller with the preamble's zeros (`PREAMBLE_ZEROS`):
 
-* after opening, and after a failed batch, when nobody knows what the controller received;
-* before each repeated run of Stops, so that a controller which missed the first run receives the repetition;
+* after opening and after a failed batch, since it is not known what the controller received;
+* before each repeated run of Stops, for a controller that missed the first run;
 * once in `resync_ns` of a stream without a pause. An idle second resynchronises the controller by itself.
 
-A first Stop waits for none of that, unless a batch has just failed.
+A first Stop waits for no preamble, unless a batch has just failed.
 
-A failed call may cost 200 ms (Linux waits as long for a transfer that is lost). So Stops that failed are tried one
-by one, each in a call of its own, and where a Stop brings the controller back by itself (`awaited`), no zeros precede
-it. Which legs are still to be stopped, and what the controller may await, outlasts a call and an opening of the device.
+A failed call may take 200 ms: Linux waits this long for a lost transfer. So failed Stops are tried one by one, each in
+its own call, without zeros if a Stop itself resynchronises the controller (`awaited`). The bus remembers across calls
+and openings which legs are not stopped yet, and what the controller may await.
 """
 
 import time
@@ -37,51 +37,51 @@ from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000
-"""The longest call for frames that move, from its first bit to its last: a Stop may be waiting for its end."""
+"""The longest call for frames that move, from its first bit to its last: a Stop may wait for its end."""
 ZERO_PAUSE_US: Final = 100
-"""Behind each zero of a preamble; the call takes it. The firmware discards an empty message in 489 to 728 cycles at
-180 MHz, 4 µs, and zeros that come faster jam it. Frames needed 6 µs, 20 at twice the estimated cost of its loop, and
-100 were ample. Half of it would save a repeated run of Stops 0.8 ms; a first Stop waits for no zero as it is."""
+"""After each zero of a preamble, within the call. The firmware discards an empty message in 489 to 728 cycles at
+180 MHz, 4 µs; faster zeros jam it. Frames needed 6 µs, or 20 at twice the estimated cost of its loop, so 100 are ample.
+Half of it would save a repeated run of Stops 0.8 ms; a first Stop waits for no zero."""
 ZEROS_AT_ONCE: Final = 8
-"""In one call: half a preamble, 0.8 ms."""
+"""Zeros in one call: half a preamble, 0.8 ms."""
 CS_CHANGE_NS: Final = 10_000
 """Linux deasserts chip select for this long after each pause."""
 IDLE_NS: Final = 1_100_000_000
 """After this long without a transfer the controller awaits an announcement again (1000 ms by its own clock)."""
 ZERO_NS: Final = 150_000
-"""What a zero takes in a loop's pause at most: its transfer, its share of the call, and a timer's lateness."""
+"""The longest time of a zero in a pause: its transfer, its share of the call, and a timer's lateness."""
 EARLY_SHARE: Final = 8
 """In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
 ZEROS_ON_A_BAD_BUS: Final = 3
-"""In one call, where one in five transfers fails at once: more fail too often, and single ones take more calls. A call
-that fails slowly costs more than any number of calls, so there it is one."""
+"""Zeros in one call while one in five transfers fails at once: longer calls fail too often, single zeros take more
+calls. While calls fail slowly it is one, since a slow failure costs more than any number of calls."""
 PAUSE_NS: Final = 100_000_000
-"""After this long without a call, the device's settings are looked at before frames that are no repetition: one call
-of the kernel. In a stream, the gateway's look ten times a second does."""
+"""After this long without a call, the device's settings are checked before frames other than repeats: one system call.
+During a stream, the gateway's check ten times a second suffices."""
 TRIES: Final = 6
 ZEROS_NS: Final = 900_000_000
-"""After so many failed calls of zeros in a row, or this long, all Stops are tried without them: the controller may be
-synchronised. Sooner would be worse where any transfer may fail, since a Stop that comes into the middle of a body
-leaves the controller awaiting up to 63 bytes (100 trials each, one in five fails after 200 ms: 3 never stopped)."""
+"""After this many failed calls of zeros in a row, or this much time, all Stops are tried without zeros: the controller
+may be synchronised. Not sooner: a Stop in the middle of a body leaves the controller awaiting up to 63 bytes (100
+trials each; with one in five transfers failing after 200 ms, 3 never stopped)."""
 GIVEN_UP: Final = 18
-"""After so many failed calls in a row the device is opened again. Until then each of six Stops was tried."""
+"""After this many failed calls in a row the device is reopened. Each of six Stops has been tried by then."""
 MOST_CALLS: Final = 1000
 INSIST_NS: Final = 300_000_000
-"""How many calls, and how long, Stops that failed are tried one by one; nothing that waits is more urgent. With a first
-and a last call that take 200 ms to fail the loop stands still for 0.7 s, and systemd waits for 1 s (WatchdogSec=)."""
+"""The most calls and time for trying failed Stops one by one; nothing else is more urgent. With a first and a last call
+that take 200 ms to fail, the loop is blocked for 0.7 s; systemd waits for 1 s (WatchdogSec=)."""
 LOOKED_AT: Final = len(LEGS)
-"""So many of the Stops are looked at for a way back; a search among eighteen takes 0.1 s."""
+"""Stops among which a resynchronising one is searched; a search among eighteen takes 0.1 s."""
 SLOW_NS: Final = 20_000_000
-"""A call that takes this long to fail is a transfer that Linux waited for. Others fail within a millisecond."""
+"""A call that takes this long to fail is a transfer for which Linux waited. Other calls fail within a millisecond."""
 RESYNC_NS: Final = 1_000_000_000
-"""The longest time in a stream without a preamble: until then a controller that lost a byte ignores each Set and first
-Stop. A preamble takes 1.8 ms of the bus, so once a second costs 0.2 % of it."""
+"""The longest time in a stream without a preamble. Until the preamble, a controller that lost a byte ignores each Set
+and first Stop. A preamble takes 1.8 ms of the bus, so once a second costs 0.2 %."""
 STALLED_NS: Final = 900_000_000
-"""A call that took this long is a failure: the controller gives up a frame 1000 ms behind its announcement."""
+"""A call this long counts as failed: the controller gives up a frame 1000 ms after its announcement."""
 
 
 class Bus(Wire):
-    """Opens the device, closes it after a fault, and writes batches of frames; blocks for the time of a call."""
+    """Opens and closes the device, and writes batches of frames. Blocks for the time of a call."""
 
     def __init__(
         self,
@@ -93,12 +93,15 @@ class Bus(Wire):
         resync_ns: int = RESYNC_NS,
         computed: bool = True,
     ) -> None:
-        """`pause` is for a kernel that takes no lists; `resync_ns`: 0 is for never in a stream. `computed`: when a call
-        began, and the clock, show when a frame was on the wire; else it was by the end of its call."""
+        """`pause` sleeps between transfers for a kernel that takes no lists. `resync_ns` 0: never in a stream.
+
+        `computed`: a frame's time on the wire follows from its call's begin and the SPI clock; else it is the call's
+        end.
+        """
         self._open_device = open_device
         self._framing = settings.framing
         self.announces = self._framing is Framing.LENGTH_PREFIXED
-        """Whether a controller can be out of sync at all."""
+        """Whether frames have announcements, so that a controller can be out of sync."""
         self._size = 2 if self.announces else 1
         """Transfers of a frame."""
         self._gap_us = ceil(settings.frame_gap_us)
@@ -108,9 +111,9 @@ class Bus(Wire):
         self._byte_ns = 8_000_000_000 // settings.speed_hz
         self._zero_ns = zero_pause_us * 1000 + CS_CHANGE_NS + self._byte_ns
         self._announced_ns = self._byte_ns + self._gap_ns if self.announces else 0
-        """What a frame takes on the wire besides its own bytes."""
+        """A frame's time on the wire without its own bytes."""
         self.preamble_ns = PREAMBLE_ZEROS * (zero_pause_us * 1000 + ZERO_NS)
-        """How long a preamble takes at most, part by part in turns of a loop."""
+        """The longest time of a preamble in parts."""
         self._lists = True  # until the kernel rejects one
         self._resync_ns = resync_ns
         self._computed = computed
@@ -126,13 +129,13 @@ class Bus(Wire):
         self.ended_ns = 0
         """When the last call ended."""
         self._awaited = ANYTHING if self.announces else NOTHING
-        self._suspect = False  # nobody knows what happened to the controller before the device was opened
-        self._slow = False  # a call failed slowly, and since then not all Stops and a preamble passed in one `write`
+        self._suspect = False  # the device was reopened, and the controller may be out of sync since
+        self._slow = False  # a call failed slowly, and no `write` since then passed all Stops and a preamble
         self._received: set[bytes] = set()  # Stops that the controller received since Stops began to fail
         self._synchronised_ns = 0  # when the last preamble ended
-        self._zeros = 0  # in a row, since anything else was written
+        self._zeros = 0  # in a row, since the last other transfer
         self.resync_due = False
-        """Whether the stream has lasted long enough that its next pause is to be filled with `write_zeros`."""
+        """Whether the stream's next pause has to be used for `write_zeros`."""
         self._failures = 0  # of calls, in a row
         self._zeros_failed = 0  # calls of zeros, in a row
         self._zeros_failed_ns = 0  # how long these took
@@ -141,7 +144,7 @@ class Bus(Wire):
         self.transfer_latency = Latency()
 
     def open(self) -> None:
-        """Open the device anew. Raises SpiError."""
+        """Close the device if it is open, and open it. Raises SpiError if that fails."""
         self.close()
         try:
             self._device = self._open_device()
@@ -156,10 +159,10 @@ class Bus(Wire):
         self._moves_at_once = max(1, min(self._stops_at_once, most_moves))
 
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
-        """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run.
+        """Write frames that all stop, or that all move. `preamble` marks Stops of a repeated run. Return what was sent.
 
-        After a fault the device stays open. Stops that failed are then tried one by one, in this same call. Where calls
-        fail slowly, so are the Stops that follow, since a batch behind a preamble would hardly ever pass.
+        After a fault the device stays open, and failed Stops are tried one by one before this returns. While calls fail
+        slowly, further Stops are written one by one, too, since a batch after a preamble would hardly ever pass.
         """
         report, stops, now_ns = BatchReport(), frames[0].is_stop, self._clock()
         if not preamble and now_ns - self.ended_ns >= PAUSE_NS:
@@ -199,7 +202,7 @@ class Bus(Wire):
         return report
 
     def _write_preamble(self, report: BatchReport) -> None:
-        """Behind Stops that were written one by one, where all have passed. Raises SpiError."""
+        """Write a preamble after Stops that were written one by one, if all have passed. Raises SpiError."""
         while self.announces and report.fault is None and not self.just_resynchronised:
             self._call(report, min(ZEROS_AT_ONCE, self._most, PREAMBLE_ZEROS - self._zeros))
 
@@ -207,13 +210,13 @@ class Bus(Wire):
         return None if self._device is None else self._device.stop_servos_at_work()
 
     def put_right(self) -> str | None:
-        """Set again what another program has changed on the device, and return what was found; None: nothing."""
+        """Restore settings that another program has changed. Return what was found, or None for no change."""
         return None if self._device is None else self._device.put_right()
 
     def write_zeros(self) -> bool:
-        """Write a part of a preamble; returns whether more is to follow. Raises SpiError.
+        """Write a part of a preamble in a pause of the stream. Return whether more parts follow. Raises SpiError.
 
-        To be called in a pause of the stream, part by part, so that a Stop waits for one part at most.
+        Between two parts the caller lets Stops pass, so that a Stop waits for one part at most.
         """
         if self._device is not None and self._zeros < PREAMBLE_ZEROS:
             at_once = min(ZEROS_AT_ONCE, self._most) if self._lists else 1
@@ -241,20 +244,20 @@ class Bus(Wire):
     # ---- what precedes a batch, and how it is split
 
     def _zeros_ahead(self, now_ns: int, *, stops: bool, preamble: bool) -> int:
-        """How many zeros have to come first."""
+        """Return how many zeros have to precede the frames."""
         wanted = preamble or self._suspect or self._awaited is not NOTHING
         if not wanted:
             if now_ns - self.ended_ns >= IDLE_NS:
                 self._synchronised_ns = now_ns
             overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
-            # A preamble that was begun is finished first; begun again after each frame, it would never end.
+            # A begun preamble is finished first. If each frame restarted it, it would never end.
             wanted = not stops and (overdue or bool(self._zeros))
         return PREAMBLE_ZEROS - self._zeros if wanted and not self.just_resynchronised else 0
 
     # ---- one call
 
     def _call(self, report: BatchReport, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
-        """Write zeros, then these frames, of which the first has this place, in one call. Raises SpiError."""
+        """Write zeros, then these frames, in one call. `first` is the first frame's place. Raises SpiError."""
         if self._guard is None:
             raise SpiError("the SPI device is closed")
         batch = [self._zero] * zeros
@@ -263,7 +266,7 @@ class Bus(Wire):
                 batch += [(frame.data[:1], self._gap_us)]
             batch += [(frame.data, self._gap_us)]
         zeros_before = self._zeros + zeros
-        self._zeros = 0 if frames else self._zeros  # a zero that failed may have arrived: one more does no harm
+        self._zeros = 0 if frames else self._zeros  # failed zeros are not counted; if they arrived, more do no harm
         self._failures += 1
         begun_ns = self._clock()
         try:
@@ -302,7 +305,7 @@ class Bus(Wire):
             self.frames += 1
 
     def _go_one_by_one(self, batch: list[Transfer], rejection: BatchRejectedError) -> str:
-        """Nothing of it was written. If it can be written transfer by transfer, all that follows is; returns why."""
+        """Write a rejected batch transfer by transfer, and all later ones, too. Return why. Raises SpiError."""
         if not self._lists or self._device is None:
             raise rejection
         self._lists = False
@@ -322,7 +325,7 @@ class Bus(Wire):
     # ---- Stops that failed
 
     def _failed(self, batch: Sequence[Transfer], took_ns: int, *, zeros_only: bool) -> None:
-        """Nobody knows how far it came."""
+        """Record a failed call, of which any part may have been written."""
         self._slow = self._slow or took_ns >= SLOW_NS
         if zeros_only:
             self._zeros_failed += 1
@@ -333,16 +336,16 @@ class Bus(Wire):
             self._awaited = NOTHING if awaited == NOTHING else awaited
 
     def _insist(self, frames: Sequence[Frame], report: BatchReport) -> None:
-        """Write each Stop in a call of its own until the controller has received it, or time is up.
+        """Write each Stop in its own call until the controller has received it, or INSIST_NS are over.
 
-        Its first failure is noted in the report.
+        The report gets the first failure.
         """
         written = {sent.place for sent in report.sent}
-        # What precedes the transfer that failed has most likely arrived, so the last Stops come first.
+        # The transfers before the failed one have most likely arrived, so the last Stops come first.
         left = [place for place in reversed(range(len(frames))) if place not in written]
         left.sort(
             key=lambda place: frames[place].data in self._received
-        )  # those that got none in an earlier call come first
+        )  # legs without a Stop from an earlier call come first
         self._failures, give_up_ns = 0, self._clock() + INSIST_NS
         for _ in range(MOST_CALLS):
             if not left:
@@ -354,7 +357,7 @@ class Bus(Wire):
                 if place is None:
                     self._call_zero(report, frames)
                     continue
-                if place in left:  # one that fails, or may not have been received, is tried again after the others
+                if place in left:  # a Stop that fails or may be lost is tried again after the others
                     left = [*(each for each in left if each != place), place]
                 self._call(report, 0, (frames[place],), place)
                 if report.sent[-1].received:
@@ -365,7 +368,7 @@ class Bus(Wire):
         report.fault = report.fault or SpiError("the SPI device took too long to take all Stops")
 
     def _next(self, frames: Sequence[Frame], left: Sequence[int]) -> int | None:
-        """Which of these Stops to write next; None: a zero, since no few Stops would bring the controller back."""
+        """Return the place of the Stop to write next, or None for a zero: no few Stops resynchronise the controller."""
         if not self.announces:
             return left[0]
         candidates = [*left, *(place for place in range(len(frames)) if place not in left)][:LOOKED_AT]
@@ -374,8 +377,8 @@ class Bus(Wire):
         return None if found == ZERO else next(place for place in candidates if frames[place].data == found)
 
     def _call_zero(self, report: BatchReport, frames: Sequence[Frame]) -> None:
-        """Write zeros, a few; or, where none has passed for long, these Stops all the same. Raises SpiError."""
-        # Of a controller that nobody has lost anything to, most likely nothing is lost.
+        """Write a few zeros. If none has passed for too long, write these Stops without zeros. Raises SpiError."""
+        # If no transfer to the controller is known to be lost, it is most likely synchronised.
         untouched = self._slow and self._awaited == ANYTHING
         if self._zeros_failed < TRIES and self._zeros_failed_ns < ZEROS_NS and not untouched:
             self._call(report, 1 if self._slow else min(ZEROS_ON_A_BAD_BUS, max(self._awaited)))

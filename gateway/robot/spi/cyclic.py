@@ -1,12 +1,11 @@
 """The wire of elkapod-2025 as the service sees it: a frame each cycle over SPI, and starts and Stops over a UART.
 
-Two ways, and neither waits for the other. Stops go over the UART, at once, and are one message whatever they name, so
-a transfer that takes 300 ms to fail delays none. Frames go over SPI on a thread of their own (`runtime.cycle`), which
-owns the state only between two transfers. What a step wants moved is in the next frame; what it wants started, the UART
-shows when the angles were on the wire (`protocol.elkapod.Commanded`).
+Neither way waits for the other. Stops are one UART message, sent at once, so a transfer that takes 300 ms to fail
+delays none. The cycle's thread (`runtime.cycle`) exchanges frames, and owns the state only between two transfers. A
+step's targets are in the next frame. Its starts follow over the UART once their angles were on the wire
+(`protocol.elkapod.Commanded`).
 
-Where SPI fails, or the controller falls silent or restarts, the UART sends shut down at once, before anything else
-learns of it.
+If SPI fails, or the controller falls silent or restarts, the UART sends shut down at once, before any report of it.
 """
 
 import time
@@ -26,13 +25,13 @@ from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.uart import Uart
 
 _UART_BITS: Final = 11
-"""Of a byte: one start bit, eight of data, two stop bits."""
+"""A byte has one start bit, eight data bits and two stop bits."""
 MESSAGE_NS: Final = len(SHUTDOWN) * _UART_BITS * NS_PER_S // UART_BAUD
-"""What a message takes on the UART: 95 µs."""
+"""A message's time on the UART: 95 µs."""
 
 
 class CyclicBus(Wire):
-    """Sends what steps decide. Its owner calls it; `exchange` alone is for the cycle's thread, without the state."""
+    """Sends the frames of steps. For the owner of the state, except `exchange`: for the cycle's thread, without it."""
 
     def __init__(
         self,
@@ -44,10 +43,10 @@ class CyclicBus(Wire):
         fed_singly: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`open_device` is None where only Stops are written (`stop-servos`).
+        """`open_device` is None if only Stops are written (`stop-servos`).
 
-        `before_frames_ns`: how long behind an opening no frame is clocked, since a frame moves servos whose shutdown
-        was lost, and meanwhile it is repeated. `fed_singly`: a power board starts and stops each servo by its supply.
+        For `before_frames_ns` after an opening no frame is sent: it would move servos whose shutdown was lost, and the
+        shutdown is repeated meanwhile. `fed_singly`: a power board starts and stops each servo by its supply.
         """
         self._open_device = open_device
         self._open_uart = open_uart
@@ -59,8 +58,8 @@ class CyclicBus(Wire):
         self._silent_ns = silent_ns
         self._signs = SignsOfLife(silent_ns, 0)
         self._silent: ControllerSilentError | None = None
-        self._frames_ns = 0  # from when on frames are clocked
-        self._looked_ns = 0  # when `silent` was last asked
+        self._frames_ns = 0  # when frames begin
+        self._looked_ns = 0  # when `silent` was last called
         self._device_failed = self._exchanging = self._abandoned = False
         self.frames = 0
         self.errors = 0
@@ -70,7 +69,7 @@ class CyclicBus(Wire):
     # ---- for the service
 
     def open(self) -> None:
-        """Open what is not open, and shut down. Raises SpiError, also while the controller is silent."""
+        """Open UART and device if they are closed, and shut down. Raises SpiError, also for a silent controller."""
         try:
             self._open_and_shut_down()
             if self._device is None and self._open_device is not None:
@@ -87,7 +86,7 @@ class CyclicBus(Wire):
             self._silent = None
 
     def _open_and_shut_down(self) -> None:
-        """Over the UART, whatever becomes of SPI. Raises SpiError."""
+        """Open the UART and shut down over it, independently of SPI. Raises SpiError."""
         if self._uart is None:
             self._uart = self._open_uart()
         try:
@@ -99,7 +98,7 @@ class CyclicBus(Wire):
             raise SpiError("the transfer that was under way has not ended")
 
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:  # noqa: ARG002
-        """Shut down, or take what moves for the next frame."""
+        """Send a Stop over the UART, or take targets for the next frame. Return what was sent."""
         report, begun_ns = BatchReport(), self._clock()
         stops = frames[0].is_stop
         try:
@@ -126,26 +125,26 @@ class CyclicBus(Wire):
         return report
 
     def ready_servos(self, to_feed: Mapping[int, int | None]) -> frozenset[int]:
-        """Those of these servos that a power board may feed; see `Commanded.prepare`."""
+        """Return those of these servos that a power board may power; see `Commanded.prepare`."""
         return self._commanded.prepare(to_feed)
 
     @property
     def controller_alive(self) -> bool | None:
-        """Whether its answers and its heartbeats come; None: there was no time for one yet."""
+        """Whether the controller sends answers and heartbeats; None: no time for one yet."""
         if self._silent is not None or self._device is None:
             return False
         return None if self._signs.answered_ns is None else True
 
     @property
     def answered_ns(self) -> int | None:
-        """When its last well-formed answer came."""
+        """When the controller's last well-formed answer was received."""
         return self._signs.answered_ns
 
     def silent(self, now_ns: int) -> ControllerSilentError | None:
-        """Why the controller counts as silent, once: the first time, it is shut down here.
+        """Return why the controller counts as silent, and shut it down; None if it does not, or was already reported.
 
-        One that restarted, and does not come back, is silent after that. To be called often: where this process was
-        delayed, what came meanwhile is not read yet.
+        A restarted controller that does not return is silent, too. Call this often: after a long gap this process was
+        delayed, and answers may be unread, so the controller does not count as silent.
         """
         delayed_ns, self._looked_ns = now_ns - self._looked_ns, now_ns
         if self._device is None or type(self._silent) is ControllerSilentError or delayed_ns >= self._silent_ns:
@@ -163,13 +162,13 @@ class CyclicBus(Wire):
         return None if self._device is None else self._device.stop_servos_at_work()
 
     def put_right(self) -> str | None:
-        """Not during a transfer: the kernel makes a request for a setting wait for its end, and a Stop with it."""
+        """As in `Wire`, but not during a transfer: the kernel would make this call, and a Stop, wait for its end."""
         return None if self._device is None or self._exchanging else self._device.put_right()
 
     def release(self) -> None:
-        """Release the SPI device, but for a silent controller's, from which its signs of life would come.
+        """Release the SPI device, unless the controller is silent: its signs of life would come over the device.
 
-        A UART at fault was released when it failed; one that is not is needed for the next shutdown.
+        A failed UART is already released; a working one is needed for the next shutdown.
         """
         if self._silent is None or self._device_failed:
             self._release_device()
@@ -181,7 +180,7 @@ class CyclicBus(Wire):
     # ---- for the cycle
 
     def begin_cycle(self, now_ns: int) -> bytes | None:
-        """The frame that is to be exchanged now; None: none is."""
+        """Return the frame to exchange now, or None. Raises IllegalTransferError for a frame with illegal angles."""
         if self._device is None or now_ns < self._frames_ns:
             return None
         frame = self._commanded.frame()
@@ -193,16 +192,16 @@ class CyclicBus(Wire):
         return frame
 
     def exchange(self, frame: bytes) -> bytes:
-        """One transfer, for the cycle's thread, without the state. Raises SpiError."""
+        """Exchange a frame and return the answer. For the cycle's thread, without the state. Raises SpiError."""
         device = self._device
         if device is None:
             raise SpiError("the SPI device is closed")
         return device.exchange(frame)
 
     def end_cycle(self, answer: bytes, took_ns: int, now_ns: int) -> Measured | None:
-        """The transfer has ended well: take the answer, and return what follows the frame. Raises SpiError.
+        """Take a transfer's answer and send the messages that were due after its frame. Return the measurements.
 
-        A controller that has restarted is not started by what was meant for it before.
+        A restarted controller gets no earlier message. Raises SpiError if the UART fails or the controller restarted.
         """
         if self._was_abandoned():
             return None
@@ -223,7 +222,7 @@ class CyclicBus(Wire):
         return measured
 
     def _has_restarted(self) -> ControllerRestartedError:
-        """Shut down, unless it was lost already, and let its signs of life begin anew."""
+        """Shut down, unless the controller was lost already, and expect new signs of life."""
         fault = ControllerRestartedError(f"the controller may have restarted: {self._signs.restarted}")
         self._signs = self._signs.anew()
         if self._silent is None:
@@ -231,7 +230,7 @@ class CyclicBus(Wire):
         return fault
 
     def failed_cycle(self) -> bool:
-        """The transfer has failed: shut down at once. Whether that is news: False where its device was given up."""
+        """Shut down after a failed transfer. Return whether to report it: False if its device was already given up."""
         if self._was_abandoned():
             return False
         self.errors += 1
@@ -240,7 +239,7 @@ class CyclicBus(Wire):
         return True
 
     def _was_abandoned(self) -> bool:
-        """A transfer has ended: whether its device was to be released meanwhile, which then happens now."""
+        """After a transfer: if its device had to be released meanwhile, release it and return True."""
         self._exchanging = False
         if self._abandoned:
             self._abandoned = False
@@ -249,7 +248,7 @@ class CyclicBus(Wire):
         return False
 
     def _release_device(self) -> None:
-        """Not in the middle of a transfer: its descriptor could be another file's by the time the kernel takes it."""
+        """Release the device, after a transfer in progress: its descriptor could become another file's meanwhile."""
         if self._exchanging:
             self._abandoned = True
         elif self._device is not None:
@@ -260,7 +259,7 @@ class CyclicBus(Wire):
         if self._uart is not None:
             try:
                 self._uart.write(self._commanded.shut_down())
-            except SpiError:  # the service opens it anew, and that begins with a shutdown
+            except SpiError:  # the service reopens the UART, which begins with a shutdown
                 self._drop_uart()
 
     def _drop_uart(self) -> None:

@@ -1,7 +1,7 @@
 """Checks each transfer of a batch: only legal frames, their announcements and the preamble reach SPI.
 
-The encoder cannot build anything else, so a rejection here is a bug of the gateway. The controller checks neither ids
-nor lengths and would corrupt its memory, which is why the bytes are checked a second time.
+The encoder builds nothing else, so a rejection here is a bug of the gateway. The bytes are checked a second time since
+the controller checks neither ids nor lengths, and would corrupt its memory.
 """
 
 from typing import Final
@@ -32,17 +32,17 @@ _MOVES: Final = frozenset((int(Op.START), int(Op.SET)))
 
 
 class IllegalTransferError(RuntimeError):
-    """The gateway tried to write an illegal transfer: a bug in it, never a fault of the caller or the wire."""
+    """The gateway tried to write an illegal transfer: its own bug, never a fault of the caller or the wire."""
 
 
 class Guard:
-    """Rejects every batch that `framing` does not make of legal frames, before any byte leaves.
+    """Rejects every illegal batch before any byte leaves.
 
-    PLAIN: legal are frames. LENGTH_PREFIXED: legal are announcements with the frame of exactly that length right behind
-    them, and zeros between frames, which the controller ignores. A batch ends with a whole frame, or with zeros.
+    With PLAIN framing, frames are legal. With LENGTH_PREFIXED framing, an announcement directly followed by a frame of
+    that length is legal, and zeros between frames. A batch ends with a whole frame or with zeros.
 
-    `avoid_cdeg`: no frame moves a servo to an angle from the first up to, without, the second (see
-    `Framing.avoid_cdeg`). A Stop has no angle, so none is rejected for it.
+    A frame that moves a servo to an angle of `avoid_cdeg` (first included, second not; see `Framing.avoid_cdeg`) is
+    illegal. Stops have no angle.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Guard:
         self._avoid_cdeg = avoid_cdeg or (0, 0)
 
     def transfer(self, batch: Batch) -> None:
-        """Pass a legal batch on. Raises IllegalTransferError, with nothing written, or the device's SpiError."""
+        """Write a legal batch. Raises IllegalTransferError before anything is written, or the device's SpiError."""
         announced_len = None
         for data, _ in batch:
             if self._announces and announced_len is None:
@@ -77,7 +77,7 @@ def _announced_len(data: bytes) -> int:
 
 
 def _check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
-    """Raise IllegalTransferError that states what is wrong, if anything is."""
+    """Raise IllegalTransferError with the reason if the frame is illegal."""
     try:
         frame = decode(data)
     except FrameError as error:
@@ -92,7 +92,7 @@ def _check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
 
 
 def _is_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> bool:
-    """Whether these are a legal frame's bytes. Four times faster than `decode`, which states why not."""
+    """Return whether these are a legal frame's bytes. Four times faster than `decode`, which gives the reason."""
     size = len(data)
     if data[:2] == _ONE_LEG and size == ONE_LEG_LEN:
         ids = (data[2], data[6], data[10])

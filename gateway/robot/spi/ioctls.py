@@ -1,7 +1,7 @@
-"""What the gateway needs of the Python package spidev, by the kernel's own calls: for machines without a usable one.
+"""The used part of the Python package spidev, made of system calls, for machines without a usable package.
 
 PyPI has spidev as source only, and a robot may have neither a compiler nor a network. Debian 12 and 13 have spidev 3.6,
-which opens no device by its path. Names are spidev's; the calls are those of linux/spi/spidev.h.
+which cannot open a device by its path. The names are spidev's; the calls are those of linux/spi/spidev.h.
 """
 
 import fcntl
@@ -21,7 +21,7 @@ USED: Final = "the gateway makes the kernel's calls itself: the Python package s
 
 
 def spi_dev() -> Any:
-    """Return spidev's class; this module's where the package is missing, too old, or was built for another Python."""
+    """Return spidev's class, or this module's if the package is missing, too old, or built for another Python."""
     try:
         import spidev  # noqa: PLC0415
     except ImportError:
@@ -30,18 +30,18 @@ def spi_dev() -> Any:
 
 
 def are_used() -> bool:
-    """Whether this module takes spidev's place."""
+    """Return whether this module is used instead of spidev."""
     return spi_dev() is SpiDev
 
 
 class SpiDev:
-    """One opening of `/dev/spidevB.C`. Raises OSError where a call fails."""
+    """One opening of `/dev/spidevB.C`. Its methods raise OSError if a call fails."""
 
     def __init__(self) -> None:
         self._fd = _CLOSED
 
     def open_path(self, path: str) -> None:
-        """Open the device. What is no SPI device is rejected."""
+        """Open the device. Raises OSError if it is no SPI device."""
         fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             fcntl.ioctl(fd, _READ_MODE, bytes(1))
@@ -52,11 +52,11 @@ class SpiDev:
         self._fd = fd
 
     def fileno(self) -> int:
-        """The device's file; -1 while it is closed."""
+        """Return the device's file descriptor, or -1 while it is closed."""
         return self._fd
 
     def close(self) -> None:
-        """Release the device; again does nothing."""
+        """Release the device. Closing twice is harmless."""
         fd, self._fd = self._fd, _CLOSED
         if fd != _CLOSED:
             os.close(fd)

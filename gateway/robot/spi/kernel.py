@@ -16,15 +16,15 @@ from gateway.robot.spi import Batch, DuplexDevice, SpiDevice, ioctls
 from gateway.robot.spi.outside import Listener
 
 _MOST_TRANSFERS: Final = 32
-"""The longest list: 1024 bytes, up to which Python lets other threads run during an `ioctl`."""
+"""The longest list has 1024 bytes; up to this size Python lets other threads run during an `ioctl`."""
 BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
 DEFAULT_BUFSIZ: Final = 4096
 _ALIGNED: Final = 128
-"""What a transfer takes of spidev's buffer at least: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
+"""The least part of spidev's buffer that a transfer takes: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
 _LONGEST: Final = 128  # bytes of a transfer; the longest frames have 14 and 80
 _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 """struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
-A speed and bits of 0 would be the device's own, which any program that may open the device can change."""
+Speed and bits of 0 would mean the device's own, which every program that opens the device can change."""
 _MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(_MOST_TRANSFERS + 1))
 """SPI_IOC_MESSAGE(count)."""
 _BITS: Final = 8
@@ -40,20 +40,19 @@ _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
 class KernelDevice(SpiDevice, DuplexDevice):
-    """`/dev/spidevB.C`, opened by the `spidev` package; a batch is one SPI_IOC_MESSAGE, and so atomic on its bus.
+    """`/dev/spidevB.C`, opened by the `spidev` package. A batch is one SPI_IOC_MESSAGE, so it is atomic on its bus.
 
-    Mode, speed and bits belong to the device, not to this opening of it: another program may change them at any time.
-    So speed and bits are in each segment, and `put_right` looks at the mode, which no segment has.
+    Mode, speed and bits belong to the device, so another program may change them at any time. Therefore each segment
+    contains speed and bits, and `put_right` checks the mode, which no segment has.
     """
 
     def __init__(
         self, path: str, speed_hz: int, *, mode: int = 0, exclusive: bool = True, spare: Spare | None = None
     ) -> None:
-        """Open and set up the device. Raises SpiError with one sentence that states what is missing.
+        """Open and set up the device. Raises SpiError with a sentence that states what is missing.
 
-        `mode`: clock polarity and phase, 0 to 3.
-        `exclusive`: reject a device that another gateway holds, since two writers would undo each other's Stops.
-        `spare`: file descriptors that are kept for this device while it is closed.
+        `mode` is clock polarity and phase, 0 to 3. `exclusive` rejects a device that another gateway holds, since two
+        writers would undo each other's Stops. `spare` are descriptors kept for this device while it is closed.
         """
         self._path = path
         self._spare = spare
@@ -65,30 +64,29 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
         self._data_at = self._data.buffer_info()[0]
         self._bytes = memoryview(self._data)
-        # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. What comes back
-        # is read by `exchange` alone.
+        # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Only `exchange` reads the buffer.
         self._received = array.array("B", bytes(_LONGEST))
         self._received_at = self._received.buffer_info()[0]
-        # Any exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
-        # behaved unexpectedly, and the gateway must go on to its Stops.
+        # Every exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
+        # behaved unexpectedly, and the gateway must get to its Stops.
         try:
             self._open(path)
             if exclusive:
                 fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._listener = Listener(self._spi.fileno())
-            # All flags are cleared: one that another program has set, such as "no chip select", outlives that program,
-            # and spidev's own `mode` changes two bits only.
+            # This clears all flags: a flag of another program, such as "no chip select", outlives that program, and
+            # spidev's own `mode` changes two bits only.
             fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
             self._spi.bits_per_word = _BITS
             self._spi.max_speed_hz = speed_hz
-            # Not 0 where chip select is a GPIO: some kernels then add SPI_CS_HIGH of their own accord.
+            # The mode may differ from the flags: some kernels add SPI_CS_HIGH if chip select is a GPIO.
             self._mode = self._read(_READ_MODE)
         except Exception as error:
             self.close()
             raise SpiError(_why_not_opened(path, error)) from error
 
     def _open(self, path: str) -> None:
-        """Open it. Clients may hold all other descriptors, so spare ones are closed just before."""
+        """Open the device. Clients may hold all other descriptors, so spare ones are closed first."""
         while True:
             more = self._spare is not None and self._spare.give_up()
             try:
@@ -102,9 +100,9 @@ class KernelDevice(SpiDevice, DuplexDevice):
             self._spare.fill()
 
     def transfer(self, batch: Batch) -> None:
-        """Write the batch in one call. Raises SpiError.
+        """Write the batch in one call. Raises SpiError if the transfer fails.
 
-        Raises BatchRejectedError where the kernel rejects the list: it looks at all of it before the first bit leaves.
+        Raises BatchRejectedError if the kernel rejects the list: it checks the whole list before the first bit leaves.
         """
         try:
             parts, pauses_us = zip(*batch, strict=True)
@@ -122,7 +120,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
             raise SpiError(f"{self._path}: the transfer failed: {sent} of {size} bytes were written")
 
     def exchange(self, data: bytes) -> bytes:
-        """One transfer; what the controller sent meanwhile. Raises SpiError."""
+        """Write `data`; return the bytes that the controller sent meanwhile. Raises SpiError if the transfer fails."""
         size = len(data)
         try:
             self._bytes[:size] = data
@@ -135,27 +133,24 @@ class KernelDevice(SpiDevice, DuplexDevice):
         return self._received[:size].tobytes()
 
     def _send(self, sizes: tuple[int, ...], pauses_us: tuple[int, ...]) -> int:
-        """Hand the list to the kernel; how many bytes were written."""
+        """Hand the list to the kernel. Return how many bytes were written."""
         segments = _segments(sizes, pauses_us, self._data_at, self._received_at, self._speed_hz)
         try:
             return int(fcntl.ioctl(self._spi, *segments))
         except OSError as error:
             if error.errno != errno.EINVAL or not self._received_at:
                 raise
-        # A controller that does not receive while it sends rejects lists with receive buffers. Nothing was written.
+        # An SPI controller that cannot receive while it sends rejects receive buffers. Nothing was written.
         written = int(fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz)))
-        self._received_at = 0  # they were what it rejects
+        self._received_at = 0  # the receive buffers were the cause
         return written
 
     def stop_servos_at_work(self) -> bool | None:
-        """Whether `stop-servos` stops the servos through the same device now; None also if not `exclusive`."""
+        """As in `OpenDevice`; None also if not `exclusive`."""
         return None if self._listener is None else self._listener.look()
 
     def put_right(self) -> str | None:
-        """Set the mode again if another program has changed it; what was found then. Takes microseconds; never raises.
-
-        A changed speed alone harms nothing and is not looked for.
-        """
+        """As in `OpenDevice`, for the mode. A changed speed alone does no harm and is not checked."""
         try:
             mode = self._read(_READ_MODE)
             if mode == self._mode:
@@ -169,7 +164,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
         return found
 
     def _read(self, request: int) -> int:
-        """A setting of the device, as it is now."""
+        """Return a setting of the device."""
         value = bytearray(request >> 16 & 0x3FFF)
         fcntl.ioctl(self._spi, request, value)
         return int.from_bytes(value, sys.byteorder)
@@ -187,10 +182,10 @@ class KernelDevice(SpiDevice, DuplexDevice):
 def _segments(
     sizes: tuple[int, ...], pauses_us: tuple[int, ...], data_at: int, received_at: int, speed_hz: int
 ) -> tuple[int, bytearray]:
-    """The request and the list of a batch with these sizes and pauses: made once for all setpoints of a stream."""
+    """Return request and list for a batch with these sizes and pauses. Cached: a stream's batches are all alike."""
     segments = bytearray()
     for number, (size, pause_us) in enumerate(zip(sizes, pauses_us, strict=True), 1):
-        # With cs_change chip select is released behind a transfer; behind the last it would be kept.
+        # cs_change releases chip select after a transfer; after the last one it would keep chip select.
         behind = number < len(sizes)
         segments += _SEGMENT.pack(data_at, received_at, size, speed_hz, pause_us, _BITS, behind, 0, 0, 0, 0)
         data_at += size
@@ -198,7 +193,7 @@ def _segments(
 
 
 def most_transfers(bufsiz: Path = BUFSIZ) -> int:
-    """The longest batch that spidev's buffer holds."""
+    """Return the number of transfers in the longest batch that spidev's buffer (`bufsiz`) holds."""
     try:
         size = int(bufsiz.read_text())
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""What Linux reports about computer and SPI controller: files of /proc and /sys below a root."""
+"""Facts about the computer and its SPI controller, from files of /proc and /sys below a root folder."""
 
 import datetime as dt
 import re
@@ -8,24 +8,24 @@ from typing import Final
 ROOT_DIR: Final = Path("/")
 SELECT_BY_GPIO: Final = "let a GPIO select the controller (cs-gpios in the device tree, as on a Raspberry Pi)"
 RP1_FIXED: Final = dt.date(2025, 2, 5)
-"""Until then Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286; fixed
-by 6646 and 6649). A kernel that was built earlier lacks the fix. No version shows which of the later ones have it."""
+"""Before this date, Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286;
+fixed by 6646 and 6649). A kernel built earlier lacks the fix. No version shows which later kernels have it."""
 _RP1_DRIVERS: Final = ("dw_spi_mmio", "spi-dw-mmio")
 _GPIO_CELLS: Final = 3
-"""Of one GPIO in `cs-gpios`: its controller, pin and flags (`#gpio-cells` is 2 on each Raspberry Pi)."""
+"""Cells of one GPIO in `cs-gpios`: controller, pin and flags (`#gpio-cells` is 2 on each Raspberry Pi)."""
 _MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
 def driver_of(device: str, root: Path = ROOT_DIR) -> str | None:
-    """The driver of the controller on whose bus the device is, such as spi-bcm2835."""
+    """Return the driver of the device's SPI controller, such as spi-bcm2835, or None if it is not known."""
     controller = _controller(device, root)
     return None if controller is None else _driver(controller)
 
 
 def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
-    """Whether the device's chip select is a GPIO; None where nothing shows it.
+    """Return whether the device's chip select is a GPIO, or None if that is not known.
 
-    Linux then drives it, and releases it between the transfers of one call; else the controller does as it likes.
+    Linux drives a GPIO, and releases it between the transfers of one call. An SPI controller's own may stay asserted.
     """
     node = _node(device, root)
     chip_select = re.fullmatch(r"spidev\d+\.(\d+)", Path(device).name)
@@ -47,16 +47,16 @@ def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
 
 
 def on_rp1(device: str, root: Path = ROOT_DIR) -> bool:
-    """Whether the controller is one of the RP1, a Pi 5's chip for its pins."""
+    """Return whether the SPI controller is in the RP1, a Pi 5's I/O chip."""
     node = _node(device, root)
     named = node is not None and any(part.startswith("rp1") for part in node.parts)
     return (named or computer(root).startswith("Raspberry Pi")) and driver_of(device, root) in _RP1_DRIVERS
 
 
 def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
-    """What else is on the device's bus, each with its driver: ("spi0.1", "fb_st7789v").
+    """Return the other devices on the device's bus, with their drivers: ("spi0.1", "fb_st7789v").
 
-    Without those that no driver serves, or the device's own does (spidev: then a program may use it).
+    Devices without a driver are left out, and those with the device's own (spidev), which programs may use.
     """
     own = _spi_device(device, root)
     if own is None:
@@ -67,7 +67,7 @@ def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
 
 
 def computer(root: Path = ROOT_DIR) -> str:
-    """`Raspberry Pi 4 Model B Rev 1.4`; empty where no device tree names it."""
+    """Return the computer's name, such as `Raspberry Pi 4 Model B Rev 1.4`, or "" without a device tree."""
     try:
         return (root / "proc/device-tree/model").read_text(errors="replace").rstrip("\0\n")
     except OSError:
@@ -75,7 +75,7 @@ def computer(root: Path = ROOT_DIR) -> str:
 
 
 def kernel(root: Path = ROOT_DIR) -> tuple[str, dt.date | None]:
-    """Its release (`6.6.31+rpt-rpi-v8`), and when it was built, where this is known."""
+    """Return the kernel's release (`6.6.31+rpt-rpi-v8`), and its build date, if known."""
     try:
         text = (root / "proc/version").read_text(errors="replace")
     except OSError:
@@ -111,7 +111,7 @@ def _controller(device: str, root: Path) -> Path | None:
 
 
 def _node(device: str, root: Path) -> Path | None:
-    """The controller's node in the device tree."""
+    """Return the controller's node in the device tree."""
     controller = _controller(device, root)
     try:
         return None if controller is None else (controller / "of_node").resolve(strict=True)

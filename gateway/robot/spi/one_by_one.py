@@ -1,6 +1,6 @@
 """One call for each transfer, for a kernel that takes no lists of transfers.
 
-The pauses are slept here, and a body is not written when this program stood still for too long behind its announcement.
+This sleeps the pauses, and writes no body if the program was suspended for too long after its announcement.
 """
 
 import time
@@ -11,8 +11,8 @@ from gateway.errors import SpiError
 from gateway.robot.spi import Batch, SpiDevice
 
 STALE_NS: Final = 500_000_000
-"""Half of the 1000 ms after which the controller gives up a frame that it awaits. The other half allows for delays
-between the last look at the clock and the first bit on the wire."""
+"""Half of the 1000 ms after which the controller gives up a frame. The other half allows for delays between reading the
+clock and the first bit on the wire."""
 
 
 class OneByOne:
@@ -29,7 +29,7 @@ class OneByOne:
         self._pause = pause
 
     def transfer(self, batch: Batch) -> None:
-        """Write transfer by transfer. Raises SpiError, also where the program stood still within the batch."""
+        """Write transfer by transfer. Raises SpiError, also if the program was suspended within the batch."""
         written_ns = None
         for data, pause_us in batch:
             if written_ns is not None and self._clock() - written_ns > STALE_NS:

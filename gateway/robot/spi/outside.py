@@ -1,8 +1,8 @@
-"""How a running gateway learns of `stop-servos` on its device: by record locks on two bytes of it.
+"""Record locks on two bytes of the device, by which a running gateway and `stop-servos` notice each other.
 
-`stop-servos` locks the byte AT_WORK from its first Stops on. A gateway locks the byte UNSEEN as soon as it has the
-device, and unlocks it while it sees AT_WORK locked. `stop-servos` ends when UNSEEN is unlocked: either a gateway has
-seen it, or none runs. Locks need no rights but those on the device, and end with their process.
+`stop-servos` locks the byte AT_WORK from its first Stops on. A gateway locks the byte UNSEEN once it has the device,
+and unlocks it while AT_WORK is locked. `stop-servos` ends when UNSEEN is unlocked: a gateway has noticed, or none runs.
+Locks need no rights except those on the device, and end with their process.
 """
 
 import fcntl
@@ -13,22 +13,22 @@ from contextlib import suppress
 from typing import Final
 
 PATIENCE_S: Final = 0.5
-"""How long `stop-servos` waits to be seen. A gateway looks ten times a second; one that hangs is not waited for."""
+"""How long `stop-servos` waits to be noticed. A gateway polls ten times a second; a hanging one is not waited for."""
 _LOOK_PAUSE_S: Final = 0.002
 _AT_WORK, _UNSEEN = 2, 3  # bytes of the device
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 
 
 class Listener:
-    """The gateway's side, on the device that it has open."""
+    """The gateway's side, on its open device."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
         self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
 
     def look(self) -> bool | None:
-        """Whether `stop-servos` is at work; None: unknown. Takes some microseconds, never raises."""
-        # UNSEEN before AT_WORK: when `stop-servos` finds UNSEEN free after its last Stop, a look has seen it at work.
+        """Return whether `stop-servos` is at work, or None if not known. Takes some microseconds, never raises."""
+        # UNSEEN before AT_WORK: if `stop-servos` finds UNSEEN free after its last Stop, a poll has seen it at work.
         self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
         at_work = _held(self._fd, _AT_WORK)
         if at_work:
@@ -37,13 +37,13 @@ class Listener:
 
 
 class Notice:
-    """The side of `stop-servos`, with a descriptor of its own, since each round opens the device again."""
+    """The side of `stop-servos`. It has its own descriptor, since each round of Stops reopens the device."""
 
     def __init__(self, path: str) -> None:
         self._path = path
         self._fd: int | None = None
         self.gateway_runs = False
-        """Whether a gateway was there to see it."""
+        """Whether a gateway runs on the device."""
 
     def give(self) -> None:
         """Lock AT_WORK, if there is a device. Never raises: the Stops matter more."""
@@ -51,10 +51,10 @@ class Notice:
             with suppress(OSError):
                 self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
                 _lock(self._fd, fcntl.F_RDLCK, _AT_WORK)  # shared: two may be at work
-                self.gateway_runs = _held(self._fd, _UNSEEN) is not False  # not known: wait for one
+                self.gateway_runs = _held(self._fd, _UNSEEN) is not False  # if not known, wait for a gateway
 
     def end(self) -> bool:
-        """Wait until a gateway has seen it, then unlock AT_WORK. False: not seen in time. Call it after all Stops."""
+        """Wait until a gateway has noticed, then unlock AT_WORK. Return whether it did. Call it after all Stops."""
         if self._fd is None:
             return True
         give_up_s = time.monotonic() + PATIENCE_S
@@ -76,9 +76,9 @@ class Notice:
 
 
 def _lock(fd: int, kind: int, place: int) -> bool:
-    """Lock or unlock a byte without waiting; returns whether it worked.
+    """Lock or unlock a byte without waiting. Return whether that worked.
 
-    The lock belongs to the open file: a lock of the process would end when the process closes the device anywhere.
+    The lock belongs to the open file. A process's lock would end whenever the process closes the device anywhere.
     """
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
@@ -88,7 +88,7 @@ def _lock(fd: int, kind: int, place: int) -> bool:
 
 
 def _held(fd: int, place: int) -> bool | None:
-    """Whether another program holds a lock there; None: not known."""
+    """Return whether another program has locked the byte, or None if not known."""
     try:
         answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
     except OSError:  # the device is going away
@@ -97,7 +97,7 @@ def _held(fd: int, place: int) -> bool | None:
 
 
 def is_gateways(path: str) -> bool:
-    """Whether a gateway holds the device that somebody has locked; also where the device does not report it."""
+    """Return whether a gateway has locked the device, or may have. Raises OSError if the device does not open."""
     fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
         return _held(fd, _UNSEEN) is not False

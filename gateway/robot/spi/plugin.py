@@ -1,7 +1,7 @@
-"""A plug-in (`gateway.wire`) as a device behind the bus: frames in, changes of servos out.
+"""A plug-in (`gateway.wire`) as a device of the bus: frames in, changes of servos out.
 
-So what holds for a frame on SPI holds for a plug-in: the guard reads each frame before (`spi.guard`), Stops leave in a
-call of their own, and each that failed is tried alone (`spi.bus`): first a leg, then a servo.
+So the rules for SPI frames apply to plug-ins: `spi.guard` checks each frame, Stops leave in their own call, and a Stop
+that failed is tried alone, first for a leg (`spi.bus`), then for a servo.
 """
 
 import fcntl
@@ -24,9 +24,9 @@ from gateway.wire import ServoWire
 from schemas.robot import SERVO_IDS
 
 _FRAMES: Final = SpiSettings(speed_hz=20_000_000, framing=Framing.PLAIN, frame_gap_us=0)
-"""Six legs are one call."""
+"""With these, six legs are one call."""
 SINGLY_NS: Final = 50_000_000
-"""For this long at most: six legs are tried, and with a call that takes a second systemd ends the gateway."""
+"""The longest time for servos one by one: six legs are tried, and after one second systemd ends the gateway."""
 _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)
 
 
@@ -34,7 +34,7 @@ class PluginBus(Bus):
     """The bus of a plug-in."""
 
     def __init__(self, wire: WireSettings, *, exclusive: bool = True) -> None:
-        """`exclusive`: this program is the gateway, and not `stop-servos`. Raises ConfigError."""
+        """`exclusive` is False for `stop-servos`. Raises ConfigError if the plug-in cannot be loaded."""
         try:
             plugin = wire.plugin
         except ValueError as error:
@@ -46,14 +46,14 @@ class PluginDevice(SpiDevice):
     """An opened plug-in."""
 
     def __init__(self, name: str, wire: ServoWire, *, exclusive: bool) -> None:
-        """Open it. Raises SpiError."""
+        """Open the plug-in. Raises SpiError if it raises OSError, else RuntimeError: a bug of the plug-in."""
         self._name = name
         self._wire = wire
         self._lock = _lock_of(name) if exclusive else None
         self._listener = None if self._lock is None else Listener(self._lock)
         try:
             wire.open()
-        except (Exception, SystemExit) as error:  # of somebody else's code, whose exit code would be the gateway's
+        except (Exception, SystemExit) as error:  # foreign code, whose exit code would become the gateway's
             if not isinstance(error, OSError):
                 with suppress(Exception, SystemExit):
                     wire.apply(_STOP_ALL)
@@ -61,13 +61,13 @@ class PluginDevice(SpiDevice):
             raise self._fault(error) from error
 
     def transfer(self, batch: Batch) -> None:
-        """Write the batch's frames in one call. Raises SpiError."""
+        """Apply the batch's frames in one call. Raises SpiError, or RuntimeError for a bug of the plug-in."""
         servos = [servo for data, _ in batch for servo in decode(data).servos]
         stops = all(op.op is OP_STOP for _, op in servos)
         changes: tuple[tuple[int, float | None], ...] = tuple(
             (servo_id, None if stops else op.angle_cdeg / 100)
             for servo_id, op in dict(servos).items()
-            if stops or op.op is not OP_STOP  # a servo of a leg that moves, and does not run
+            if stops or op.op is not OP_STOP  # in a frame that moves a leg, a Stop is for a servo that does not run
         )
         if stops and self._wire.capabilities.whole_robot:
             changes = _STOP_ALL
@@ -79,13 +79,13 @@ class PluginDevice(SpiDevice):
             raise self._fault(error) from error
 
     def _fault(self, error: BaseException) -> Exception:
-        """A fault of the bus, or a bug, which ends the gateway."""
+        """Return a fault of the bus for an OSError, else RuntimeError: a bug, which ends the gateway."""
         if isinstance(error, OSError):
             return SpiError(f"{self._name}: {_words(error)}")
         return RuntimeError(f"{self._name}: {type(error).__name__}: {error}")
 
     def _stop_singly(self, changes: Sequence[tuple[int, float | None]]) -> None:
-        """One servo's electronics may be gone, and those behind it in the same call still run."""
+        """Stop servos one by one: if one servo's electronics failed, later ones of the same call may still run."""
         until_ns = time.monotonic_ns() + SINGLY_NS
         for change in changes:
             with suppress(Exception, SystemExit):
@@ -96,7 +96,7 @@ class PluginDevice(SpiDevice):
         return None if self._listener is None else self._listener.look()
 
     def close(self) -> None:
-        with suppress(Exception):  # whatever it raises, its Stops are written
+        with suppress(Exception):  # the Stops are already written
             self._wire.close()
         if self._lock is not None:
             os.close(self._lock)
@@ -104,12 +104,12 @@ class PluginDevice(SpiDevice):
 
 
 def lock_path(name: str) -> Path:
-    """The file by which a gateway with this plug-in and `stop-servos` learn of each other (`spi.outside`)."""
+    """Return the file by which a gateway with this plug-in and `stop-servos` notice each other (`spi.outside`)."""
     return (runtime_directory() or SERVICE_RUNTIME) / f"{name.replace('/', '_')}.wire"
 
 
 def _lock_of(name: str) -> int | None:
-    """The gateway's descriptor of that file; None without a runtime directory. Raises SpiError if another has it."""
+    """Lock that file and return its descriptor; None without a runtime directory. Raises SpiError if it is locked."""
     if runtime_directory() is None:
         return None
     try:

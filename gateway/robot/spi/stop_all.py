@@ -1,6 +1,6 @@
-"""Stops all six legs straight over SPI, over the UART of a wire that has one, or by a plug-in.
+"""Stops all six legs directly: over SPI, over the UART of a wire that has one, or by a plug-in.
 
-No Zenoh, no running gateway, and little that could fail or be slow to load.
+This needs no Zenoh and no running gateway, and loads little that could fail or be slow.
 """
 
 import time
@@ -19,8 +19,8 @@ from gateway.robot.spi.uart import SerialUart
 from schemas.robot import LEGS
 
 MORE_ROUNDS: Final = 10
-"""How often legs that got no Stop are tried again after the repeats. This outlasts a fault of a few hundred
-milliseconds, such as a device that comes back, and systemd still does not wait long."""
+"""Further rounds after the repeats, for legs without a Stop. They outlast a fault of a few hundred milliseconds, such
+as a device that returns, and do not make systemd wait long."""
 
 
 def stop_servos(
@@ -29,14 +29,11 @@ def stop_servos(
     controller: ControllerSettings,
     written: Callable[[], None] = lambda: None,
 ) -> bool | None:
-    """Stop all six legs straight over the wire, repeated as the watchdog's Stops are. Raises SpiError, ConfigError.
+    """Stop all six legs directly over the wire, repeated like the watchdog's Stops.
 
-    `written` is called behind the first attempt to stop each leg, and must not wait.
-
-    Returns whether a gateway on the same device has noticed; None: no gateway runs there.
-
-    It also runs while a gateway holds the device: something went wrong, and one more Stop does no harm. Each batch is
-    atomic on the bus, so none comes into a frame of the gateway's.
+    `written` is called after each attempt and must not wait. Return whether a gateway on the same device has noticed,
+    or None if no gateway runs there. A running gateway is no obstacle: batches are atomic on the bus, and one more
+    Stop does no harm. Raises SpiError if a leg got no Stop, ConfigError if a plug-in cannot be loaded.
     """
     bus, lock = _bus(wire, spi, controller, exclusive=False)
     notice = Notice(lock)
@@ -51,7 +48,7 @@ def stop_servos(
         stopped, fault_now = stop_once(bus)
         first_ns = first_ns if unstopped < set(LEGS) else time.monotonic_ns()
         written()
-        notice.give()  # after the first Stops, which must not wait for it
+        notice.give()  # after the Stops, which must not wait for it
         unstopped -= stopped
         fault = fault_now or fault
     bus.close()
@@ -84,11 +81,10 @@ def _bus(wire: WireSettings, spi: SpiSettings, controller: ControllerSettings, *
 
 
 def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception | None]:
-    """One Stop for each leg: the legs whose Stop was written, and what failed last.
+    """Write one Stop for each leg. Return the legs whose Stop was written, and the last fault.
 
-    Unless it is `opened` already, the device is opened first. All six are one batch. What of it failed, even from a bug
-    of ours, is tried leg by leg, with the device opened again where it was at fault: this is the last attempt to stop
-    the robot.
+    The device is opened first, unless it is `opened`. All six Stops are one batch. Legs that failed, even by a bug of
+    the gateway, are tried one by one, and the device is reopened after a fault: this may be the last attempt.
     """
     stopped: set[int] = set()
     fault: Exception | None = None

@@ -1,4 +1,4 @@
-"""The UART of elkapod-2025: `pyserial`, and what a Stop needs of it: a write that never waits."""
+"""The UART of elkapod-2025, by `pyserial`, with a write that never waits, as a Stop needs it."""
 
 import os
 from contextlib import suppress
@@ -8,33 +8,32 @@ from gateway.errors import SpiError
 from gateway.model.elkapod import UART_BAUD
 
 _MOST_BYTES: Final = 4096
-"""What a kernel keeps of a UART's bytes, so one call empties it."""
+"""The kernel's buffer for a UART, so that one call empties it."""
 
 
 class Uart(Protocol):
     """A UART, real or simulated."""
 
     def write(self, data: bytes) -> None:
-        """Hand a message to the kernel, without waiting. Raises SpiError."""
+        """Hand a message to the kernel, without waiting. Raises SpiError if it takes less than all of it."""
 
     def read(self) -> bytes:
-        """What has come since the last call, without waiting. Raises SpiError."""
+        """Return the bytes received since the last call, without waiting. Raises SpiError if the UART is gone."""
 
     def close(self) -> None:
-        """Release it. Never raises."""
+        """Release the UART. Never raises."""
 
 
 class SerialUart(Uart):
     """`/dev/tty…`, opened and set up by pyserial: 8 bits, no parity, two stop bits, no flow control.
 
-    Read and written past pyserial, which uses `select`: that takes no descriptor from 1024 on, and clients may hold as
-    many.
+    Reads and writes bypass pyserial, whose `select` takes no descriptor from 1024 on: clients may hold that many.
     """
 
     def __init__(self, path: str, *, exclusive: bool = True) -> None:
-        """Open and set it up. Raises SpiError with one sentence that states what is missing.
+        """Open and set up the UART. `exclusive` (not for `stop-servos`) rejects a UART that another gateway holds.
 
-        `exclusive`: reject one that another gateway holds. `stop-servos` does not ask for that.
+        Raises SpiError with a sentence that states what is missing.
         """
         try:
             import serial  # noqa: PLC0415  (a laptop needs none)
