@@ -3,8 +3,10 @@
 Each command imports its modules when it runs, so that an emergency stop does not wait for those of other commands.
 """
 
+import atexit
 import os
 import sys
+import threading
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
@@ -414,9 +416,13 @@ def main() -> None:
 
 
 def _end(code: int) -> NoReturn:
-    """End with this exit code, without waiting for threads that still try to reach another host."""
+    """End with this exit code, without Python's own end if threads are left.
+
+    It would wait for those that still try to reach another host, and abort when a daemon returns from Zenoh.
+    """
     hosts = sys.modules.get("gateway.people.client.hosts")
-    if hosts is not None and hosts.under_way():
+    if (hosts is not None and hosts.under_way()) or any(thread.daemon for thread in threading.enumerate()):
+        atexit._run_exitfuncs()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)

@@ -3,6 +3,7 @@
 import os
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -167,3 +168,30 @@ def test_all_six_legs_are_one_command(gateway: Gateway, angles: list[str]) -> No
         assert (end.returncode, end.stdout) == (0, "accepted\n"), end
         heard.wait(lambda record: record.cause is Cause.COMMAND, count=6)
     assert run_here("send", "legs", "stop", "--connect", gateway.endpoint).returncode == 0
+
+
+BUSY_DAEMON = """
+import sys, threading, zenoh
+from gateway import cli
+def busy(**_):
+    config = zenoh.Config.from_json5('{listen: {endpoints: []}, scouting: {multicast: {enabled: false}}}')
+    session = zenoh.open(config)
+    publisher = session.declare_publisher("a")
+    begun = threading.Event()
+    def publish():
+        while True:
+            publisher.put(b"")
+            begun.set()
+    threading.Thread(target=publish, daemon=True).start()
+    begun.wait()
+    print("shown")
+    sys.exit(3)
+cli.app = busy
+cli.main()
+"""
+
+
+def test_a_command_ends_with_its_own_exit_code_though_a_thread_of_it_is_inside_zenoh() -> None:
+    """Python's own end would abort the process when the thread returns from Zenoh."""
+    ended = subprocess.run([sys.executable, "-c", BUSY_DAEMON], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "shown\n", "")
