@@ -18,7 +18,7 @@ import zenoh
 
 from gateway.client import Client, leg_payload, servo_payload
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
-from tests.benchmarks.subjects import program
+from tests.benchmarks.processes import program
 from tests.support.gateway_process import Gateway
 
 SETTINGS = {

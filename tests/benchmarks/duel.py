@@ -1,4 +1,4 @@
-"""What a setpoint costs: naive script and gateway run at once, and one publisher gives each a slice of traffic in turn.
+"""What setpoints and idling cost: naive script and gateway run at once, and one publisher gives each a slice in turn.
 
 Both write to a device that answers at once (instant_spidev.c). Within a second a machine changes its pace, and with it
 all figures; the ratio of two slices that follow each other stays. Processor time is that of all threads (schedstat).
@@ -28,14 +28,13 @@ from gateway.zenoh_config import client_config
 from schemas.keys import LEASE, LEGS_COMMAND, leg_command
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from tests.benchmarks.processes import cpu_ns, never_delay, now_ns, say
-from tests.benchmarks.subjects import program
-from tests.benchmarks.table import Row
+from tests.benchmarks.processes import cpu_ns, never_delay, now_ns, program, say
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
 
 NAIVE, GATEWAY, RELEASE = "naive", "gateway", "release"
 SLICES, SLICE_S, HZ = 8, 1.0, 50
+TIMEOUT_MS, IDLE_S = 10_000, 5.0
 FLOOD_HZ = 1500
 """What a naive script still keeps up with: its backlog would be in the next slice."""
 _SOURCE: Final = Path(__file__).with_name("instant_spidev.c")
@@ -86,6 +85,30 @@ class Figures:
         return median(self.latency_us)
 
 
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One figure of the gateway, the naive script's beside it, the aim, and whether it is met (None: no aim)."""
+
+    name: str
+    gateway: str
+    naive: str
+    aim: str = ""
+    met: bool | None = None
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        verdict = {True: "met", False: "NOT MET", None: ""}[self.met]
+        return self.name, self.gateway, self.naive, self.aim, verdict
+
+
+def as_text(rows: list[Row]) -> str:
+    """Columns that line up."""
+    cells = [("figure", "gateway", "naive script", "aim", ""), *(row.cells for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
 class Runner:
     """One of those that are compared, running on a device of its own."""
 
@@ -104,7 +127,7 @@ class Runner:
                 "zenoh": {"listen": [endpoint]},
                 "spi": {"framing": stream.framing},
                 "limits": {"leg_rate_hz": 250},
-                "watchdog": {"timeout_ms": 10_000},
+                "watchdog": {"timeout_ms": TIMEOUT_MS},
                 "lease": {"ttl_ms": 10_000},
                 "state": {"path": str(folder / "state")},
             }
@@ -232,8 +255,23 @@ def _compared(stream: Stream, folder: Path, release: Path | None) -> list[Row]:
             say(f"{stream.name}: slice {number} of {SLICES}")
             for runner in random.sample(runners, len(runners)):
                 runner.slice(SLICE_S, counts=number > 0)
+        idle = _idle(*runners[:2]) if stream.cpu_aim and not stream.whole else []
     found = {runner.name: runner.figures for runner in runners}
-    return [*_rows(stream, found), *_rows_of_release(stream, found)]
+    return [*_rows(stream, found), *_rows_of_release(stream, found), *idle]
+
+
+def _idle(naive: Runner, ours: Runner) -> list[Row]:
+    """Nobody commands anything, and the watchdog has stopped the legs."""
+    say(f"idle for {IDLE_S:g} s")
+    time.sleep(TIMEOUT_MS / 1000)
+    begun_ns, begun = now_ns(), [cpu_ns(runner.pid) for runner in (ours, naive)]
+    time.sleep(IDLE_S)
+    took_ns = now_ns() - begun_ns
+    used = [cpu_ns(runner.pid) - before_ns for runner, before_ns in zip((ours, naive), begun, strict=True)]
+    share, their_share = (100 * used_ns / took_ns for used_ns in used)
+    return [
+        Row("idle: CPU, share of one core", f"{share:.2f} %", f"{their_share:.2f} %", "at most 0.3 %", share <= 0.3)
+    ]
 
 
 def _rows(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:

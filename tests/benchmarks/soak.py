@@ -19,9 +19,9 @@ from typing import Final, NamedTuple
 
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
+from gateway.robot.protocol.latency import percentile
 from schemas.keys import leg_command
-from tests.benchmarks.processes import Figures, fds, rss_kb, threads
-from tests.benchmarks.subjects import program
+from tests.benchmarks.processes import fds, program, rss_kb, threads
 from tests.support.gateway_process import Gateway
 
 ASKS_HZ: Final = 100
@@ -51,7 +51,7 @@ class Minute(NamedTuple):
 
 def one_minute(pid: int, client: Client, duration_s: float) -> Minute:
     """Ask for that long, and look at the process every few seconds."""
-    latencies_ns: list[int] = []
+    latencies_ms: list[float] = []
     lost = 0
     samples: list[tuple[int, int, int]] = []
     for part in range(SAMPLES):
@@ -61,18 +61,19 @@ def one_minute(pid: int, client: Client, duration_s: float) -> Minute:
             sent_ns = time.monotonic_ns()
             try:
                 if client.ask(leg_command(6), leg_payload("start", (90, (part * 10) % 180, 90))).accepted:
-                    latencies_ns.append(time.monotonic_ns() - sent_ns)
+                    latencies_ms.append((time.monotonic_ns() - sent_ns) / 1e6)
             except ZenohError:
                 lost += 1
             due_s = max(due_s + 1 / ASKS_HZ, time.monotonic())
             time.sleep(max(0.0, due_s - time.monotonic()))
         samples.append((rss_kb(pid), fds(pid), threads(pid)))
-    figures, state = Figures.of(latencies_ns), client.state()
+    latencies_ms.sort()
+    state = client.state()
     resident, descriptors, living = zip(*samples, strict=True)
     return Minute(
-        p50_ms=figures.p50_us / 1000,
-        p99_ms=figures.p99_us / 1000,
-        max_ms=figures.max_us / 1000,
+        p50_ms=percentile(latencies_ms, 0.5),
+        p99_ms=percentile(latencies_ms, 0.99),
+        max_ms=latencies_ms[-1],
         lost=lost,
         rss_mb=statistics.median(resident) / 1024,
         fds=statistics.median(descriptors),

@@ -1,9 +1,8 @@
 #!/usr/bin/python3
 """An emulated `/dev/spidev0.0` (umockdev) for unmodified programs; runs under the system's Python, which has gi.
 
-By the test kit:    spi_testbed.py --control-fd N          (see `tests/hil/bed.py`, the other end of the socket)
-By the benchmarks:  spi_testbed.py --log PATH COMMAND …    (one JSON object a line; exits with COMMAND's status)
-What is missing:    spi_testbed.py --check                 (one Debian package a line)
+By the test kit:    spi_testbed.py --control-fd N   (see `tests/hil/bed.py`, the other end of the socket)
+What is missing:    spi_testbed.py --check          (one Debian package a line)
 
 On the socket, JSON lines both ways. Out: first `ready` with the environment for children, then every `open`, setting
 and transfer as it arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "fail", …}`.
@@ -29,14 +28,12 @@ import shutil
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
@@ -415,34 +412,12 @@ def serve(channel: socket.socket) -> int:
     return 0
 
 
-def run(command: list[str], log: Path) -> int:
-    """Run one command on the emulated device, pass SIGTERM and SIGINT on to it, and return its status."""
-    with log.open("w", encoding="utf-8") as output:
-        bed = Testbed(lambda event: print(json.dumps(event), file=output, flush=True))
-        try:
-            child = subprocess.Popen(command, env={**os.environ, **bed.environment})
-
-            def pass_on(number: int, _frame: FrameType | None) -> None:
-                child.send_signal(number)
-
-            signal.signal(signal.SIGTERM, pass_on)
-            signal.signal(signal.SIGINT, pass_on)
-            status = child.wait()
-        finally:
-            bed.close()
-    return status if status >= 0 else 128 - status
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description="Run programs on an emulated SPI device.")
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--check", action="store_true", help="print the Debian packages missing here")
     task.add_argument("--control-fd", type=int, help="serve the test kit on this socket")
-    task.add_argument("--log", type=Path, help="run a command, and write here what arrives")
-    parser.add_argument("command", nargs="*", help="after --: what to run")
     options = parser.parse_args()
-    if options.log is not None:
-        return run(options.command, options.log)
     if options.control_fd is None:
         missing = missing_packages()
         print("\n".join(missing))
