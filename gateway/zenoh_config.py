@@ -156,7 +156,7 @@ def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
     try:
         config.insert_json5(key, json.dumps(value))
     except zenoh.ZError as error:
-        raise ConfigError(f"{setting}: {value} will not do: {one_line(error)}") from error
+        raise ConfigError(f"{setting}: {value} is not allowed: {one_line(error)}") from error
 
 
 _SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")

@@ -158,7 +158,7 @@ def _by_servo(
 
 
 def _wrong(place: Place, value: object, wanted: str) -> SettingFault:
-    return SettingFault(place, f"{echo(value)} will not do: input should be {wanted}")
+    return SettingFault(place, f"{echo(value)} is not allowed: input should be {wanted}")
 
 
 _TRUE, _FALSE = frozenset({"true", "1", "yes", "on"}), frozenset({"false", "0", "no", "off"})

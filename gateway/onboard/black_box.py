@@ -1,4 +1,4 @@
-"""`hexapod-gateway incidents`: the incidents in the black box, and the story of each."""
+"""`hexapod-gateway incidents`: list, explain and export the incidents in the black box."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ LAST: Final = "last"
 
 
 class _Found(NamedTuple):
-    """An incident, with all records of the ring."""
+    """An incident, and all records of the ring."""
 
     incident: Incident
     records: ring_reader.Records
@@ -89,7 +89,7 @@ def _folder(settings: Settings) -> Path:
 
 
 def _find(folder: Path) -> list[_Found]:
-    """All incidents, oldest first. After a change of the clock, their ids have another order."""
+    """All incidents, oldest first: ids need not be in order after a change of the clock."""
     try:
         content = ring_reader.read(folder / RING_FILE)
     except ring_reader.NoRingError as error:
@@ -113,7 +113,7 @@ def _one(settings: Settings, name: str) -> _Found:
             return each
     if name != LAST and not is_id(name):
         raise NoIncidentError(
-            f"{name!r} is no id of an incident; `incidents list` shows them, and `last` is the newest"
+            f"{name!r} is no id of an incident; `incidents list` shows the ids, and `last` is the newest"
         )
     raise NoIncidentError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")
 

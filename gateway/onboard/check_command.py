@@ -1,4 +1,4 @@
-"""The command line of `check`. It imports the checks late, so that an emergency stop does not load them."""
+"""The command line of `check`. It imports the checks late: an emergency stop must not wait for them."""
 
 import sys
 from typing import Annotated

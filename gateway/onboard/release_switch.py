@@ -24,7 +24,7 @@ from gateway.model.protocols import FRAMED
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")
 _FORMER: Final = Path("/opt/hexapod-gateway")
-"""From the installer used before the package. Its unit and command hide the package's until `setup` removes them."""
+"""From the installer before the package. Its unit and command hide the package's until `setup` removes them."""
 _SERVICE: Final = "hexapod-gateway"
 _CONSOLE: Final = "hexapod-console"
 _SERVOS: Final = SERVICE_RUNTIME / "servos"

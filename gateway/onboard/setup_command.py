@@ -1,4 +1,4 @@
-"""The command line of `setup`. It imports the steps late, so that an emergency stop does not load them."""
+"""The command line of `setup`. It imports the steps late: an emergency stop must not wait for them."""
 
 import os
 import sys

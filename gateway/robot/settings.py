@@ -138,7 +138,7 @@ class Settings:
             limits = self.limits.servos.get(servo, ServoLimits())
             if not limits.min_deg <= angle_deg <= limits.max_deg:
                 allowed = f"limits.servos.{servo} allows {limits.min_deg:g} to {limits.max_deg:g}"
-                yield SettingFault(("watchdog", "landing", servo), f"{angle_deg:g} will not do: {allowed}")
+                yield SettingFault(("watchdog", "landing", servo), f"{angle_deg:g} is not allowed: {allowed}")
 
 
 class FramingNotSetError(ConfigError):
@@ -307,7 +307,7 @@ def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
             found[place] = variable, json.loads(text) if get_origin(kind) is tuple else Text(text)
         except (ValueError, RecursionError):
             example = """write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
-            faults.append((variable, SettingFault(place, f"{echo(text)} will not do: {example}")))
+            faults.append((variable, SettingFault(place, f"{echo(text)} is not allowed: {example}")))
     return found, faults
 
 

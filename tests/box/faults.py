@@ -53,10 +53,10 @@ TAKE_A_STOP = (
     Fault(
         "a unit without Stops",
         "sed -i /^ExecStopPost.*stop-servos/d $unit; systemctl daemon-reload",
-        f"{NAME}.service is not as this release has it",
+        f"{NAME}.service differs from this release's",
     ),
     Fault("a drop-in without Stops", "drop_in ExecStopPost=", "empties ExecStopPost="),
-    Fault("a state directory of root's", "chown -R root:root $state", "is not the service's to write"),
+    Fault("a state directory of root's", "chown -R root:root $state", "the service may not write"),
 )
 """After these a crash leaves the servos on: `make test` shows them, `make test-all` the others."""
 
@@ -70,13 +70,13 @@ FAULTS = (
     Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/text.py"),
     Fault("a damaged stop.py", "echo '(' >$own/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
-    Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not for all to read"),
+    Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
     Fault("a file that all may write", "chmod 666 $own/gateway/people/commands/decode.py", "not for root alone to"),
     Fault("a damaged command", "echo 'exit 1 # damaged' >>/usr/bin/$service", "not as installed: /usr/bin/hexapod"),
     Fault(
         "a command of the former installer",
         "ln -s /bin/true /usr/local/bin/$service",
-        "/usr/local/bin/hexapod-gateway is of the former installer",
+        "/usr/local/bin/hexapod-gateway is from the former installer",
     ),
     Fault(
         "no Python that it runs with",
@@ -89,15 +89,15 @@ FAULTS = (
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
     Fault("no group dialout", "groupdel dialout", "there is no group dialout"),
     # units
-    Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service is not as this release"),
+    Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service differs from this release"),
     Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
     Fault(
         "a unit of somebody's own",
         "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
-        "is in force in place of the package's unit",
+        "replaces the package's unit",
     ),
     Fault("a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "as this release has it"),
-    Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, and systemd still", more=1),
+    Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, but systemd still", more=1),
     Fault(
         "a masked unit",
         "systemctl stop $service; systemctl mask $service",
@@ -119,7 +119,7 @@ FAULTS = (
     Fault(
         "a framing in a drop-in",
         "drop_in Environment=HEXAPOD_SPI__FRAMING=plain; systemctl restart $service",
-        "has settings, which hold in place of gateway.toml",
+        "has settings that override gateway.toml",
     ),
     Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "changes what Stops depend on: WatchdogSec"),
     Fault("too few descriptors", "drop_in LimitNOFILE=64", "changes what Stops depend on: LimitNOFILE"),
@@ -145,15 +145,15 @@ FAULTS = (
     Fault(
         "a drop-in that was not read",
         "mkdir -p $units/$service.service.d; printf '[Service]\\nNice=5\\n' >$units/$service.service.d/own.conf",
-        f"{NAME} was edited, and systemd still goes by",
+        f"{NAME} was edited, but systemd still uses",
         more=1,
     ),
     # the state directory
-    Fault("a state directory to read only", "chmod 500 $state", "is not the service's to write"),
+    Fault("a state directory to read only", "chmod 500 $state", "the service may not write"),
     Fault(
         "a state directory on a read-only file system",
         "mount --bind $state $state; mount -o remount,bind,ro $state",
-        "is a file system that is read-only",
+        "is mounted read-only",
         then="systemctl stop $service; umount $state; systemctl start $service",
     ),
     Fault(
@@ -190,11 +190,11 @@ FAULTS = (
         by_hand="pkill sleep; systemctl reset-failed $service; systemctl start $service",
     ),
     Fault("a node of another group", "chgrp audio $(readlink -f /dev/spidev0.0)", "group audio)", then=""),
-    Fault("a node for root only", "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0", "may not be opened by"),
+    Fault("a node for root only", "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0", "may not open /dev/spidev0.0"),
     Fault(
         "a device that does not exist",
         "sed -i '1i spi.device = \"/dev/spidev9.9\"' $toml",
-        "/dev/spidev9.9 does not exist → set spi.device; here there is /dev/spidev0.0",
+        "/dev/spidev9.9 does not exist → set spi.device; this machine has /dev/spidev0.0",
         by_hand="sed -i 's/spidev9.9/spidev0.0/' $toml",
         then="cp /root/gateway.toml $toml",
     ),
@@ -228,8 +228,8 @@ FAULTS = (
         "install -g $service -m 640 /root/certs/ca.key $pki/old.key",
         "old.key is the authority's key",
     ),
-    Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "others than root and the service may read"),
-    Fault("a private key of another user's", "chown nobody $pki/gateway.key", "others than root and the service may"),
+    Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "not only root and the service may read"),
+    Fault("a private key of another user's", "chown nobody $pki/gateway.key", "not only root and the service may"),
     Fault("the authority's key", "install -g $service -m 640 /root/certs/ca.key $pki", "is the authority's key"),
     Fault(
         "a private key for root only",

@@ -34,7 +34,7 @@ def setup(box: Box, *options: str, check: bool = False) -> list[str]:
 
 def test_from_the_package_to_a_robot_with_certificates_and_back(box: Box, tmp_path: Path, packages: Packages) -> None:
     unit = Unit(box, f"{NAME}.service")
-    assert setup(box)[-1].startswith(f"{NAME}: which wire does the controller need? State it: --wire hexapod-1.0")
+    assert setup(box)[-1].startswith(f"{NAME}: which wire does the controller need? Use --wire hexapod-1.0")
     promised = setup(box, "--framing", "plain", "--dry-run")
     assert unit.properties("UnitFileState", "ActiveState") == ["disabled", "inactive"]
     done = setup(box, "--framing", "plain", check=True)
@@ -48,7 +48,7 @@ def test_from_the_package_to_a_robot_with_certificates_and_back(box: Box, tmp_pa
     box.run("systemctl", "daemon-reload")
     assert "start the service" in setup(box)
     process = unit.property("MainPID")
-    assert "the service runs with all of this" in setup(box)
+    assert "the service runs with this setup" in setup(box)
     assert unit.property("MainPID") == process
 
     folder = tmp_path / "certs"

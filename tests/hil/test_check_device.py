@@ -56,7 +56,7 @@ def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestb
         assert child.returncode == 0, str(child)
         assert "is held by a running gateway" in line(child, "SPI device")
         assert line(child, "port").startswith("ok")
-        assert "is in use by the gateway that runs here" in line(child, "port")
+        assert "is in use by the running gateway" in line(child, "port")
         assert "the kernel gives" in line(child, "SPI speed")
         assert spi_testbed.settings == settings
         transfers = spi_testbed.transfers[begun - 1 :]  # the gateway writes its Stops again a second later

@@ -1,15 +1,15 @@
-"""Settings that will not do: in a file (its text), or in a variable; and the line that says so, after the place."""
+"""Settings that is not allowed: in a file (its text), or in a variable; and the line that says so, after the place."""
 
 SECTIONS = (
     "the sections are zenoh, wire, spi, controller, limits, watchdog, lease, buttons, state, telemetry, safety, power"
 )
 NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"
-WORD = "will not do: input should be"
+WORD = "is not allowed: input should be"
 INTEGER = f"{WORD} a valid integer"
 NUMBER = f"{WORD} a valid number"
 STRING = f"{WORD} a valid string"
 FINITE = f"{WORD} a finite number"
-LIST = """will not do: write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
+LIST = """is not allowed: write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
 NO_SERVO = "is no servo; an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
 
 FILE_FAULTS = [
@@ -22,10 +22,10 @@ FILE_FAULTS = [
     ("[limits.servos.11]\nmin = 1", "limits.servos.11.min: is no setting"),
     ("[limits.servos.14]", f"limits.servos: 14 {NO_SERVO}"),
     ("[watchdog.landing]\n11 = 170\n[limits.servos.11]\nmax_deg = 120",
-     "watchdog.landing.11: 170 will not do: limits.servos.11 allows 0 to 120"),
+     "watchdog.landing.11: 170 is not allowed: limits.servos.11 allows 0 to 120"),
     # wrong types: nothing is converted
-    ("spi = 3", "spi: 3 will not do: input should be an object"),
-    ("[limits.servos]\n11 = 5", "limits.servos.11: 5 will not do: input should be an object"),
+    ("spi = 3", "spi: 3 is not allowed: input should be an object"),
+    ("[limits.servos]\n11 = 5", "limits.servos.11: 5 is not allowed: input should be an object"),
     ('[spi]\nspeed_hz = "1"', f'spi.speed_hz: "1" {INTEGER}'),
     ("[spi]\nspeed_hz = 1.0", f"spi.speed_hz: 1.0 {INTEGER}"),
     ("[spi]\ndevice = 0", f"spi.device: 0 {STRING}"),
@@ -36,18 +36,18 @@ FILE_FAULTS = [
     ("[watchdog]\ntimeout_ms = 07:32:00", f'watchdog.timeout_ms: "07:32:00" {NUMBER}'),
     ('[power]\ninterface = "gs_usb"',
      'power.interface: Linux has a driver for this adapter: write interface = "socketcan", channel = "can0"'),
-    ("[zenoh]\nallow_insecure = 1", "zenoh.allow_insecure: 1 will not do: input should be a valid boolean"),
-    ('[zenoh]\nlisten = "tcp/a"', 'zenoh.listen: "tcp/a" will not do: input should be a valid array'),
+    ("[zenoh]\nallow_insecure = 1", "zenoh.allow_insecure: 1 is not allowed: input should be a valid boolean"),
+    ('[zenoh]\nlisten = "tcp/a"', 'zenoh.listen: "tcp/a" is not allowed: input should be a valid array'),
     ('[zenoh]\nlisten = ["a", 1]', f"zenoh.listen[1]: 1 {STRING}"),
-    ('[telemetry]\nframes = "no"', 'telemetry.frames: "no" will not do: input should be a valid boolean'),
+    ('[telemetry]\nframes = "no"', 'telemetry.frames: "no" is not allowed: input should be a valid boolean'),
     # not among the words
-    ('[spi]\nframing = "Plain"', "spi.framing: \"Plain\" will not do: input should be 'plain' or 'length-prefixed'"),
-    ('[watchdog]\nscope = "all"', "watchdog.scope: \"all\" will not do: input should be 'leg' or 'robot'"),
+    ('[spi]\nframing = "Plain"', "spi.framing: \"Plain\" is not allowed: input should be 'plain' or 'length-prefixed'"),
+    ('[watchdog]\nscope = "all"', "watchdog.scope: \"all\" is not allowed: input should be 'leg' or 'robot'"),
     ('[wire]\nname = "elkapod"',
      'wire: there is no wire "elkapod"; installed are "hexapod-1.0", "elkapod-2025"'),
     ('[spi]\nprotocol = "elkapod-2025"', "spi.protocol: was removed; write its value as name in [wire]"),
     ("[wire]\nbaud = 9600", "wire: baud is no setting of hexapod-1.0"),
-    ('[watchdog]\nscope = "a\\nb"', "watchdog.scope: " + r""""a\nb" will not do: input should be 'leg' or 'robot'"""),
+    ('[watchdog]\nscope = "a\\nb"', r"""watchdog.scope: "a\nb" is not allowed: input should be 'leg' or 'robot'"""),
     # no finite number
     ("[limits]\nleg_rate_hz = nan", f"limits.leg_rate_hz: NaN {FINITE}"),
     ("[watchdog]\nlanding_ms = -inf", f"watchdog.landing_ms: -Infinity {FINITE}"),
@@ -89,13 +89,13 @@ ENVIRONMENT_FAULTS = [
     ("HEXAPOD_WATCHDOG__TIMEOUT_MS", "true", f'"true" {NUMBER}, unable to parse string as a number'),
     ("HEXAPOD_WATCHDOG__TIMEOUT_MS", "nan", f'"nan" {FINITE}'),
     ("HEXAPOD_TELEMETRY__FRAMES", "maybe",
-     '"maybe" will not do: input should be a valid boolean, unable to interpret input'),
-    ("HEXAPOD_SPI__FRAMING", "x\ny", r'"x\ny" will not do: '
+     '"maybe" is not allowed: input should be a valid boolean, unable to interpret input'),
+    ("HEXAPOD_SPI__FRAMING", "x\ny", r'"x\ny" is not allowed: '
      "input should be 'plain' or 'length-prefixed'"),
     ("HEXAPOD_ZENOH__LISTEN", "tcp/a", f""""tcp/a" {LIST}"""),
     ("HEXAPOD_ZENOH__LISTEN", "[", f""""[" {LIST}"""),
     ("HEXAPOD_ZENOH__LISTEN", "[" * 5000, f""""{"[" * 79}… {LIST}"""),
     ("HEXAPOD_ZENOH__LISTEN", "[1]", f"1 {STRING}"),
-    ("HEXAPOD_ZENOH__LISTEN", '"a"', '"a" will not do: input should be a valid array'),
+    ("HEXAPOD_ZENOH__LISTEN", '"a"', '"a" is not allowed: input should be a valid array'),
     ("HEXAPOD_TELEMETRY__METRICS", "x", 'write a host and a port, such as "127.0.0.1:9464", or "" for none'),
 ]  # fmt: skip

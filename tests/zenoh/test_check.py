@@ -82,7 +82,7 @@ def taken() -> Iterator[int]:
         yield port
 
 
-TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the gateway that runs here"
+TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the running gateway"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
-"""`hexapod-gateway check`: what is missing on this machine to run the service, a line each, and how to fix it.
+"""`hexapod-gateway check`: print what this machine lacks to run the service, and the command that fixes it.
 
-It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. A power board is asked.
+It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. It only queries a power board.
 """
 
 import grp
@@ -36,20 +36,18 @@ from gateway.zenoh_config import listen_endpoints
 
 _GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
-"""The service's user may not be able to read the folder that this Python runs from."""
+"""Loaded before the change of user: the service's user may not be able to read this Python's folder."""
 _DRIVE: Final = "reach the gateway"
 _STYLES: Final = {Verdict.OK: table.GOOD, Verdict.WARNING: table.NOTE, Verdict.FAILURE: table.BAD}
 CONFIGURED: Final = (*wire.PROBES, *security.CERTIFICATES, security.ZENOH, security.ACCESS, security.PORTS, wire.POWER)
-"""What depends on the settings."""
+"""Probes that need the settings."""
 
 
 def check(config: Path | None, *, as_json: bool = False) -> int:
-    """Print every check's line as it is known; the exit code: 0, or 1 after a failure.
+    """Check this machine, and print each line at once. Return the exit code: 0, or 1 after a failure.
 
-    As root, each is looked at as the service's user. Where a gateway with a simulated controller runs, and no file is
-    named, that is looked at.
-    Raises ConfigError where oneself may not read the configuration, and FramingNotSetError: what the machine can do
-    matters only once it is known what the controller understands.
+    As root, check with the rights of the service's user. If a gateway with a simulated controller runs and `config` is
+    None, check that gateway. Raises ConfigError if this user may not read the configuration, and FramingNotSetError.
     """
     robot = CheckedRobot()
     show_line("reading the files of the installed release …")
@@ -64,13 +62,13 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
 
 
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
-    """The same of a laptop: whether it reaches the robot, and what it may do there."""
+    """Check whether this laptop reaches the robot, and what it may do there. Return the exit code as `check`."""
     steps = laptop.checks(connect, zenoh_config, timeout_s)
     return _report(steps, "This machine", _DRIVE, as_json=as_json)
 
 
 def _go_on_as_the_service(robot: CheckedRobot) -> None:
-    """As root, go on in a child that is the service's user, if there is one: what root can do shows nothing."""
+    """As root, go on in a child process of the service's user, if that exists: root may do more than the service."""
     if os.geteuid() or robot.service is None:
         return
     for module in _LOADED_LATE:
@@ -91,7 +89,7 @@ def _go_on_as_the_service(robot: CheckedRobot) -> None:
 
 
 def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> int:
-    """Print the lines, each sentence once, and one at the end."""
+    """Print each different line, and a summary. Return the exit code."""
     lines = dict[str, Result]()
     for result in found:
         if result.sentence not in lines and not as_json:
@@ -109,9 +107,9 @@ def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> i
 
 
 def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Iterator[Result]:
-    """All checks, in order; those of the settings only where these can be read. Raises FramingNotSetError at once.
+    """Yield all results in order, those of the settings only if the settings can be read. `seen`: results known before.
 
-    While the service runs, and no file is named, its device is looked at with the settings that it uses.
+    While the service runs and `config` is None, check its device with the settings in use. Raises FramingNotSetError.
     """
     path = config or CONFIGURATION
     if os.geteuid() not in (0, robot.service and robot.service[0]) and _denied(path):
@@ -159,10 +157,7 @@ def _denied(path: Path) -> bool:
 
 
 def _simulated() -> str:
-    """Where a gateway with a simulated controller answers, as `make run` starts it; "": nowhere.
-
-    Its settings are those that are found without a file named. It needs neither device nor framing.
-    """
+    """The endpoint at which a gateway with a simulated controller answers, as `make run` starts it; "": none."""
     with suppress(ConfigError, GatewayError, ValidationError):
         settings = settings_file.load(None, simulated=True)
         for endpoint in listen_endpoints(service_config(settings.zenoh)):

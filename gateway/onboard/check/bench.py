@@ -1,4 +1,4 @@
-"""The means of `check --stops`: one servo, a client, and all that the gateway writes and publishes meanwhile."""
+"""The means of `check --stops`: one servo, a client, and the frames and events received meanwhile."""
 
 import threading
 import time
@@ -19,29 +19,29 @@ from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind
 
 _POLL_S: Final = 0.01
 _SETPOINT_S: Final = 0.02
-STREAM_S: Final = 0.3  # for this long setpoints stream before the step acts
+STREAM_S: Final = 0.3  # setpoints stream for this time before the step acts
 _QUIET_S: Final = 0.15  # after this time all pending frames are sent: a leg's rate slot comes every 20 ms
 
 Figures = dict[str, float | int | str]
-"""Measured by a step; names carry the units."""
+"""What a step measured. Names end with the unit."""
 
 
 class FailedError(Exception):
-    """A step fails; the sentence states what was seen instead."""
+    """A step failed; the message states what happened instead."""
 
 
 class Skipped(Exception):  # noqa: N818  (it is no error)
-    """A step cannot be done here; the sentence states why."""
+    """A step cannot be done here; the message states why."""
 
 
 def demand(true: object, sentence: str) -> None:
-    """Fail the step with this sentence, unless it is true."""
+    """Raise FailedError with this sentence unless `true` holds."""
     if not true:
         raise FailedError(sentence)
 
 
 class StopsOptions(NamedTuple):
-    """What the command line states. Stops came 2.9 ms late at most with every core busy; 100 ms are a fault."""
+    """The options of the command line. With every core busy, Stops were late by 2.9 ms at most."""
 
     leg: int
     agreed: bool
@@ -64,28 +64,28 @@ class WrittenFrame(NamedTuple):
 
 @dataclass
 class Commands:
-    """Commands for one servo, which fail the step unless they are accepted, or rejected for the expected reason."""
+    """Commands for one servo. Each fails the step unless it is accepted, or rejected for the expected `reason`."""
 
     client: Client
     motion: ServoMotion
 
     def ask(self, op: str, angle_deg: float, reason: Reason | None = None) -> None:
-        """An acknowledged start or set."""
+        """Start or set (`op`) the servo, acknowledged. Raises FailedError."""
         self.demand(self.client.ask(self.motion.key, self.motion.payload(op, angle_deg)), f"a {op}", reason)
 
     def start(self, reason: Reason | None = None) -> None:
-        """An acknowledged start."""
+        """Start the servo, acknowledged. Raises FailedError."""
         self.ask("start", self.motion.start_deg, reason)
 
     def demand(self, ack: Ack, what: str, reason: Reason | None = None) -> None:
-        """Raises FailedError."""
+        """Raise FailedError unless `ack` is accepted (`reason`: rejected for this reason)."""
         found = "accepted" if ack.accepted else f"rejected: {ack.reason}: {ack.detail}"
         demand(ack.reason == reason, f"{what} was {found}" + (f"; wanted: {reason or 'accepted'}" if reason else ""))
 
 
 @dataclass
 class Bench(Commands):
-    """The means of a step: one servo, and all that the gateway writes and publishes meanwhile."""
+    """The means of a step: one servo, and the frames and events received since `receives` began."""
 
     options: StopsOptions
     calibration: RobotCalibration = field(default_factory=RobotCalibration)
@@ -98,13 +98,13 @@ class Bench(Commands):
     events: list[Event] = field(default_factory=list)
 
     def reset(self) -> None:
-        """Leave this program's own emergency stop: nothing moves then."""
+        """End this program's own emergency stop. Raises FailedError if the gateway rejects it, or anything moves."""
         mark = len(self.frames)
         self.demand(self.client.ask(keys.RESET, {"estop": self.estop}), "the reset")
         self.demand_no_motion("after the reset", mark)
 
     def rest(self) -> None:
-        """Stop all legs, and leave the emergency stop that this program has engaged."""
+        """Stop all legs, and end the emergency stop that this program engaged."""
         self.client.stop()
         if self.estop and self.client.state().mode == Mode.ESTOPPED:
             with suppress(FailedError):  # rejected where somebody else has engaged a newer one
@@ -113,7 +113,7 @@ class Bench(Commands):
 
     @contextmanager
     def streaming(self, lead_s: float = STREAM_S) -> Iterator[None]:
-        """Start the leg, and publish setpoints at 50 Hz meanwhile, whatever the gateway answers."""
+        """Start the leg, and publish setpoints at 50 Hz during the `with`, also if they are rejected."""
         self.start()
         ended = threading.Event()
 
@@ -132,27 +132,27 @@ class Bench(Commands):
             thread.join()
 
     def wait(self, condition: Callable[[], object], timeout_s: float) -> object:
-        """Wait until it holds, or for `timeout_s`. Returns the last value."""
+        """Wait until `condition` holds, for `timeout_s` at most. Return its last value."""
         end_s = time.monotonic() + timeout_s
         while not (found := condition()) and time.monotonic() < end_s:
             time.sleep(_POLL_S)
         return found
 
     def wait_for_event(self, kind: Kind, since: int, timeout_s: float) -> object:
-        """Wait for an event behind the first `since` ones."""
+        """Wait for an event of this kind after the first `since` events. Return whether it came."""
         return self.wait(lambda: any(each.kind == kind for each in self.events[since:]), timeout_s)
 
     def caused(self, cause: Cause, since: int, *, moves: bool) -> list[WrittenFrame]:
-        """The frames of the leg since a mark that were written for this reason."""
+        """Return the leg's frames after the first `since` frames that were written for this cause."""
         found = (each for each in self.frames[since:] if each.cause == cause and each.moves is moves)
         return [each for each in found if each.frame.leg == self.motion.leg]
 
     def running(self, state: GatewayState | None = None) -> list[int]:
-        """The servos that run, of all legs, as the gateway reports them."""
+        """Return the ids of all servos that run, as the gateway reports."""
         return [servo.id for leg in (state or self.client.state()).legs for servo in leg.servos if servo.running]
 
     def demand_no_motion(self, when: str, since: int | None = None) -> None:
-        """Fail the step if a frame since the mark, or from now on, starts or sets a servo, or one runs."""
+        """Raise FailedError if a servo runs, or a frame since the mark (None: from now) starts or sets one."""
         since = len(self.frames) if since is None else since
         time.sleep(_QUIET_S)
         moving = [seen.frame.to_bytes().hex() for seen in self.frames[since:] if seen.moves]
@@ -161,7 +161,7 @@ class Bench(Commands):
 
     @contextmanager
     def receives(self) -> Iterator[None]:
-        """Keep frames and events meanwhile. A first Stop shows whether frames come, and how soon an answer does."""
+        """Keep frames and events during the `with`. A first Stop shows whether frames come, and how fast answers."""
         taken = {keys.FRAME: reports(FrameRecord, self._take_frame), keys.EVENT: reports(Event, self.events.append)}
         with subscribed(self.client.session, taken):
             self.client.state()  # its reply shows that it knows the subscriptions, which were declared before

@@ -1,6 +1,6 @@
-"""`check --wire`: does a plug-in (`gateway.wire`) meet docs/protocol.md? For its author.
+"""`check --wire`: test for its author whether a plug-in (`gateway.wire`) meets docs/protocol.md.
 
-It is called as the gateway would call it, without a gateway: on real electronics, or whatever its options name.
+The plug-in is called as the gateway would call it, without a gateway, on the electronics that its options name.
 """
 
 import time
@@ -23,7 +23,7 @@ _MIDDLE_DEG: Final = 90.0
 _BY_DEG: Final = 5.0
 _ROUNDS: Final = 20
 _HOLD_S: Final = 0.5
-"""Between two motions, for a person who looks."""
+"""Between two motions, so that a person can see them."""
 _LATE_MS: Final = 20.0
 """The shortest watchdog that can be set."""
 _UNPLUGGED_S: Final = 60.0
@@ -33,54 +33,54 @@ Changes = Sequence[tuple[int, float | None]]
 
 
 class BrokenError(Exception):
-    """What the plug-in does not keep, as a sentence."""
+    """The plug-in breaks a rule; the message names it."""
 
 
 class WireStep(NamedTuple):
-    """One row of the table. `run` returns a sentence, or raises BrokenError; an OSError counts as one."""
+    """One step. `run` returns a sentence. BrokenError, and any other exception, is a failure."""
 
     name: str
     run: Callable[["Tried"], str]
 
 
 class Tried:
-    """A plug-in, and how long its calls took."""
+    """A plug-in under test, and the longest duration of its calls."""
 
     def __init__(self, wire: WireSettings) -> None:
-        """Raises ConfigError."""
+        """Raises ConfigError if the plug-in rejects its options."""
         self._settings = wire
         self.wire = self.another()
         self.longest_ms: dict[bool, float] = {}
-        """Of `apply`: with Stops, and without."""
+        """The longest `apply` with Stops (True) and with motions (False)."""
 
     def another(self) -> ServoWire:
-        """A second one, as `stop-servos` makes it. Raises ConfigError."""
+        """Make another instance, as `stop-servos` does. Raises ConfigError."""
         try:
             return WireSettings(self._settings.name, self._settings.options).plugin
         except ValueError as error:
             raise ConfigError(f"wire: {error}") from error
 
     def apply(self, changes: Changes, wire: ServoWire | None = None) -> float:
-        """Call it; the ms that it took."""
+        """Call `apply` and return its duration (ms). Raises BrokenError if it returns a value or stalls."""
         begun_ns = time.monotonic_ns()
         returned: object = (wire or self.wire).apply(changes)
         ms = (time.monotonic_ns() - begun_ns) / 1e6
         stops = changes[0][1] is None
         self.longest_ms[stops] = max(ms, self.longest_ms.get(stops, 0.0))
         if returned is not None:
-            raise BrokenError(f"apply returned {returned!r}: nobody reads it, so a failure has to be an OSError")
+            raise BrokenError(f"apply returned {returned!r}: nobody reads it; report a failure as an OSError")
         if ms * 1e6 >= STALLED_NS:
             raise BrokenError(f"apply took {ms / 1e3:.1f} s: the gateway counts that as a failure")
         return ms
 
     def groups(self) -> Iterator[tuple[int, ...]]:
-        """The servos that are started together."""
+        """Yield the groups of servos that start together: each leg, or the whole robot."""
         whole = self.wire.capabilities.whole_robot
         yield from [SERVO_IDS] if whole else [tuple(10 * leg + joint for joint in (1, 2, 3)) for leg in LEGS]
 
 
 def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
-    """Do the steps, and print each. Return the exit code. Raises ConfigError where nothing may be moved."""
+    """Do the steps, and print each. Return the exit code. Raises ConfigError if nothing may be moved."""
     wire = settings_file.load(config).wire
     if wire.built_in is not None:
         raise ConfigError(f"--wire is for plug-ins, and {wire.name} is built in: --move and --stops try it")
@@ -88,14 +88,14 @@ def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
     if used is not None and used.runs:
         raise ConfigError("a gateway runs, and has the wire: end it first (sudo systemctl stop hexapod-gateway)")
     tried = Tried(wire)
-    question = f"All servos go to {_MIDDLE_DEG:g}°, and move by {_BY_DEG:g}°. Do they hang free? yes or no: "
+    question = f"All servos go to {_MIDDLE_DEG:g}° and move by {_BY_DEG:g}°. Are all legs free? yes or no: "
     if not agreed and ask(question) != "yes":
         raise ConfigError("nothing was moved; --yes agrees")
     broken = 0
     with _ended_stopped(tried):
         for step in STEPS:
             if step.name == "unplugged" and not unplug:
-                show("SKIPPED", NOTE, step.name, "--unplug asks for it: a dead board must not pass for a written Stop")
+                show("SKIPPED", NOTE, step.name, "add --unplug to prove that an absent board is reported")
                 continue
             try:
                 show("PASS", GOOD, step.name, step.run(tried))
@@ -147,22 +147,22 @@ def _set(tried: Tried) -> str:
 
 def _hundredths(tried: Tried) -> str:
     tried.apply([(servo_id, 90.01) for servo_id in SERVO_IDS])
-    return "an angle of 90.01° is taken"
+    return "an angle of 90.01° is accepted"
 
 
 def _some(tried: Tried) -> str:
     if tried.wire.capabilities.whole_robot:
-        return "it stops all servos together only, by its capabilities"
+        return "not tested: its capabilities state that it stops only all servos together"
     tried.apply([(32, None)])
     tried.apply([(31, 90.0), (33, 90.0)])
     tried.apply([(32, 90.0)])
-    return "servo 32 stopped, and started again beside others"
+    return "servo 32 was stopped, and started again while others ran"
 
 
 def _again(tried: Tried) -> str:
     tried.apply(_STOPS)
     tried.apply(_STOPS)
-    return "Stops of stopped servos are taken"
+    return "Stops of stopped servos are accepted"
 
 
 def _another(tried: Tried) -> str:
@@ -173,7 +173,7 @@ def _another(tried: Tried) -> str:
     finally:
         second.close()
     tried.apply(_STOPS)
-    return "as stop-servos does, while the first is open"
+    return "a second instance stops the servos while the first is open, as stop-servos does"
 
 
 def _reopen(tried: Tried) -> str:
@@ -181,7 +181,7 @@ def _reopen(tried: Tried) -> str:
     tried.wire.close()  # also where it is not open
     tried.wire.open()
     tried.apply(_STOPS)
-    return "closed twice, opened anew, Stops taken"
+    return "closed twice and opened again, it accepts Stops"
 
 
 def _times(tried: Tried) -> str:
@@ -192,25 +192,25 @@ def _times(tried: Tried) -> str:
     stops_ms, sets_ms = tried.longest_ms[True], tried.longest_ms[False]
     if stops_ms > _LATE_MS:
         raise BrokenError(f"Stops took up to {stops_ms:.1f} ms, longer than the shortest watchdog ({_LATE_MS:g} ms)")
-    return f"Stops took up to {stops_ms:.1f} ms, what moves up to {sets_ms:.1f} ms"
+    return f"Stops took up to {stops_ms:.1f} ms, motions up to {sets_ms:.1f} ms"
 
 
 def _unplugged(tried: Tried) -> str:
-    ask("Take the plug (or the power of the board), then press Enter: ")
+    ask("Unplug the board, or switch its power off, then press Enter: ")
     end_s = time.monotonic() + _UNPLUGGED_S
     while True:
         try:
             tried.apply(_STOPS)
         except OSError as error:
-            ask(f"The plug-in reports: {error}. Put it back, then press Enter: ")
+            ask(f"The plug-in reports: {error}. Plug the board in again, then press Enter: ")
             break
         if time.monotonic() > end_s:
-            raise BrokenError("apply raises no OSError: a board that is gone passes for one that is stopped")
+            raise BrokenError("apply raises no OSError, so an absent board looks like a stopped one")
         time.sleep(0.1)
     tried.wire.close()
     tried.wire.open()
     tried.apply(_STOPS)
-    return "an OSError, and Stops taken behind close and open"
+    return "apply raises an OSError, and accepts Stops after close and open"
 
 
 STEPS: Final = (
@@ -226,4 +226,4 @@ STEPS: Final = (
     WireStep("times", _times),
     WireStep("unplugged", _unplugged),
 )
-"""In their order: a later one needs what an earlier one has opened."""
+"""In order: later steps need what earlier ones opened."""

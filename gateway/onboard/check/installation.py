@@ -1,6 +1,6 @@
-"""The machine, and the service as systemd runs it: release, unit, drop-ins, user, state directory. Root sees all of it.
+"""Probes of the machine and the service: release, unit, drop-ins, user, state directory. They read as root.
 
-`tests/box/test_check_faults.py` plants each fault and follows the remedy, from its first `sudo` to the line's end.
+`tests/box/test_check_faults.py` plants each fault and runs the remedy, from its first `sudo` to the line's end.
 """
 
 import array
@@ -37,18 +37,18 @@ _NEEDED: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
 _FORMER: Final = (f"/usr/local/bin/{SERVICE}", f"/opt/{SERVICE}")
 _SHEBANG: Final = 127
-"""As much of a first line as Linux reads."""
+"""Bytes of a first line that Linux reads."""
 _MOST_FILES: Final = 20_000
-"""Of the state directory: a look ends in any case."""
+"""Most files read of the state directory."""
 _LEAST_FREE_MB: Final = 20
-"""For some calibrations and lists."""
+"""Room for some calibrations and lists."""
 _LEAST_INODES: Final = 100
 _LITTLE_MB: Final = 100
-"""The service takes 60 to 70 (docs/design.md, *How fast*), and an upgrade tries the next release beside it."""
+"""The service needs 60 to 70 (docs/design.md, *How fast*), and an upgrade tries the next release at the same time."""
 _HARMLESS: Final = frozenset(
     ("Description", "After", "Wants", "Environment", "ReadWritePaths", "CPUWeight", "IOWeight", "LogLevelMax")
 )
-"""What a drop-in may set: on anything else a Stop may depend, or one after the service's end."""
+"""Keys that a drop-in may set. A Stop may depend on any other."""
 _OURS: Final = re.compile(r"\b(?:HEXAPOD_|PYTHON|GATEWAY_)\w+")
 """Variables that change what the service does."""
 _ASSIGNED: Final = re.compile(r"^[ \t]*(\w+)[ \t]*=[ \t]*(.*?)[ \t]*$", re.MULTILINE)
@@ -66,7 +66,7 @@ def _clock(_: CheckedRobot) -> Seen | None:
 
 
 def _realtime(robot: CheckedRobot) -> Seen:
-    """What the kernel has granted the service that runs; else whether this process may be scheduled before others."""
+    """The priority that the kernel granted the running service; without one, whether this process gets it."""
     seen = Seen(running=None, rejected="", limit=resource.getrlimit(resource.RLIMIT_RTPRIO)[0], to="this user")
     with suppress(OSError):
         threads = [int(each.name) for each in Path(f"/proc/{robot.unit.get('MainPID', 0)}/task").iterdir()]
@@ -103,14 +103,14 @@ def _wifi(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def names(found: Sequence[str], folder: Path | str, **more: object) -> Seen | None:
-    """A few names in one sentence; nothing without any."""
+    """Return a reading with these paths, the first few for a sentence, all for a command; None if there are none."""
     rest = f" and {len(found) - whole.SHOWN} more" if len(found) > whole.SHOWN else ""
     paths = shlex.join(str(Path(folder, each)) for each in found)
     return Seen(some=", ".join(found[: whole.SHOWN]) + rest, all=paths, **more) if found else None
 
 
 def _release(robot: CheckedRobot) -> Seen | None:
-    """Which release is installed, which the link leads to, and which the service has loaded, as the kernel reports."""
+    """The installed release, the one that `current` links to, and the one that the service has loaded."""
     link = robot.path(whole.CURRENT)
     loaded = re.search(rf"{whole.LIBRARY}/([^/\s]+)/", text(robot.path(f"proc/{robot.unit.get('MainPID', 0)}/maps")))
     if not link.is_dir():
@@ -122,7 +122,7 @@ def _release(robot: CheckedRobot) -> Seen | None:
 
 
 def _unit_file(robot: CheckedRobot) -> Seen | None:
-    """The package copies it out of the release."""
+    """The unit in force, compared with that of the release."""
     unit, place, link = robot.unit, f"/usr/lib/systemd/system/{SERVICE}.service", robot.path(whole.CURRENT)
     wanted, found = text(link / f"units/{SERVICE}.service"), unit.get("FragmentPath", "")
     return Seen(
@@ -133,7 +133,7 @@ def _unit_file(robot: CheckedRobot) -> Seen | None:
 
 
 def _unit(robot: CheckedRobot) -> Seen | None:
-    """`program`: what it runs and nobody can, or the interpreter of that."""
+    """`program`: a program of the unit, or its interpreter, that cannot be executed."""
     unit, needs = robot.unit, list[str]()
     for path in re.findall(r"path=(\S+)", f"{unit.get('ExecStart')} {unit.get('ExecStopPost')}"):
         needs += [path, *re.findall(r"^#! *(\S+)", text(robot.path(path))[:_SHEBANG])]
@@ -146,7 +146,7 @@ def _unit(robot: CheckedRobot) -> Seen | None:
 
 
 def _reload(robot: CheckedRobot) -> Seen:
-    """systemd does not notice a drop-in in a folder that is new."""
+    """Units and drop-ins that systemd has not reloaded. It does not notice a drop-in in a new folder."""
     folders = (robot.path(f"{root}/systemd/system/{SERVICE}.service.d") for root in ("etc", "run"))
     found = {f"/{path.relative_to(robot.root)}" for folder in folders for path in folder.glob("*.conf")}
     unread = found - set(robot.unit.get("DropInPaths", "").split())
@@ -167,7 +167,7 @@ def _drop_ins(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _variables(robot: CheckedRobot) -> Iterator[Seen]:
-    """Those of the service that neither its unit nor a drop-in has: systemd's own, or of the process that runs."""
+    """Variables of the service, or of its process, that neither unit nor drop-in sets."""
     process = text(robot.path(f"proc/{robot.unit.get('MainPID', 0)}/environ")).replace("\0", " ")
     theirs = set(_OURS.findall(f"{robot.environment} {process}"))
     for name in sorted(theirs - set(_OURS.findall(robot.unit.get("Environment", "")))):
@@ -175,7 +175,7 @@ def _variables(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _new_settings(robot: CheckedRobot) -> Seen | None:
-    """Those that this release has and gateway.toml does not mention, with or without a #."""
+    """Settings of this release that gateway.toml does not mention, also not in a comment."""
     mentioned, known = _mentioned(text(robot.path(f"{ETC}/gateway.toml"))), _mentioned(text(robot.path(TEMPLATE)))
     new = sorted(known - mentioned) if mentioned else []
     return Seen(new=", ".join(new)) if new else None
@@ -195,16 +195,16 @@ def _mentioned(toml: str) -> set[str]:
 
 
 def _users(robot: CheckedRobot) -> Iterator[Seen]:
-    """The user and each group that are missing."""
+    """Yield a missing user, or each missing group."""
     there = {each.gr_name for each in grp.getgrall()}
     found = [f"user {SERVICE}"] if robot.service is None else [f"group {each}" for each in _NEEDED if each not in there]
     return (Seen(missing=each) for each in found)
 
 
 def _state(robot: CheckedRobot) -> Iterator[Seen | None]:
-    """The state directory, and what in it another user owns, or its owner may not read and write.
+    """The state directory, and files in it that the service does not own or may not read and write.
 
-    Nothing where the service's first start makes it.
+    Nothing if it does not exist: the service's first start makes it.
     """
     folder, found = robot.path(STATE_FOLDER), list[str]()
     if robot.service is None or not folder.exists():
@@ -224,7 +224,7 @@ def _is_own(path: Path, robot: CheckedRobot) -> bool:
 
 
 def _disks(robot: CheckedRobot) -> Iterator[Seen]:
-    """Of the state directory and of all the rest."""
+    """The file systems of the state directory and of the root."""
     for mount in dict.fromkeys(mount_of(each)[0] for each in (robot.path(STATE_FOLDER), robot.root)):
         disk = os.statvfs(mount)
         free_mb, inodes = disk.f_bavail * disk.f_frsize >> 20, disk.f_favail if disk.f_files else _LEAST_INODES
@@ -232,8 +232,8 @@ def _disks(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _keys(robot: CheckedRobot) -> Iterator[Seen | None]:
-    """Private keys that others may read by the file's own rights (a copy may lie in a folder that is open), and those
-    of an authority, by their names as `certs` gives them or by the certificate next to them."""
+    """Private keys that others may read by the file's own mode, and keys of an authority, found by name or by the
+    certificate next to them."""
     folder = robot.path(ETC)
     found = sorted(path for path in folder.rglob("*.key") if path.is_file())
     of_authority = (each for each in found if each.stem == "ca" or each.stem.endswith("-ca") or _is_of_authority(each))
@@ -270,11 +270,11 @@ _ZENOH: Final = importlib.metadata.version("eclipse-zenoh")
 PYTHON: Final = Probe("Python", lambda _: Seen(), (), f"{platform.python_version()} with eclipse-zenoh {_ZENOH}, "
                       f"{sys.executable}")
 USER: Final = Probe("user", lambda r: r.service and Seen(own=os.geteuid() == r.service[0], root=not os.geteuid()), (
-    warning(lambda r: r.root and not r.own, f"all this is what root may do; the service is {SERVICE}",
-            f"outside of this container, or with its rights SETUID and SETGID: root may not become {SERVICE} here"),
-    warning(lambda r: not r.own, f"all this is what you may do; the service is {SERVICE}",
+    warning(lambda r: r.root and not r.own, f"all this is checked as root; the service runs as {SERVICE}",
+            f"check outside this container, or give it SETUID and SETGID: root may not become {SERVICE} here"),
+    warning(lambda r: not r.own, f"all this is checked as you; the service runs as {SERVICE}",
             "sudo hexapod-gateway check"),
-), f"all this is what {SERVICE} may do, the service's user")
+), f"all this is checked as {SERVICE}, the service's user")
 CLOCK: Final = Probe("clock", _clock, (
     warning(lambda r: r.adjtimex == _UNSYNCHRONISED, "is not synchronised",
             "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"),
@@ -290,13 +290,13 @@ MACHINE: Final = (
                 "hexapod-governor.conf"),
     )),
     Probe("supply", _voltage, (
-        warning(lambda r: r.low, "this Raspberry Pi's supply is under its voltage: it may slow down, or restart",
-                "use a supply of 5.1 V with enough current (a Pi 5: 5 A), and feed servos from another one"),
+        warning(lambda r: r.low, "this Raspberry Pi's supply voltage is low: it may slow down, or restart",
+                "use a supply of 5.1 V with enough current (a Pi 5: 5 A), and another supply for the servos"),
     )),
     Probe("memory", _memory, (
         warning(lambda r: r.free_mb < _LITTLE_MB,
                 f"{{free_mb}} MB are free, and the service may need {_LITTLE_MB}: the kernel may end programs",
-                "end what needs most of it: ps -eo rss,pid,comm --sort=-rss | head"),
+                "end the programs that need most: ps -eo rss,pid,comm --sort=-rss | head"),
     )),
     Probe("Wi-Fi", _wifi, (
         warning(lambda r: r.saves, "{wifi} saves power: commands arrive late and in bursts, which stops legs",
@@ -304,7 +304,7 @@ MACHINE: Final = (
                 "sudo systemctl restart NetworkManager"),
     )),
     Probe("real-time", _realtime, (
-        warning(lambda r: r.running == 0, f"the service that runs was granted none: {_LATE}",
+        warning(lambda r: r.running == 0, f"the running service was granted none: {_LATE}",
                 "see its journal; a kernel with CONFIG_RT_GROUP_SCHED may reject it"),
         warning(lambda r: r.rejected,
                 f"priority {{priority}} is not granted ({{rejected}}; RLIMIT_RTPRIO is {{limit}}): {_LATE}",
@@ -312,9 +312,9 @@ MACHINE: Final = (
     ), "priority {priority} is granted to {to}"),
 )
 UNIT: Final = Probe("systemd unit", _unit, (
-    warning(lambda r: not r.systemd, "none, for this machine does not run systemd",
-            "let something start the gateway again when it ends, and run `hexapod-gateway stop-servos` then"),
-    warning(lambda r: not r.load, "systemctl shows nothing of it", f"try: systemctl status {SERVICE}"),
+    warning(lambda r: not r.systemd, "none: this machine does not run systemd",
+            "each time the gateway ends, run `hexapod-gateway stop-servos`, then start it again"),
+    warning(lambda r: not r.load, "systemctl shows nothing about it", f"try: systemctl status {SERVICE}"),
     warning(lambda r: r.load == "not-found", "is not installed: nothing stops the servos if the gateway dies", INSTALL),
     failure(lambda r: r.load != "loaded", "cannot be loaded ({load})", f"systemctl status {SERVICE} shows why"),
     failure(lambda r: r.program, f"{{program}} cannot be run: {_CANNOT_START}",
@@ -335,15 +335,15 @@ PROBES: Final = (
                 "{again}"),
         warning(lambda r: r.kind == "added", "in the release, and not installed with it: {some}. Python may load it",
                 "sudo rm {all}"),
-        failure(lambda r: r.kind == "closed", "not for all to read, or not for root alone to write: {some}",
+        failure(lambda r: r.kind == "closed", "not readable by all, or writable by others than root: {some}",
                 f"sudo chown root:root {{all}} && sudo chmod u+rw,go+r,go-w {{all}} && {RESTART}"),
     )),
     Probe("release", _release, (
-        warning(lambda r: r.package != r.current, "{package} is installed, and {current} runs until no servo does",
+        warning(lambda r: r.package != r.current, "{package} is installed, but {current} runs until no servo runs",
                 "stop the robot, then: sudo dpkg-reconfigure {0}".replace("{0}", SERVICE)),
-        warning(lambda r: r.runs != r.current, "the service that runs is {runs}, and {current} is installed",
+        warning(lambda r: r.runs != r.current, "the running service is {runs}, but {current} is installed",
                 f"stop the robot, then: sudo systemctl restart {SERVICE}"),
-        warning(lambda r: r.former, "{former[0]} is of the former installer: commands may be another release's",
+        warning(lambda r: r.former, "{former[0]} is from the former installer: commands may be another release's",
                 "sudo /usr/bin/hexapod-gateway setup"),
     )),
     Probe("user", _users, (
@@ -354,28 +354,28 @@ PROBES: Final = (
         failure(lambda r: r.masked, f"{SERVICE} is masked, or its unit is empty: it cannot start",
                 f"sudo rm -f /etc/systemd/system/{SERVICE}.service && sudo install -m 644 {{source}} {{place}} && "
                 f"{_AFTER}"),
-        failure(lambda r: r.other, "{found} is in force in place of the package's unit (changes belong into a drop-in: "
+        failure(lambda r: r.other, "{found} replaces the package's unit (changes belong into a drop-in: "
                 "systemctl edit)", f"stop the robot, then: sudo mv {{found}} {{found}}.off && {_AFTER}"),
-        failure(lambda r: r.differs, "{place} is not as this release has it (changes belong into a drop-in: systemctl "
+        failure(lambda r: r.differs, "{place} differs from this release's (changes belong into a drop-in: systemctl "
                 "edit)", f"stop the robot, then: sudo install -m 644 {{source}} {{place}} && {_AFTER}"),
     )),
     Probe("systemd unit", _reload, (
-        failure(lambda r: r.unread, f"{SERVICE} was edited, and systemd still goes by what was there before",
+        failure(lambda r: r.unread, f"{SERVICE} was edited, but systemd still uses the old version",
                 f"stop the robot, then: sudo systemctl daemon-reload && sudo systemctl restart {SERVICE}"),
     )),
-    Probe("drop-in", _drop_ins, (  # named once, by what is worst of it
+    Probe("drop-in", _drop_ins, (  # named once, by its worst fault
         warning(lambda r: r.simulates, "{path} makes the controller a simulated one: the service moves no robot, and "
                 "stops none after its end", f"before the robot is to move: {_ASIDE}"),
         failure(lambda r: r.emptied, "{path} empties ExecStopPost=: nothing stops the servos if the gateway dies",
                 f"stop the robot, then put it aside: {_ASIDE}"),
         warning(lambda r: "HEXAPOD_" in r.environment,
-                "{path} has settings, which hold in place of gateway.toml: {environment}",
-                f"write them there, and stop the robot, then put it aside: {_ASIDE}"),
+                "{path} has settings that override gateway.toml: {environment}",
+                f"move them to gateway.toml, stop the robot, then put it aside: {_ASIDE}"),
         warning(lambda r: r.depends, "{path} changes what Stops depend on: {depends}",
                 f"if nobody knows why, stop the robot, then put it aside: {_ASIDE}"),
     ), "{path} sets {keys}"),
     Probe("variable", _variables, (
-        warning(lambda _: True, "{name} is in the service's environment, and neither its unit nor a drop-in sets it",
+        warning(lambda _: True, "{name} is in the service's environment, but neither its unit nor a drop-in sets it",
                 "take it out of DefaultEnvironment= in /etc/systemd/system.conf if it is there; stop the robot, then: "
                 f"sudo systemctl daemon-reexec; sudo systemctl unset-environment {{name}}; {RESTART}"),
     )),
@@ -383,28 +383,28 @@ PROBES: Final = (
     Probe("state", _state, (
         failure(lambda r: not r.is_folder, f"{STATE_FOLDER} is no folder: {_CANNOT_START}",
                 f"sudo mv {STATE_FOLDER} {STATE_FOLDER}.old && {RESTART}"),
-        failure(lambda r: not r.own, f"{STATE_FOLDER} is not the service's to write: it may not start, nor stop the "
+        failure(lambda r: not r.own, f"the service may not write {STATE_FOLDER}: it may not start, nor stop the "
                 "servos after its end", _OWN_STATE),
         warning(lambda r: r.kind in FORGETS, f"{STATE_FOLDER} is on {{kind}}, which a boot empties: calibration, "
                 "revocations and the emergency stop are lost then",
                 "keep the folder on a partition of its own (docs/robot.md)"),
-        failure(lambda r: r.some, f"in {STATE_FOLDER}, not the service's to read and write: {{some}}", _OWN_STATE),
+        failure(lambda r: r.some, f"in {STATE_FOLDER}, the service may not read and write: {{some}}", _OWN_STATE),
     )),
     Probe("disk", _disks, (
-        failure(lambda r: r.read_only, f"{{mount}} is a file system that is read-only: {_NOT_KEPT}",
+        failure(lambda r: r.read_only, f"{{mount}} is mounted read-only: {_NOT_KEPT}",
                 "see why (dmesg), then: sudo mount -o remount,rw {mount}"),
         failure(lambda r: r.free_mb < _LEAST_FREE_MB, f"{{mount}} has {{free_mb}} MB free: {_NOT_KEPT}",
-                "find what fills it (sudo du -xh {mount} | sort -h | tail); the journal's part goes by: "
+                "find what fills it (sudo du -xh {mount} | sort -h | tail); to shorten the journal: "
                 "sudo journalctl --vacuum-size=50M"),
         failure(lambda r: r.inodes < _LEAST_INODES, f"{{mount}} has room for {{inodes}} files: {_NOT_KEPT}",
                 "find the folder with most files, and empty it: sudo du -x --inodes {mount} | sort -n | tail"),
     )),
     Probe("private key", _keys, (
-        warning(lambda r: r.exposed, "others than root and the service may read {some}",
+        warning(lambda r: r.exposed, "not only root and the service may read {some}",
                 "make a new one if others use this machine; else: "
                 f"sudo chown root:{SERVICE} {{all}} && sudo chmod 640 {{all}}"),
-        warning(lambda _: True, "{some} is the authority's key: who takes this robot's card can make certificates for "
-                "all its robots", "see that it is on another machine, then: sudo shred -u {all}"),
+        warning(lambda _: True, "{some} is the authority's key: a thief of this robot's card can make certificates for "
+                "all its robots", "make sure that another machine has it, then: sudo shred -u {all}"),
     )),
 )
 # fmt: on

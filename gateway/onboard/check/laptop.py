@@ -20,7 +20,7 @@ from schemas.telemetry import RevocationsReport
 
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
-    """All steps from the file to the gateway. One host that leads there is enough; the others are warnings then."""
+    """Yield the result of each step to the gateway. If one endpoint reaches it, faults of the others are warnings."""
     yield from results([PYTHON], None)
     try:
         config = client_config(connect, zenoh_config)
@@ -61,7 +61,7 @@ def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[
     for endpoint, findings in diagnosis.look_at_all(endpoints, identity).items():
         for finding in findings:
             if opened and finding.stage is Stage.GATEWAY:
-                continue  # that no gateway speaks TLS on a tcp/ port is no fault: the session is open
+                continue  # a tcp/ port without TLS is no fault: the session is open
             said = f"{endpoint}: {finding.sentence}" if len(endpoints) > 1 else finding.sentence
             yield _result(Finding(finding.stage, said, finding.fix), Verdict.WARNING if opened else Verdict.FAILURE)
 
@@ -71,12 +71,12 @@ def _result(finding: Finding, worst: Verdict = Verdict.FAILURE) -> Result:
 
 
 def shut_out(there: RevocationsReport | None, identity: Identity) -> Iterator[Result]:
-    """The list in force at the robot, and whether it is older than that in the laptop's own folder."""
+    """Yield which revocation list the robot has in force, with a warning if this laptop's folder has a newer one."""
     if identity.ca is None:
         return
     said, fix, folder = "the robot names no list of revoked certificates", "", identity.ca.parent
     if there is not None:
-        said = f"the robot goes by list {there.number} of {there.date:%Y-%m-%d}"
+        said = f"the robot uses list {there.number} of {there.date:%Y-%m-%d}"
     with suppress(ConfigError):
         own = certs.folder.revoked(folder)
         if own is not None and own.number > (0 if there is None else there.number):

@@ -1,11 +1,10 @@
-"""`check --move`: the first contact. One servo is started, moved by 5° and stopped, through the running gateway.
+"""`check --move`: first contact. Start one servo through the running gateway, move it by 5°, and stop it.
 
-Only what somebody agreed to, and only while nothing else runs. Every way out of it stops the servo; if even that fails,
-the gateway's watchdog does.
+A person agrees first, and nothing else may run. Every end stops the servo; if that fails, the gateway's watchdog does.
 
-The servo is stopped as an emergency stop would do it: six Stops in one call. Some SPI drivers do not release chip
-select between the transfers of a call, and a controller that needs it then obeys the first of them alone. Nothing of
-that comes back to the gateway, so a person is asked whether the servo is loose.
+The servo is stopped as by an emergency stop: six Stops in one call. Some SPI drivers do not release chip select between
+the transfers of a call. A controller that needs this obeys only the first Stop. SPI reports nothing back, so a person
+is asked whether the servo is loose.
 """
 
 import time
@@ -25,14 +24,14 @@ from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Telemetry
 
 _SERVO: Final = 61
-"""Unless another is named: of the leg whose Stop is the last of six in a call."""
+"""The default servo. Its leg's Stop is the last of six in a call."""
 _ANGLE_DEG: Final = 90.0
 _HOLD_S: Final = 1.5
-"""At each angle: long enough to reach it from anywhere, and to be seen."""
+"""At each angle. A servo reaches it from anywhere, and a person sees it."""
 _REST_S: Final = 0.5
-"""For some reports of what servos draw at rest: ten a second are published."""
+"""For some reports of currents at rest: ten a second are published."""
 _LEAST_RISE_A: Final = 0.05
-"""A servo at rest draws some 8 mA, one that moves at least 100: less shows nothing."""
+"""A servo draws about 8 mA at rest, and at least 100 mA while it moves."""
 _PERIOD_S: Final = 0.05
 """A fifth of the default watchdog timeout."""
 _HOLDS: Final = (
@@ -46,7 +45,7 @@ _WHOLE_HOLDS: Final = (
 )
 _SILENT: Final = (
     "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
-    "that answers nothing needs another wire.name."
+    "that never answers needs another wire.name."
 )
 # fmt: off
 _BOARD, _ALL, _LEGS, _WHOLE = "board", "all", "legs", "whole"
@@ -64,13 +63,13 @@ _CAUSES: Final = (
     (_ALL, "The servo: is it plugged in at the place of its id (the leg, then the joint)? Try another one."),
 )
 # fmt: on
-"""Why a servo may stand still though every frame was written: of which robots each is, the likeliest first."""
+"""Why a servo may stand still although every frame was written, the likeliest first, and for which robots."""
 
 
 def move(connect: Connection, *, agreed: bool) -> int:
-    """Ask, move, stop, ask; `agreed`: without any question, so 0 then states only that all was accepted.
+    """Ask, move, stop, and ask what was seen. Return 0 if a person saw it move, else 1. Raises ZenohError.
 
-    0: somebody saw it move; 1: nobody did, or it was not to be. Raises ZenohError.
+    `agreed`: ask nothing; 0 then means only that all commands were accepted.
     """
     with connect() as client, ExitStack() as stack:
         state = ready(client)
@@ -131,7 +130,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
 
 
 def _move(commands: Commands, timeout_ms: float) -> None:
-    """Start it, set it to each angle again and again for a while, and stop all. Raises FailedError."""
+    """Start the servo, repeat each angle for `_HOLD_S`, and stop all. Raises FailedError."""
     commands.start()  # only once: a set is rejected for what somebody else has stopped
     for angle_deg in (commands.motion.start_deg, commands.motion.end_deg):
         end_s = time.monotonic() + _HOLD_S
@@ -142,20 +141,20 @@ def _move(commands: Commands, timeout_ms: float) -> None:
 
 
 class ServoCurrents:
-    """The highest current of each servo, at rest and once `moves` is set, in A: the board's, of what it feeds."""
+    """The highest current (A) that the power board measured for each servo, at rest and after `moves` is set."""
 
     def __init__(self) -> None:
         self.moves = False
         self._seen: dict[tuple[bool, str], float] = {}
 
     def take(self, telemetry: Telemetry) -> None:
-        """What the board measured."""
+        """Record what the board measured."""
         for name, servo in (telemetry.servos or {}).items():
             if servo.current_a is not None:
                 self._seen[self.moves, name] = max(servo.current_a, self._seen.get((self.moves, name), 0.0))
 
     def finding(self, servo_id: int) -> str:
-        """What the currents show of a servo that was moved, as a sentence."""
+        """Return a sentence on what the currents show for a servo that was moved."""
         rest_a, moving_a = (self._seen.get((moves, str(servo_id))) for moves in (False, True))
         rise_a = 0.0 if rest_a is None or moving_a is None else moving_a - rest_a
         if rise_a >= _LEAST_RISE_A:
@@ -167,7 +166,7 @@ class ServoCurrents:
 
 
 def _motion(held: Mapping[int, float], *, agreed: bool) -> ServoMotion:
-    """Which servo goes where. Raises ConfigError for what is no servo, or no angle."""
+    """Ask which servo goes where. Raises ConfigError for a wrong servo or angle."""
     text = ("" if agreed else ask(f"Which servo, 11 to 63? [{_SERVO}] ")) or str(_SERVO)
     if not (text.isdigit() and int(text) in SERVO_IDS):
         raise ConfigError(f"{text!r} is no servo: the leg, 1 to 6, then the joint, 1 to 3")

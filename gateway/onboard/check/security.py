@@ -1,4 +1,4 @@
-"""Who reaches the robot: its certificates, who is shut out, Zenoh's configuration, its ports and its access control."""
+"""Probes of who reaches the robot: certificates, revocations, Zenoh's configuration, ports and access control."""
 
 import datetime as dt
 import errno
@@ -42,7 +42,7 @@ logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_
 
 
 def expiries(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Seen]:
-    """The certificates that the Zenoh file names, and for how long they are good."""
+    """The certificates that the Zenoh file names, and how long they are valid."""
     file, now, found = robot.settings.zenoh.config, now or dt.datetime.now(dt.UTC), list[certs.folder.Certificate]()
     try:
         found = list(map(certs.folder.describe, certificate_files(load_config(Path(file))))) if file else []
@@ -58,7 +58,7 @@ def expiries(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Se
 
 
 def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certificate]] | None:
-    """The Zenoh file and its authorities; None without any, or where another line reports that they cannot be read."""
+    """The Zenoh file and its authorities; None without authorities, or if another line reports them as unreadable."""
     with suppress(ConfigError):
         config = load_config(Path(robot.settings.zenoh.config)) if robot.settings.zenoh.config else zenoh.Config()
         if isinstance(ca := get(config, f"{_TLS}/root_ca_certificate"), str):
@@ -67,14 +67,14 @@ def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certifica
 
 
 def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
-    """What the robot listens with, and what it dials a router with: mostly the same files."""
+    """The certificate and key for listening, and those for dialling a router: mostly the same files."""
     if (found := _named(robot)) is None:
         return
     config, ca, cas = found
     parts = ("certificate", "private_key")
     pairs = {tuple(get(config, f"{_TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
     for names, side in pairs.items():
-        with suppress(ConfigError, TypeError):  # it names none; or another line reports it
+        with suppress(ConfigError, TypeError):  # none is named, or another line reports it
             certificate, key = map(Path, names)
             own, role = certs.files.read_certificate(certificate), certs.folder.describe(certificate).role
             hosts, listens = certs.authority.hosts_of(own), side == "listen"
@@ -87,7 +87,7 @@ def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _is_here(host: str) -> bool:
-    """Whether a name or an address is this machine's. Nobody is asked for it."""
+    """Whether a name or address is this machine's, without a DNS query."""
     if host.partition(".")[0].lower() in (socket.gethostname().partition(".")[0].lower(), "localhost"):
         return True
     is_address = ":" in host or host.replace(".", "").isdigit()  # a name would have to be resolved
@@ -95,10 +95,7 @@ def _is_here(host: str) -> bool:
 
 
 def _lists(robot: CheckedRobot) -> Iterator[Seen]:
-    """Each list that the service reads at its start and cannot use: its own, or one that came with the certificates.
-
-    If there is no such list: the one in force.
-    """
+    """Each revocation list that the service reads at its start but cannot use; without one, the list in force."""
     if (found := _named(robot)) is None:
         return
     folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
@@ -119,7 +116,7 @@ def _lists(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def configuration(robot: CheckedRobot) -> zenoh.Config | None:
-    """What the service would open; None where another line reports why it opens nothing."""
+    """Return the service's Zenoh configuration; None if another line reports why there is none."""
     with suppress(ConfigError):
         return service_config(robot.settings.zenoh)
     return None
@@ -137,18 +134,18 @@ def _zenoh(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _ports(robot: CheckedRobot) -> Iterator[Seen]:
-    """Each endpoint that the service would listen on."""
+    """Each endpoint on which the service listens."""
     config = configuration(robot)
     endpoints = [] if config is None else listen_endpoints(config)
     yield from (port(robot, each) for each in endpoints)
     if config is not None and not endpoints:
-        yield Seen(where="none:", taken=False, late=False, why="", well="the gateway listens nowhere, and dials others")
+        yield Seen(where="none:", taken=False, late=False, why="", well="the gateway does not listen, and dials others")
     if metrics := robot.settings.telemetry.metrics:
         yield port(robot, f"tcp/{metrics}", "telemetry.metrics")
 
 
 def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> Seen:
-    """Why the service could not listen on `endpoint`; a gateway that listens there already is fine."""
+    """Return a reading: whether the service can listen on `endpoint`, or a gateway does already."""
     number = host_and_port(endpoint)[1]
     fault = bind_fault(endpoint) if not number.isdecimal() or int(number) <= _LAST_PORT else _NO_PORT
     well = "is free" if number.isdecimal() else "was not tried: it names no port"
@@ -157,19 +154,19 @@ def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> S
     kind = socket.SOCK_DGRAM if endpoint.startswith(("udp/", "quic/")) else socket.SOCK_STREAM
     ours = robot.service and robot.service[0]
     if seen.taken and (robot.gateway_runs or ours in {uid for _, uid in listening(int(number), kind)}):
-        seen.well, seen.taken, seen.why = "is in use by the gateway that runs here", False, ""
+        seen.well, seen.taken, seen.why = "is in use by the running gateway", False, ""
     return seen
 
 
 def _access(robot: CheckedRobot) -> Seen | None:
-    """Which of this release's rules a file of `certs` lacks: it is an older release's, or was edited."""
+    """The rules of this release that a file made by `certs` lacks, because it is older or was edited."""
     config, file = configuration(robot), robot.settings.zenoh.config
     if config is None:
         return None
     control, namespace = get(config, "access_control") or {}, get(config, "namespace") or ""
     rules = {each["id"]: each for each in control.get("rules") or []}
     if not control.get("enabled") or rules.keys().isdisjoint(each.what for each in TRAFFIC):
-        return None  # or it was made by hand
+        return None  # made by hand
     listed = {rule for each in control.get("policies") or [] for rule in each["rules"]}
     wanted = json.loads(json.dumps([access.rule(each, namespace) for each in TRAFFIC]))
     lost = ", ".join(each["id"] for each in wanted if each != rules.get(each["id"]) or each["id"] not in listed)
@@ -180,8 +177,8 @@ def _access(robot: CheckedRobot) -> Seen | None:
 
 _RENEW: Final = f"{{fix}}, then: {RESTART}"
 _NO_LIST: Final = (
-    "there is no list: nobody is shut out. If somebody was, where ca.key is: hexapod-gateway certs revoke --dir DIR "
-    "brings the newest list"
+    "there is no list: nobody is shut out. If somebody was, send the newest list from where ca.key is: "
+    "hexapod-gateway certs revoke --dir DIR"
 )
 _FROM_ONE_FOLDER: Final = (
     "copy gateway.json5 and {files} from one folder of certificates (where ca.key is) to FOLDER here, then: "
@@ -196,7 +193,7 @@ CERTIFICATES: Final = (
     Probe("certificates", expiries, (
         failure(lambda r: DENIED in r.fault, "{fault}", LET_READ),
         failure(lambda r: r.fault, "{fault}", "until then nobody can connect, and the service does not start"),
-        failure(lambda r: r.early, "{each.path} is good only from {each.not_before:%Y-%m-%d}",
+        failure(lambda r: r.early, "{each.path} is valid only from {each.not_before:%Y-%m-%d}",
                 "set the clock (timedatectl)"),
         failure(lambda r: r.left_days < 0, "{each.path} expired on {each.not_after:%Y-%m-%d}: nobody can connect",
                 _RENEW),
@@ -208,11 +205,11 @@ CERTIFICATES: Final = (
         failure(lambda r: r.other_key, "{key} is not the key of {certificate}: nobody can connect", _FROM_ONE_FOLDER),
         failure(lambda r: r.listens and r.role != certs.authority.GATEWAY,
                 "{certificate} is of {role}, not of a robot: laptops reject it", _FROM_ONE_FOLDER),
-        warning(lambda r: r.listens and not r.here, "{certificate} is good for {hosts}, and this machine is {host}: is "
+        warning(lambda r: r.listens and not r.here, "{certificate} is for {hosts}, but this machine is {host}: is "
                 "it another robot's?", _FROM_ONE_FOLDER),
     )),
     Probe("revoked", _lists, (
-        warning(lambda r: r.foreign, "{path} is of another authority, so nobody is shut out by it", _ANOTHER_LIST),
+        warning(lambda r: r.foreign, "{path} is of another authority, so it shuts nobody out", _ANOTHER_LIST),
         failure(lambda r: r.fault, "{fault}; the service does not start", _ANOTHER_LIST),
     ), "{well}"),
 )
@@ -222,11 +219,11 @@ ZENOH: Final = Probe("Zenoh", _zenoh, (
     warning(lambda r: r.logged, "{logged}", "see docs/certificates.md for what each link needs"),
 ), "{well}")
 ACCESS: Final = Probe("access control", _access, (
-    warning(lambda r: r.lost, "{file} drops messages without a word: {lost}", "make it anew: {anew}"),
+    warning(lambda r: r.lost, "{file} silently drops messages: {lost}", "make it anew: {anew}"),
 ), "lets all of this gateway's keys through")
 PORTS: Final = Probe("port", _ports, (
     failure(lambda r: r.taken, "{where} is taken by another program",
-            "see whose it is (ss -ltnp), or set another {setting}"),
+            "find that program (ss -ltnp), or set another {setting}"),
     warning(lambda r: r.late, "{where} is not there yet ({why}): the service keeps trying, and listens on the others",
             "see the addresses of this machine (ip address), or set another {setting}"),
     failure(lambda r: r.why, "{where} cannot be listened on: {why}",

@@ -1,4 +1,4 @@
-"""`check --stops`: prove on this robot, step by step, that it stops. Ends with everything stopped."""
+"""`check --stops`: prove on this robot, step by step, that it stops. At the end everything is stopped."""
 
 import json
 import re
@@ -26,8 +26,8 @@ _LEASE_S: Final = 1.0  # any time: a step holds the lease until it ends
 EVIDENCE_S: Final = 5.0
 _ANSWER_MS: Final = 100.0  # the answer to an emergency stop, beyond that to any other question
 _PROGRAM_S: Final = 20.0  # for 15° at 1° a second, stop-servos, systemctl, and a new start of the service
-_SAME_START_S: Final = 15.0  # from the begin of a process to that of its uptime: loading Python, on a slow board
-_REST_S: Final = 3.0  # the board's errors are deleted behind a reset, for 2 s at most
+_SAME_START_S: Final = 15.0  # from a process's start to that of its uptime: a slow board loads Python
+_REST_S: Final = 3.0  # after a reset the board's errors are deleted, for 2 s at most
 _SILENT_MS: Final = 200.0  # a power board that is silent for this long is reported
 _PLUGGED_S: Final = 60.0  # for a person to unplug something
 _STYLES: Final = {"PASS": GOOD, "FAIL": BAD, "SKIPPED": NOTE}
@@ -36,7 +36,7 @@ _STYLES: Final = {"PASS": GOOD, "FAIL": BAD, "SKIPPED": NOTE}
 def stops(connect: Connection, options: StopsOptions) -> int:
     """Do the steps. Return the exit code.
 
-    Raises ConfigError if nothing may be moved, ZenohError if no gateway answers, also where it is lost on the way.
+    Raises ConfigError if nothing may be moved, and ZenohError if no gateway answers, also between steps.
     """
     names = [step.name for step in STEPS]
     if unknown := set(options.only) - set(names):
@@ -68,7 +68,7 @@ def stops(connect: Connection, options: StopsOptions) -> int:
 
 
 def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
-    """The step's outcome, as `--json` prints it."""
+    """Do a step. Return its outcome as `--json` prints it."""
     result, figures = "PASS", Figures()
     try:
         with drives(bench.client, _LEASE_S, moves=True):
@@ -88,7 +88,7 @@ def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
 
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
-    """However it ends, also by a signal, all legs are stopped, and a sentence reports it."""
+    """At each end, also by a signal, stop all legs and print a sentence about it."""
     stopping = False
 
     def end() -> None:
@@ -115,7 +115,7 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
 
 
 def command(bench: Bench) -> Figures:
-    """Start, set and stop; their frames are written, none that goes back, and no others."""
+    """Start, set and stop: exactly their frames are written, in one direction."""
     mark, motion, begun_s = len(bench.frames), bench.motion, time.monotonic()
     bench.start()
     start_ms, arrived = ms_since(begun_s), False
@@ -140,7 +140,7 @@ def command(bench: Bench) -> Figures:
 
 
 def _as_commanded(bench: Bench, moves: list[Frame]) -> bool:
-    """Whether frames start the servo, set it to the end in one direction, and have all others hold."""
+    """Whether the frames start the servo, set it to the end in one direction, and hold all other servos."""
     motion, ops = bench.motion, dict[int, list[ServoOp]]()
     for servo_id, op in (each for frame in moves for each in frame.servos):
         ops.setdefault(servo_id, []).append(op)
@@ -157,7 +157,7 @@ def _as_commanded(bench: Bench, moves: list[Frame]) -> bool:
 
 
 def silence(bench: Bench) -> Figures:
-    """Start, and send nothing more."""
+    """Start the servo, then fall silent: the watchdog stops it in time."""
     watchdog, mark = bench.client.state().watchdog, len(bench.frames)
     bench.start()
     begun_s = time.monotonic()
@@ -179,7 +179,7 @@ def silence(bench: Bench) -> Figures:
 
 
 def estop(bench: Bench) -> Figures:
-    """An emergency stop while setpoints go on streaming, and its reset."""
+    """Engage the emergency stop while setpoints stream: six Stops, no motion after them, and a reset."""
     with bench.streaming():
         demand(bench.running(), "the leg does not run in a stream of setpoints")
         mark, begun_s = len(bench.frames), time.monotonic()
@@ -211,7 +211,7 @@ def _demand_six(ack: Ack) -> None:
 
 
 def stop_servos(bench: Bench) -> Figures:
-    """`stop-servos`, while the gateway runs."""
+    """Run `stop-servos` while the gateway runs: the gateway notices, and nothing moves."""
     state = bench.client.state()
     if state.simulated or not Path(state.spi.device).exists():
         raise Skipped(f"{'a simulated controller' if state.simulated else state.spi.device} is not on this machine")
@@ -228,7 +228,7 @@ def stop_servos(bench: Bench) -> Figures:
 
 
 def killed(bench: Bench) -> Figures:
-    """The service dies in a stream of setpoints; systemd stops the servos and starts it again."""
+    """Kill the service while setpoints stream: systemd stops the servos and starts the service again."""
     if not bench.options.restart:
         raise Skipped("only with --restart, on the robot itself")
     before = shown(SERVICE)
@@ -240,7 +240,7 @@ def killed(bench: Bench) -> Figures:
     demand("stop-servos" in before.get("ExecStopPost", ""), "no stop-servos runs after its end, so it is not killed")
 
     def how_stop_servos_ended() -> str:
-        """As systemd shows it until the new start."""
+        """As systemd shows until the new start."""
         now = shown(SERVICE)
         found = re.search(r"stop-servos[^}]* code=(\w+) ; status=(\d+)", now.get("ExecStopPost", ""))
         new = "it did not run" if now.get("InvocationID") != before.get("InvocationID") else ""
@@ -277,7 +277,7 @@ def _run(*words: str) -> None:
 
 
 def confirmed_off(bench: Bench) -> Figures:
-    """An emergency stop: the board confirms that no servo is fed, and a reset feeds none."""
+    """Engage the emergency stop: the board confirms that no servo has power, and a reset powers none."""
     board(bench)
     with bench.streaming(0.0):
         figures = _cut(bench, own=True)
@@ -288,13 +288,13 @@ def confirmed_off(bench: Bench) -> Figures:
 
 
 def spi_unplugged(bench: Bench) -> Figures:
-    """The controller cannot be reached while a servo runs: the emergency stop takes its supply all the same."""
+    """Unplug the controller while a servo runs: the emergency stop still cuts its power."""
     by_hand(bench)
     with bench.streaming():
         ask("Unplug the servo controller from the Pi (SPI), and press Enter. The servo goes on holding: ")
         figures = _cut(bench, own=False)
     loose = ask("Turn the servo's horn gently with a finger: is it loose? yes or no: ")
-    # The controller has not received its Stop: fed again, the servo would run.
+    # The controller has not received its Stop: with power the servo would run again.
     ask("Plug the controller in again, and press Enter: ")
     again = bench.client.estop()  # six Stops, which arrive now
     _demand_six(again)
@@ -305,7 +305,7 @@ def spi_unplugged(bench: Bench) -> Figures:
 
 
 def can_unplugged(bench: Bench) -> Figures:
-    """The board cannot be reached while a servo runs: that is reported, and the robot stopped over SPI."""
+    """Unplug the board while a servo runs: this is reported, and the robot is stopped over SPI."""
     by_hand(bench)
     with bench.streaming():
         events = len(bench.events)
@@ -334,14 +334,14 @@ def _power(bench: Bench) -> PowerReport:
 
 
 def board(bench: Bench) -> None:
-    """Raises Skipped where no servo's supply can be taken."""
+    """Raise Skipped without a power board, FailedError if it does not answer."""
     if bench.client.state().power is None:
         raise Skipped("this robot has no power board")
     demand(_power(bench).alive, "the power board does not answer")
 
 
 def by_hand(bench: Bench) -> None:
-    """Raises Skipped where nobody has agreed to unplug anything, or nothing can be unplugged."""
+    """Raise Skipped unless --unplug was given, a person is there, and a real board can be unplugged."""
     if not bench.options.unplug or not sys.stdin.isatty():
         raise Skipped("only with --unplug, and a person at the robot")
     board(bench)
@@ -350,7 +350,7 @@ def by_hand(bench: Bench) -> None:
 
 
 def _cut(bench: Bench, *, own: bool) -> Figures:
-    """An emergency stop that the board confirms. `own`: to be left at the step's end, whatever happens."""
+    """Engage an emergency stop that the board confirms. `own`: the step's end resets it in any case."""
     ack = bench.client.estop()
     bench.estop = (ack.estop or 0) if own else 0
     demand(ack.confirmed, "the board has not confirmed that the servos have no supply: SWITCH IT OFF BY HAND")
@@ -364,19 +364,19 @@ def _demand_unfed(bench: Bench, when: str) -> None:
 
 
 def _give_back(bench: Bench) -> None:
-    """Leave the emergency stop: nothing is fed then, and nothing runs."""
+    """End the emergency stop: no servo has power, and none runs."""
     bench.reset()
     demand(bench.wait(lambda: is_at_rest(bench.client), _REST_S), "servos are fed after the reset; none was started")
 
 
 def is_at_rest(client: Client) -> bool:
-    """Whether nothing runs, and the board answers and feeds nothing."""
+    """Return whether no servo runs, and the board answers and powers none."""
     state = client.state()
     return state.mode is Mode.IDLE and state.power is not None and state.power.alive and not state.power.supplied
 
 
 class CheckStep(NamedTuple):
-    """One step: what a person reads before it, and what does it."""
+    """One step: its name, the sentence that a person reads before it, and its function."""
 
     name: str
     does: str
@@ -397,4 +397,4 @@ STEPS: Final = (
               "over SPI", can_unplugged),
 )
 # fmt: on
-"""In their order. Each leaves all legs stopped, or `check --stops` does."""
+"""In order. After each, all legs are stopped."""

@@ -1,7 +1,7 @@
-"""The table of `check`: a probe reads something of this machine, and the first of its faults that holds is its line.
+"""The table of `check`: a probe reads something of this machine, and prints its first fault that applies.
 
-A new fault is a row: when what was read is a fault, the sentence, the remedy. Values of the reading fill in both texts.
-A remedy's commands help as printed; a word in capitals is for a person to fill in.
+A fault is a row: a condition on the reading, a sentence, a remedy. Values of the reading fill in both texts. The
+remedy's commands work as printed; a person fills in words in capitals.
 """
 
 import pwd
@@ -27,7 +27,7 @@ from gateway.text import visible
 __all__ = ["Seen"]
 SERVICE: Final = "hexapod-gateway"
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
-"""Also after so many failed starts that systemd begins no other."""
+"""Works also after so many failed starts that systemd attempts no other."""
 INSTALL: Final = f"sudo apt install ./{SERVICE}_VERSION_ARCH.deb"
 LET_READ: Final = (
     f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} /etc/{SERVICE}; "
@@ -37,7 +37,7 @@ GOOD, NOTE, BAD = "green", "yellow", "bold red"
 
 
 class Verdict(StrEnum):
-    """`FAILURE`: the service would not start, or would not move the robot. `WARNING`: somebody should know it."""
+    """`FAILURE`: the service does not start, or does not move the robot. `WARNING`: a person should know."""
 
     OK = "ok"
     WARNING = "warning"
@@ -45,7 +45,7 @@ class Verdict(StrEnum):
 
 
 class Result(NamedTuple):
-    """One line: what was checked, the verdict, and what fixes it ("" if nothing needs fixing)."""
+    """One line: what was checked, the verdict, the sentence, and the remedy ("": none is needed)."""
 
     name: str
     verdict: Verdict
@@ -54,7 +54,7 @@ class Result(NamedTuple):
 
 
 def shown(*arguments: str) -> dict[str, str]:
-    """What `systemctl show` prints, the values of one name together; nothing where it fails."""
+    """Return what `systemctl show` prints, with all values of a name joined; empty if it fails."""
     found = dict[str, str]()
     with suppress(OSError, subprocess.SubprocessError):
         asked = ["systemctl", "show", *arguments]
@@ -66,21 +66,21 @@ def shown(*arguments: str) -> dict[str, str]:
 
 @dataclass
 class CheckedRobot:
-    """What the probes look at, and what they find out for each other. `root` and `shown`: a test's own machine."""
+    """The machine that the probes read, and what they learn for each other. `root`, `shown`: replaced by tests."""
 
     settings: Settings = field(default_factory=Settings)
     root: Path = ROOT_DIR
     shown: Callable[..., dict[str, str]] = shown
     gateway_runs: bool = False
-    """Whether a gateway holds the SPI device. The device's probe finds it out."""
+    """Whether a gateway holds the SPI device. Set by the device's probe."""
 
     def path(self, absolute: str | Path) -> Path:
-        """A path of the machine."""
+        """Return this path of the machine."""
         return self.root / str(absolute).lstrip("/")
 
     @property
     def installed(self) -> bool:
-        """Whether the service is installed on this machine."""
+        """Whether the service is installed."""
         return self.path(whole.CURRENT).is_dir() or self.unit.get("LoadState") == "loaded"
 
     @cached_property
@@ -95,7 +95,7 @@ class CheckedRobot:
 
     @cached_property
     def unit(self) -> Mapping[str, str]:
-        """What systemd shows of the service; nothing where it shows nothing."""
+        """The service's properties in systemd; empty without any."""
         return self.shown(SERVICE)
 
     @cached_property
@@ -105,21 +105,21 @@ class CheckedRobot:
 
     @cached_property
     def service(self) -> tuple[int, int] | None:
-        """User and group of the service; None where there is no such user."""
+        """The service's user and group ids; None if the user does not exist."""
         with suppress(KeyError):
             return pwd.getpwnam(SERVICE)[2:4]
         return None
 
 
 def text(path: Path) -> str:
-    """A file's text; "" where it is none, or not for this user to read."""
+    """Return a file's stripped text; "" if it is unreadable or no file."""
     with suppress(OSError):
         return path.read_text(errors="replace").strip()
     return ""
 
 
 class Fault(NamedTuple):
-    """A row of the table."""
+    """A row of the table. `when`: whether a reading has this fault."""
 
     verdict: Verdict
     when: Callable[[Seen], object]
@@ -132,7 +132,7 @@ warning = partial(Fault, Verdict.WARNING)
 
 
 class Probe(NamedTuple):
-    """What is read: one thing, several, or None where it does not concern this machine. `well`: "" for no line."""
+    """`read` returns a reading, several, or None if none applies here. `well`: the line without a fault, if any."""
 
     name: str
     read: Callable[[Any], Seen | Iterable[Seen | None] | None]
@@ -140,12 +140,12 @@ class Probe(NamedTuple):
     well: str = ""
 
     def readings(self, looked_at: object) -> Iterator[Seen]:
-        """Read, and leave out what does not concern this machine."""
+        """Yield the readings that apply to this machine."""
         found = self.read(looked_at) or ()
         yield from filter(None, [found] if isinstance(found, Seen) else found)
 
     def judged(self, seen: Seen) -> Iterator[Result]:
-        """The line for one reading. `{run[check --move]}` is this program's command, with what reaches the gateway."""
+        """Yield the line of one reading. In texts, `{run[check --move]}` is a command with this connection."""
         values = {"run": _OwnCommands(), **vars(seen)}
         for fault in self.faults:
             if fault.when(seen):
@@ -162,7 +162,7 @@ class _OwnCommands:
 
 
 def results(probes: Iterable[Probe], looked_at: object) -> Iterator[Result]:
-    """Read each, and judge it. What this user may not look at is a warning."""
+    """Yield the lines of all probes. A reading that this user may not take is a warning."""
     for probe in probes:
         try:
             for seen in probe.readings(looked_at):
@@ -172,12 +172,12 @@ def results(probes: Iterable[Probe], looked_at: object) -> Iterator[Result]:
 
 
 def show(word: str, style: str, name: str, sentence: str, fix: str = "") -> None:
-    """Print `word  name  sentence → fix` in columns, in colour on a terminal. It is never wrapped, for programs."""
+    """Print `word  name  sentence → fix` in columns, in colour on a terminal. Never wrapped."""
     line = Text().append(f"{word:8}", style).append(f" {name:14} ", "bold").append(visible(sentence))
     Console(highlight=False, soft_wrap=True).print(line.append(f" → {visible(fix)}", "cyan") if fix else line)
 
 
 def conclude(sentence: str, *, well: bool) -> int:
-    """Print the sentence at the end; return the exit code."""
+    """Print the last sentence. Return the exit code: 0 if `well`, else 1."""
     Console(highlight=False, soft_wrap=True).print(Text(sentence, "bold green" if well else BAD))
     return 0 if well else 1

@@ -1,8 +1,8 @@
-"""What leads to the servos: SPI device, bus and clock, framing, calibration, the controller's UART and the power board.
+"""Probes of the way to the servos: SPI device, bus and clock, framing, calibration, the controller's UART, power board.
 
-Nothing is written to the robot: the published firmware of HexapodProtocol v1.0.0 takes the first byte of an 80-byte
-frame for a length of 126, which leaves it deaf to Stops until its reset. A power board is only asked. Nothing is read
-from UART and board while a gateway runs: they are its own.
+Nothing is written to the robot. The published firmware of HexapodProtocol v1.0.0 reads the first byte of an 80-byte
+frame as a length of 126, and then ignores Stops until its reset. A power board is only queried. While a gateway runs,
+UART and board are not read: they belong to the gateway.
 """
 
 import errno
@@ -44,17 +44,16 @@ if TYPE_CHECKING:
     import can
 
 SLOW_STOPS_MS: Final = 20.0
-"""Six Stops should not take longer to write than the shortest watchdog timeout that can be set; nor should a frame of
-an 80-byte frame than its cycle."""
+"""Six Stops should not take longer than the shortest watchdog timeout, nor an 80-byte frame than its cycle."""
 _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_RD_MAX_SPEED_HZ."""
 _ALLOWED: Final = "ttyAMA"
 """The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
 _CYCLE_S: Final = 0.02
-"""The robot's own driver has this cycle. Heartbeats come within 0.1 s, after which that driver starts again."""
+"""The cycle of the robot's own driver. That driver restarts after 0.1 s without a heartbeat."""
 _PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
 _ROUNDS, _ROUND_S = 4, 0.1
-"""A question to the board may be lost. It answers within 2 ms."""
+"""A query to the board may be lost. The board answers within 2 ms."""
 _CAN: Final = "280"
 """ARPHRD_CAN, in /sys/class/net/…/type."""
 
@@ -63,14 +62,14 @@ _CAN: Final = "280"
 
 
 def node(robot: CheckedRobot, path: str) -> Seen:
-    """A device node. `lack`: why it is none, `denied`: this user cannot open it."""
+    """Return a reading of a device node. `lack`: why it is none. `denied`: this user cannot open it."""
     seen = Seen(path=path, lack="", denied=False, rights="", group=None, error="", service=robot.service is not None)
     seen.user = _name(pwd.getpwuid, os.geteuid())
     try:
         status = os.stat(path)
     except OSError as error:
         absent = isinstance(error, FileNotFoundError)
-        seen.lack = "does not exist" if absent else f"cannot be looked at ({error.strerror})"
+        seen.lack = "does not exist" if absent else f"cannot be read ({error.strerror})"
         return seen
     group = _name(grp.getgrgid, status.st_gid)
     seen.rights = f"{stat.filemode(status.st_mode)}, group {group}"
@@ -81,15 +80,15 @@ def node(robot: CheckedRobot, path: str) -> Seen:
 
 
 def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
-    """Of a user or a group; their number where they have none."""
+    """The name of a user or group; the number if it has no name."""
     with suppress(KeyError):
         return str(find(number)[0])
     return str(number)
 
 
 def _node_faults(group: str) -> tuple[Fault, ...]:
-    """Of a node that is of this group where the package is installed. The reading has a remedy, `absent`."""
-    may_not, group_has_it = "{path} may not be opened by {user} ({rights})", f"sudo chgrp {group} {{path}}"
+    """The faults of a node that belongs to `group` with the package. The reading's `absent` is a remedy."""
+    may_not, group_has_it = "{user} may not open {path} ({rights})", f"sudo chgrp {group} {{path}}"
     return (
         failure(lambda r: r.lack, "{path} {lack}", "{absent}"),
         failure(lambda r: r.denied and r.service, may_not, f"{group_has_it} && sudo chmod 660 {{path}} && {RESTART}"),
@@ -102,7 +101,7 @@ def _node_faults(group: str) -> tuple[Fault, ...]:
 
 
 def _locked_by(path: str) -> str:
-    """The program that has locked a node, by the kernel's list."""
+    """The program that has locked a node, from the kernel's list."""
     status = os.stat(path)
     where = rf"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     found = re.search(rf"FLOCK +ADVISORY +WRITE (\d+) {where} ", text(Path("/proc/locks")))
@@ -110,14 +109,14 @@ def _locked_by(path: str) -> str:
 
 
 def _device(robot: CheckedRobot) -> Seen | None:
-    """Set it up as the service does it, and close it at once."""
+    """Open and set up the device as the service does, and close it at once."""
     spi, protocol = robot.settings.spi, robot.settings.wire.built_in
     if protocol is None:
         return None
     seen, held = node(robot, spi.device), False
     others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
     seen.absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
-    seen.absent = f"set spi.device; here there is {others}" if others else seen.absent
+    seen.absent = f"set spi.device; this machine has {others}" if others else seen.absent
     if not (seen.lack or seen.denied):
         try:
             KernelDevice(spi.device, spi.speed_hz, mode=protocol.spi_mode).close()
@@ -133,7 +132,7 @@ def _device(robot: CheckedRobot) -> Seen | None:
 
 
 def _carrier(robot: CheckedRobot) -> Seen | None:
-    """Computer, kernel, driver and chip select; and whether this kernel loses clock edges."""
+    """Computer, kernel, driver and chip select, and whether this kernel loses clock edges."""
     if robot.settings.wire.built_in is None:
         return None
     device, root = robot.settings.spi.device, robot.root
@@ -146,7 +145,7 @@ def _carrier(robot: CheckedRobot) -> Seen | None:
 
 
 def _neighbours(robot: CheckedRobot) -> Seen | None:
-    """Drivers of other devices on the same bus."""
+    """The drivers of other devices on the same bus."""
     if robot.settings.wire.built_in is None:
         return None
     found = machine.neighbours(robot.settings.spi.device, robot.root)
@@ -154,7 +153,7 @@ def _neighbours(robot: CheckedRobot) -> Seen | None:
 
 
 def _speed(robot: CheckedRobot) -> Seen | None:
-    """The clock that the kernel gives where nobody has set one, as device tree and controller allow."""
+    """The clock of the device, compared with the highest that the kernel allows."""
     if robot.settings.wire.built_in is None:
         return None
     with suppress(OSError):
@@ -167,9 +166,9 @@ def _speed(robot: CheckedRobot) -> Seen | None:
 
 
 def speed(robot: CheckedRobot, given_hz: int | None) -> Seen:
-    """The clock that is set, and that which the protocol and the kernel allow.
+    """Return a reading of the clock that is set, and of those that the protocol and the kernel (`given_hz`) allow.
 
-    `takes_ms`: six Stops on the wire; where these do not go over SPI, a frame.
+    `takes_ms`: the duration of six Stops on the wire, or of a frame if Stops do not go over SPI.
     """
     spi, runs, protocol = robot.settings.spi, robot.gateway_runs, robot.settings.wire.built_in or FRAMED
     differs = given_hz is not None and (given_hz != spi.speed_hz if runs else given_hz < spi.speed_hz)
@@ -193,7 +192,7 @@ def _megahertz(hz: int) -> str:
 
 
 def _frames(robot: CheckedRobot) -> Seen | None:
-    """The framing, and whether chip select is known to be released between transfers of one call."""
+    """The framing, and whether the driver is known to release chip select between the transfers of a call."""
     spi = robot.settings.spi
     if not robot.settings.wire.framed:
         return None
@@ -206,7 +205,7 @@ def _frames(robot: CheckedRobot) -> Seen | None:
 
 
 def _calibration(robot: CheckedRobot) -> Seen:
-    """Without one that can be used, the service starts, and moves nothing."""
+    """The calibration. Without a usable one the service starts, but moves nothing."""
     seen, path = Seen(hidden=False, fault="", late_at=""), path_to_read(robot.settings)
     seen.which, seen.path = "is kept in memory only, until the gateway ends (state.path)", path
     if path is None:
@@ -215,7 +214,7 @@ def _calibration(robot: CheckedRobot) -> Seen:
     if not seen.hidden:
         found, seen.fault = load(path)
         seen.which = f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"
-        with suppress(OSError):  # a change that was begun to be written, and not ended
+        with suppress(OSError):  # a change whose writing has not ended
             begun_s = staged_for(path).lstat().st_mtime
             if time.time() - begun_s > SLOW_S:
                 seen.late_at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(begun_s))
@@ -226,7 +225,7 @@ def _calibration(robot: CheckedRobot) -> Seen:
 
 
 def _plugin(robot: CheckedRobot) -> Seen | None:
-    """It is opened and closed, unless a gateway holds it."""
+    """The plug-in, opened and closed, unless a gateway holds it."""
     wire = robot.settings.wire
     if wire.built_in is not None:
         return None
@@ -246,7 +245,7 @@ def _plugin(robot: CheckedRobot) -> Seen | None:
 
 
 def _uart(robot: CheckedRobot) -> Seen | None:
-    """It is opened and closed, unless a gateway holds it."""
+    """The UART, opened and closed, unless a gateway holds it."""
     path, root = robot.settings.controller.uart, robot.root
     if not robot.settings.wire.has_uart:
         return None
@@ -268,7 +267,7 @@ def _uart(robot: CheckedRobot) -> Seen | None:
 
 
 def _heartbeat(robot: CheckedRobot) -> Seen | None:
-    """Listen only; nothing while a gateway runs, or where the UART's own line has the fault."""
+    """Listen for heartbeats; nothing while a gateway runs, or if the UART has a fault of its own."""
     seen = _uart(robot)
     if seen is None or robot.gateway_runs or any((seen.lack, seen.denied, seen.console, seen.login, seen.error)):
         return None
@@ -283,7 +282,7 @@ def heartbeat(
     clock: Callable[[], int] = time.monotonic_ns,
     pause: Callable[[float], None] = time.sleep,
 ) -> Seen:
-    """What comes within `silent_ns`."""
+    """Return the number of heartbeats and of bytes that arrive within `silent_ns`."""
     heartbeats, seen, until_ns = Heartbeats(), Seen(beats=0, bytes=0, ms=silent_ns // NS_PER_MS), clock() + silent_ns
     while clock() < until_ns:
         pause(_CYCLE_S)
@@ -297,7 +296,7 @@ def heartbeat(
 
 
 def _board(robot: CheckedRobot) -> Seen | None:
-    """Nothing where no board is set up."""
+    """The power board; None if none is configured."""
     power = robot.settings.power
     if not power.interface:
         return None
@@ -305,12 +304,12 @@ def _board(robot: CheckedRobot) -> Seen | None:
     seen.absent = "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
     seen.where, seen.simulated = f"{power.interface} {power.channel}", power.interface == "sim"
     seen.off, seen.error, seen.silent = False, "", False
-    if power.interface == "socketcan":  # anybody may use it, and only root can switch it on
+    if power.interface == "socketcan":  # everybody may use it, but only root can switch it on
         folder = robot.root / "sys/class/net" / power.channel
         kind = text(folder / "type")
         seen.lack = "" if kind == _CAN else "is no CAN interface" if kind else "is no network interface"
         seen.off = not int(text(folder / "flags") or "0", 16) & 1
-    seen.answers = f"{seen.where} is the running gateway's, whose status has whether the board answers"
+    seen.answers = f"{seen.where} is the running gateway's; `status` shows whether the board answers"
     if not (robot.gateway_runs or seen.simulated or seen.lack or seen.denied or seen.off):
         try:
             with open_bus(power) as bus:
@@ -348,60 +347,60 @@ _OFF: Final = f"free it, and reboot: sudo hexapod-gateway setup --wire {WITH_UAR
 # fmt: off
 DEVICE: Final = Probe("SPI device", _device, (
     *_node_faults("spi"),
-    failure(lambda r: r.locked, "{path} is locked by {locked}, which is no gateway",
+    failure(lambda r: r.locked, "{path} is locked by {locked}, not by a gateway",
             f"end that program, then: {RESTART}"),
     failure(lambda r: r.error, "{error}", "is {path} a SPI device? see dmesg"),
 ), "{path} {opens}")
 BUS: Final = (
     Probe("SPI controller", _carrier, (
-        warning(lambda r: r.loses, "{found}: a kernel {when}, and before February 2025 this driver lost clock edges of "
-                "transfers that only send; the controller then takes in nothing until it is reset",
+        warning(lambda r: r.loses, "{found}: a kernel {when}. Before February 2025 this driver lost clock edges of "
+                "transfers that only send; then the controller receives nothing until it is reset",
                 "update the kernel (sudo apt full-upgrade) and reboot"),
     ), "{found}"),
     Probe("SPI bus", _neighbours, (
         # A neighbour's transfer of 2 ms is what docs/safety.md allows.
-        warning(lambda r: r.others, "on it, too: {others}: an emergency stop waits for two to four of its transfers",
-                "move it to another bus, or see that none of its transfers takes more than 2 ms"),
+        warning(lambda r: r.others, "shared with {others}: an emergency stop waits for two to four of its transfers",
+                "move it to another bus, or limit its transfers to 2 ms each"),
     ), "no other driver uses it"),
     Probe("SPI speed", _speed, (
-        warning(lambda r: r.spi.speed_hz > r.known_hz, "{set} is above the {known} up to which the "
+        warning(lambda r: r.spi.speed_hz > r.known_hz, "{set} is above {known}, the highest at which the "
                 "protocol was measured",
                 "set spi.speed_hz = {known_hz} or less, or measure the clock on your wires"),
-        warning(lambda r: r.differs, "{set} is set, and the kernel gives {kernel}: another program has set it, or the "
-                "controller takes no more, or the configuration was changed since; {takes}", "{fix}"),
+        warning(lambda r: r.differs, "{set} is set, but the kernel gives {kernel}: another program has set it, or the "
+                "controller allows no more, or the configuration was changed since; {takes}", "{fix}"),
         warning(lambda r: r.takes_ms > SLOW_STOPS_MS, "{set} is slow: {takes}",
                 "set spi.speed_hz = {known_hz}"),
     ), "{set}{given}; {takes}"),
 )
 PLUGIN: Final = Probe("wire", _plugin, (
-    failure(lambda r: r.error, "{error}", "see what the plug-in needs, and [wire] of the configuration"),
+    failure(lambda r: r.error, "{error}", "read what the plug-in needs, and fix [wire] of the configuration"),
 ), "{name} opens: {can}")
 FRAMES: Final = (
     Probe("framing", _frames, (
         warning(lambda r: r.framing is Framing.PLAIN,
-                "plain, as in the protocol's document; the published STM32 firmware jams in it until it is reset",
+                "plain, as in the protocol document; with it the published STM32 firmware hangs until its reset",
                 'set spi.framing = "length-prefixed" for that firmware, and reset it'),
     ), "{framing}, as {framing.controller} wants it; wire angles from {low:g} up to {high:g} degrees are never sent"),
     Probe("SPI lists", _frames, (
-        warning(lambda r: r.unseen, "nobody has seen whether {driver} releases chip select between the transfers of a "
+        warning(lambda r: r.unseen, "it is unknown whether {driver} releases chip select between the transfers of a "
                 "call", "{run[check --move]} shows it: if servo 61 still holds when all are stopped, "
                 f"{machine.SELECT_BY_GPIO}"),
     ), "{how}"),
 )
 CALIBRATION: Final = Probe("calibration", _calibration, (
-    warning(lambda r: r.hidden, "{path} is not for you to read", "sudo hexapod-gateway check"),
+    warning(lambda r: r.hidden, "you may not read {path}", "sudo hexapod-gateway check"),
     failure(lambda r: r.fault, "{fault}; nothing can be started",
-            f"put a good one in its place and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
-    warning(lambda r: r.late_at, "a change of {late_at} was not kept; in force is {which}",
-            "if the gateway runs, its disk hangs (dmesg): restart it once that is fixed; else nothing is wrong"),
+            f"restore a good file and restart, or, if the robot is as drawn: {{run[{ACCEPT_DEFAULT}]}}"),
+    warning(lambda r: r.late_at, "a change of {late_at} was not kept; the calibration in force: {which}",
+            "if the gateway runs, its disk hangs (dmesg): fix that, then restart it; otherwise nothing is wrong"),
 ), "{which}")
 CONTROLLER: Final = (
     Probe("UART", _uart, (
         *_node_faults("dialout"),
         failure(lambda r: r.console, "{path} is the Linux console: the kernel's messages go to the controller", _OFF),
-        failure(lambda r: r.login, "{path} is the terminal of a login, which takes the controller's bytes", _OFF),
+        failure(lambda r: r.login, "{path} has a login terminal, which takes the controller's bytes", _OFF),
         failure(lambda r: r.held, "{path} is held by another program",
-                "end that program, which is named by: sudo fuser -v {path}"),
+                "find and end that program: sudo fuser -v {path}"),
         failure(lambda r: r.error, "{error}", "is {path} a UART? see dmesg"),
         warning(lambda r: r.service and not r.tty.startswith(_ALLOWED),
                 f"{{path}} opens, but the unit lets the service open {_ALLOWED}… only",

@@ -1,6 +1,6 @@
-"""`hexapod-gateway setup`: what an installed package still needs on this robot, each change a sentence.
+"""`hexapod-gateway setup`: set up an installed package on this robot. It prints each change as a sentence.
 
-It changes what differs and states what is already so, so it can be run again at any time.
+It changes only what differs, so it can run again at any time.
 """
 
 import os
@@ -26,7 +26,7 @@ class Wanted(NamedTuple):
 
 
 def setup(machine: Machine, wanted: Wanted) -> int:
-    """Set this machine up, and run `check`; its exit code. Raises GatewayError with one sentence."""
+    """Set this machine up, and run `check`. Return the exit code. Raises GatewayError with one sentence."""
     try:
         if wanted.back:
             machine.change("go back to the release before this one, and restart the service", _go_back)
@@ -49,7 +49,7 @@ def _set_up(machine: Machine, wanted: Wanted) -> None:
     device = stated.get("spi", "device", "/dev/spidev0.0")
     boot.switch_on(machine, device, stated.uart)
     if not machine.dry:
-        os.sync()  # what a restart runs is what a power cut would leave
+        os.sync()  # before the restart: a power cut must not leave other files than those that run
     service.start(machine, device)
     if wanted.console or machine.show(f"{service.CONSOLE}.socket", "UnitFileState") == "enabled":
         service.start_console(machine)

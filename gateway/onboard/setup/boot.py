@@ -1,4 +1,4 @@
-"""SPI and UARTs in a Raspberry Pi's config.txt and cmdline.txt. Text in, text out; then the files of this machine."""
+"""SPI and UARTs in a Raspberry Pi's config.txt and cmdline.txt: first pure functions on text, then the files."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ _SERIAL: Final = "/dev/serial0"
 
 
 def spi_is_on(config: str) -> bool:
-    """Whether a config.txt switches SPI on for every Pi: what stands under a filter such as [cm4] does not count."""
+    """Return whether a config.txt switches SPI on for every Pi. Lines under a filter such as [cm4] do not count."""
     on = False
     for line in _lines_of(config, r"\[all\]"):
         for parameter in line.removeprefix("dtparam=").split(",") if line.startswith("dtparam=") else ():
@@ -29,7 +29,7 @@ def spi_is_on(config: str) -> bool:
 
 
 def with_spi(config: str) -> str:
-    """The same with SPI on: in its own dtparam=spi line, else in a first line, before any filter and overlay."""
+    """Return a config.txt with SPI on: in its dtparam=spi line, or in a new first line before filters and overlays."""
     lines, filtered, found = config.splitlines(), False, False
     for at, line in enumerate(lines):
         if line.lstrip().startswith("["):
@@ -40,21 +40,21 @@ def with_spi(config: str) -> str:
 
 
 def overlay_is_on(config: str, overlay: str) -> bool:
-    """Whether a config.txt loads this overlay on a Pi 5, with or without parameters."""
+    """Return whether a config.txt loads this overlay on a Pi 5, with or without parameters."""
     lines = _lines_of(config, r"\[(all|pi5)\]")
     return any(re.fullmatch(rf"dtoverlay={overlay}\s*(,.*)?", line) for line in lines)
 
 
 def with_overlay(config: str, overlay: str) -> str:
-    """The same with this overlay at its end, for a Pi 5 alone.
+    """Return a config.txt with this overlay at its end, for a Pi 5 only.
 
-    The empty dtoverlay= ends the overlay, so that no later dtparam counts as the overlay's.
+    The empty dtoverlay= ends the overlay: otherwise a later dtparam would count as the overlay's.
     """
     return f"{config.rstrip()}\n[pi5]\ndtoverlay={overlay}\ndtoverlay=\n[all]\n".lstrip("\n")
 
 
 def without_console(cmdline: str, names: set[str]) -> str:
-    """A kernel's command line without a console on the UARTs of these names."""
+    """Return a kernel command line without a console on the UARTs of these names."""
     kept = (word for word in cmdline.split() if not _is_console(word, names))
     return " ".join(kept) + "\n"
 
@@ -64,7 +64,7 @@ def _is_console(word: str, names: set[str]) -> bool:
 
 
 def _lines_of(config: str, filters: str) -> Iterator[str]:
-    """The lines that hold under these filters."""
+    """The lines that apply under filters that match this pattern."""
     applies = True
     for line in map(str.strip, config.splitlines()):
         if line.startswith("["):
@@ -77,20 +77,20 @@ def _lines_of(config: str, filters: str) -> Iterator[str]:
 
 
 def switch_on(machine: Machine, device: str, uart: str | None) -> None:
-    """SPI, and the UART that a configuration names; with the next boot where they are off. Raises ConfigError."""
+    """Switch SPI and the configured UART on, from the next boot if they are off. Raises ConfigError."""
     config = next((f"{each}/config.txt" for each in _FOLDERS if machine.path(f"{each}/config.txt").is_file()), None)
     text = _text(machine, config) if config else ""
     if machine.path(device).exists():
         say(f"{device} is there")
     elif config is None:
         say(
-            f"there is no {device}, and no config.txt: this is no Raspberry Pi, so switch SPI on as this board wants it"
+            f"there is no {device}, and no config.txt: this is no Raspberry Pi, so switch SPI on as this board requires"
         )
     elif spi_is_on(text):
         machine.reboot_due = True
-        say(f"SPI is on in {config}, and {device} is not there: a reboot is due")
+        say(f"SPI is on in {config}, but {device} is not there: a reboot is due")
     elif not spi_is_on(with_spi(text)):
-        raise ConfigError(f"SPI is off in {config} in a way that a person has to change: it needs dtparam=spi=on")
+        raise ConfigError(f"SPI is off in {config} in a way that a person must change: it needs dtparam=spi=on")
     else:
         text = _change(machine, config, text, with_spi, "switch SPI on (dtparam=spi=on)")
     if uart is not None:
@@ -105,10 +105,10 @@ def _switch_uart_on(machine: Machine, uart: str, config: str | None, text: str) 
     if machine.path(uart).exists():
         say(f"{uart} is there")
     elif config is None or own is None or not on_pi_5:
-        say(f"there is no {uart}: switch this UART on as this computer wants it")
+        say(f"there is no {uart}: switch this UART on as this computer requires")
     elif overlay_is_on(text, overlay := f"uart{own[1]}-pi5"):
         machine.reboot_due = True
-        say(f"{uart} is on in {config}, and is not there: a reboot is due")
+        say(f"{uart} is on in {config}, but is not there: a reboot is due")
     else:
         _change(
             machine, config, text, lambda old: with_overlay(old, overlay), f"switch {uart} on (dtoverlay={overlay})"
@@ -134,11 +134,11 @@ def _text(machine: Machine, file: str) -> str:
 
 
 def _change(machine: Machine, file: str, text: str, edit: Callable[[str], str], what: str) -> str:
-    """Write the edited file, which counts from the next boot on; the new text."""
+    """Write the edited file, which applies from the next boot. Return the new text."""
     new = edit(text)
 
     def write() -> None:
-        # The boot partition knows no owners and no half-written files: a copy beside it, and then the name.
+        # The boot partition has no owners, and the file must never be half-written: write a copy, then rename it.
         path = machine.path(file)
         staged = path.with_name(f"{path.name}.new")
         staged.write_bytes(new.encode(errors="surrogateescape"))

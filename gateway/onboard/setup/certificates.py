@@ -1,4 +1,4 @@
-"""The robot's certificates: from a folder, or from the zip of `certs issue`; checked before any file changes."""
+"""Install the robot's certificates from a folder or a zip of `certs issue`. They are checked before any change."""
 
 import shutil
 import zipfile
@@ -28,7 +28,7 @@ _ISSUE: Final = (
 
 
 def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
-    """Bring the files of `source` and let gateway.toml name them; what it states then. Raises ConfigError."""
+    """Install the files of `source`, and name them in gateway.toml. Return the configuration. Raises ConfigError."""
     with ExitStack() as stack:
         folder = source
         if not source.is_dir():
@@ -45,7 +45,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
         else:
             say(f"keep {CONFIG}, which somebody has edited")
         if (folder / "ca.key").exists() and source.is_dir():
-            say(f"{source} has ca.key, which can admit anybody: see that it is on another computer, and delete it here")
+            say(f"{source} has ca.key, which can admit anybody: make sure another computer has it, and delete it here")
     stated = found.get("zenoh", "config")
     if stated == CONFIG:
         say(f"{configuration.FILE} names {CONFIG}")
@@ -57,7 +57,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
 
 
 def refresh(machine: Machine) -> None:
-    """Give a gateway.json5 that nobody has edited the access rules of this release."""
+    """Write this release's access rules to gateway.json5, if nobody has edited that file."""
     present = machine.read(CONFIG)
     if present is None or not _is_unedited(present):
         return
@@ -76,7 +76,7 @@ def _is_unedited(config: bytes) -> bool:
 
 
 def _unpack(archive: Path, folder: Path) -> None:
-    """The files that matter, by their names alone. Raises ConfigError."""
+    """Extract all files into one folder, without their paths. Raises ConfigError."""
     try:
         with zipfile.ZipFile(archive) as packed:
             for member in packed.infolist():
@@ -92,11 +92,11 @@ def _unpack(archive: Path, folder: Path) -> None:
     except OSError as error:
         raise ConfigError(f"cannot read {archive}: {error.strerror}") from error
     except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-        raise ConfigError(f"{archive} is no folder, and no zip of `certs issue`: {error}; {_ISSUE}") from error
+        raise ConfigError(f"{archive} is neither a folder nor a zip of `certs issue`: {error}; {_ISSUE}") from error
 
 
 def _check(folder: Path, source: Path) -> None:
-    """Raises ConfigError unless these are a robot's files that belong together."""
+    """Raise ConfigError unless these are a robot's files that belong together."""
     missing = [name for name in _NEEDED if not (folder / name).is_file()]
     if missing:
         laptops = [certs.folder.describe(each) for each in folder.glob("*.pem") if each.name != "ca.pem"]

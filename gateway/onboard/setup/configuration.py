@@ -1,7 +1,7 @@
-"""gateway.toml: which wire and framing the controller needs. Nobody can find out but a person.
+"""gateway.toml: the wire and the framing that the controller needs. Only a person can find them out.
 
-Once the published STM32 firmware has received another framing than its own, it receives nothing until its reset, not
-even a Stop. So `setup` asks before anything is sent.
+After a wrong framing the published STM32 firmware receives nothing until its reset, not even a Stop. So `setup` asks
+before anything is sent.
 """
 
 import json
@@ -32,13 +32,13 @@ _FRAMINGS: Final = {
 
 
 class Configuration(NamedTuple):
-    """gateway.toml's text, and what of it matters here."""
+    """gateway.toml: its text and its parsed tables."""
 
     text: str
     tables: Mapping[str, Any]
 
     def get(self, table: str, name: str, default: str = "") -> str:
-        """A value; `default` if it is not stated. Raises ConfigError if the table is no table."""
+        """Return a value as text; `default` if it is not set. Raises ConfigError if [table] is no table."""
         found = self.tables.get(table, {})
         if not isinstance(found, dict):
             raise ConfigError(f"{FILE}: [{table}] is no table; fix it there")
@@ -46,13 +46,13 @@ class Configuration(NamedTuple):
 
     @property
     def uart(self) -> str | None:
-        """The controller's UART, with a wire that has one."""
+        """The controller's UART; None if the wire has none."""
         wire = WireSettings(self.get("wire", "name", FRAMED))
         return self.get("controller", "uart", ControllerSettings().uart) if wire.has_uart else None
 
 
 def shipped(name: str) -> bytes:
-    """A file that this release ships in deploy/. Raises ConfigError."""
+    """Return a file that this release ships in deploy/. Raises ConfigError."""
     try:
         return (_SHIPPED / name).read_bytes()
     except OSError as error:
@@ -62,7 +62,7 @@ def shipped(name: str) -> bytes:
 
 
 def read(machine: Machine) -> Configuration:
-    """The robot's file; where there is none, the template. Raises ConfigError."""
+    """Return the robot's configuration; the template if there is none. Raises ConfigError."""
     data = machine.read(FILE) or machine.read(TEMPLATE) or shipped("gateway.toml")
     try:
         return Configuration(data.decode("utf-8-sig"), nesting.read_toml(data))
@@ -71,7 +71,7 @@ def read(machine: Machine) -> Configuration:
 
 
 def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Configuration:
-    """Let the file state the wire, and the framing where the wire has any; ask a person who gave neither."""
+    """Set wire and framing in the file; ask for them if neither is known. Return it. Raises ConfigError."""
     found = read(machine)
     stated = {_WIRE: found.get("wire", "name"), _FRAMING: found.get("spi", "framing")}
     if wire is None and framing is None and not any(stated.values()):
@@ -90,7 +90,7 @@ def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Confi
 
 
 def write(machine: Machine, found: Configuration, changes: Mapping[str, str]) -> Configuration:
-    """The file with these values (by dotted name), and everything else as it was. Raises ConfigError."""
+    """Set these values (by dotted name) in the file; the rest stays. Return the result. Raises ConfigError."""
     text = found.text
     for setting, value in changes.items():
         table, _, name = setting.partition(".")
@@ -110,7 +110,7 @@ def _ask(what: str, choices: Mapping[Any, str]) -> str:
     names = [str(each) for each in choices]
     if not sys.stdin.isatty():
         each = "; ".join(f"{name} ({meaning})" for name, meaning in choices.items())
-        raise ConfigError(f"which {what} does the controller need? State it: --{what} {' or '.join(names)}: {each}")
+        raise ConfigError(f"which {what} does the controller need? Use --{what} {' or '.join(names)}: {each}")
     say(f"Which {what} does the controller need?")
     for name, meaning in choices.items():
         say(f"  {name:<16} {meaning}")
@@ -118,7 +118,7 @@ def _ask(what: str, choices: Mapping[Any, str]) -> str:
         try:
             answer = input(f"{' or '.join(names)}? ").strip()
         except EOFError:
-            raise ConfigError(f"nobody answered: state it with --{what}") from None
+            raise ConfigError(f"nobody answered: use --{what}") from None
         if answer in names:
             return answer
 
@@ -127,9 +127,9 @@ _TABLE = re.compile(r"\s*\[")
 
 
 def with_value(text: str, table: str, name: str, value: str) -> str:
-    """The text with `table.name = value`: in place of the old value, else of its comment, else as a new line.
+    """Return the text with `table.name = value`, in place of the old value, of its comment, or as a new line.
 
-    Raises ConfigError if the text states it in a way that a person has to change.
+    Raises ConfigError if the text sets it in a way that only a person can change.
     """
     said, quoted = f"{name} = {json.dumps(value)}", r"""("[^"\n]*"|'[^'\n]*')"""
     lines = text.rstrip("\n").split("\n")
@@ -157,7 +157,7 @@ def with_value(text: str, table: str, name: str, value: str) -> str:
         lines += ["", f"[{table}]", said]
     changed = "\n".join([*lines, ""])
     if not _differs_by_this_alone(text, changed, table, name, value):
-        raise ConfigError(f"states {table}.{name} in a way that a person has to change; it needs {said} in [{table}]")
+        raise ConfigError(f"sets {table}.{name} in a way that a person must change; it needs {said} in [{table}]")
     return changed
 
 

@@ -1,4 +1,4 @@
-"""The robot's computer as `setup` changes it: each change is a sentence, and in a dry run nothing else."""
+"""The robot's computer, as `setup` changes it. Each change prints a sentence; a dry run only prints."""
 
 import os
 import stat
@@ -27,7 +27,7 @@ Run = Callable[[Sequence[str]], "subprocess.CompletedProcess[str]"]
 
 
 def _run(words: Sequence[str]) -> "subprocess.CompletedProcess[str]":
-    """Raises GatewayError."""
+    """Run a program. Raises GatewayError if it is missing or hangs."""
     try:
         return subprocess.run(words, capture_output=True, text=True, check=False, timeout=_COMMAND_S)
     except FileNotFoundError:
@@ -37,7 +37,7 @@ def _run(words: Sequence[str]) -> "subprocess.CompletedProcess[str]":
 
 
 class Machine:
-    """A computer whose files are below `root`, and whose programs `run` starts; others in tests."""
+    """A computer with its files below `root` and its programs started by `run`; tests replace both."""
 
     def __init__(
         self,
@@ -51,35 +51,35 @@ class Machine:
         self.root = root
         self.run = run
         self.why_not_now = why_not_now
-        """Why the service may not be restarted; "": it may."""
+        """Returns why the service may not restart now; "" if it may."""
         self.dry = dry
         self.force = force
         self.reboot_due = False
         self.restart_due = False
-        """Whether something was changed that the service reads at its start."""
+        """Whether something that the service reads at its start has changed."""
 
     def path(self, absolute: str) -> Path:
-        """A path of this computer."""
+        """Return this path of the computer."""
         return self.root / absolute.lstrip("/")
 
     def change(self, sentence: str, act: Callable[[], object]) -> None:
-        """State a change, and make it."""
+        """Print the sentence, and call `act` unless this is a dry run."""
         say(sentence)
         if not self.dry:
             act()
 
     def read(self, absolute: str) -> bytes | None:
-        """A file's content; None if there is none, or nothing in it, as after a power cut. Raises ConfigError."""
+        """Return a file's content; None if it is missing, or empty as after a power cut. Raises ConfigError."""
         try:
             data = durable.read(self.path(absolute), _MOST_BYTES)
         except PermissionError:
-            raise ConfigError(f"{absolute} is for root to read: begin the command with sudo") from None
+            raise ConfigError(f"only root may read {absolute}: begin the command with sudo") from None
         except ValueError as error:
             raise ConfigError(f"{absolute} {error}") from None
         return data if data is not None and data.strip(b"\0 \t\r\n") else None
 
     def put(self, absolute: str, data: bytes, sentence: str = "", *, group: str = SERVICE) -> bool:
-        """Write a file for root and `group` if it differs; after a power cut it is the old or the new one, whole."""
+        """Write a file for root and `group` if it differs, durably and atomically. Return whether it differed."""
         if self.read(absolute) == data:
             return False
         if group == SERVICE:
@@ -95,7 +95,7 @@ class Machine:
         durable.write_with_mode(path, data, 0o640, prepare=lambda descriptor: os.fchown(descriptor, -1, gid))
 
     def gid(self, group: str) -> int:
-        """A group's number. Raises ConfigError."""
+        """Return a group's id. Raises ConfigError."""
         for line in self.path("/etc/group").read_text().splitlines():
             name, _, number, *_ = line.split(":")
             if name == group:
@@ -103,7 +103,7 @@ class Machine:
         raise ConfigError(f"there is no group {group}, which the package makes: sudo apt install --reinstall {SERVICE}")
 
     def let_read(self, absolute: str, group: str) -> bool:
-        """Give a folder to root and this group, and to nobody else: `scp` leaves a key as 0600. True: it was not so."""
+        """Let only root and this group read a folder: `scp` leaves keys as 0600. Return whether a mode changed."""
         folder = self.path(absolute)
         if not folder.is_dir():
             return False
@@ -120,7 +120,7 @@ class Machine:
         return bool(wrong)
 
     def check(self) -> int:
-        """Run `check`, and return its exit code. In another process: after --back it is another release's."""
+        """Run `check` as a process, since --back changes the release. Return its exit code."""
         installed = self.path(f"/usr/bin/{SERVICE}")
         own = [str(installed)] if installed.exists() else [sys.executable, "-m", "gateway"]
         return subprocess.run([*own, "check"], check=False).returncode
@@ -128,7 +128,7 @@ class Machine:
     # ---- systemd
 
     def systemctl(self, *words: str, check: bool = True) -> str:
-        """What systemctl prints. Raises GatewayError with its first line if it fails."""
+        """Run systemctl and return its output. Raises GatewayError with its first line of error."""
         done = self.run(["systemctl", *words])
         if check and done.returncode:
             why = (done.stderr.strip() or f"exit code {done.returncode}").splitlines()[0]
@@ -136,15 +136,15 @@ class Machine:
         return done.stdout.strip()
 
     def show(self, unit: str, name: str) -> str:
-        """One property of a unit."""
+        """Return one property of a unit."""
         return self.systemctl("show", f"--property={name}", "--value", unit, check=False)
 
     def is_active(self, unit: str) -> bool:
-        """Whether a unit runs. One that is tried again and again, since a start fails, does not."""
+        """Return whether a unit runs. A unit whose starts fail again and again does not."""
         return self.show(unit, "ActiveState") in ("active", "reloading")
 
     def enable(self, *units: str) -> None:
-        """Let units start with the machine, if they do not."""
+        """Let units start with the machine."""
         missing = [unit for unit in units if self.show(unit, "UnitFileState") != "enabled"]
         if missing:
             self.change(
@@ -153,13 +153,13 @@ class Machine:
             )
 
     def will_restart(self) -> None:
-        """Call before each change to what the service reads. Raises GatewayError while a servo runs."""
+        """Call before each change of what the service reads. Raises GatewayError while a servo runs."""
         if not self.restart_due:
             self.check_no_servo_runs()
         self.restart_due = True
 
     def check_no_servo_runs(self) -> None:
-        """Raises GatewayError if a servo runs, or the service does not report whether one does."""
+        """Raise GatewayError if a servo runs, or the service does not report whether one runs."""
         if self.dry or self.force:
             return
         if reason := self.why_not_now():
@@ -176,5 +176,5 @@ def _is_wrong(path: Path, gid: int) -> bool:
 
 
 def scratch() -> "tempfile.TemporaryDirectory[str]":
-    """A folder of root's own, gone afterwards."""
+    """Return a private temporary folder for a `with`."""
     return tempfile.TemporaryDirectory(prefix=f"{SERVICE}.")

@@ -16,7 +16,7 @@ CONSOLE: Final = "hexapod-console"
 _CONSOLE_OPTIONS: Final = f"/etc/{CONSOLE}/console.conf"
 _CONSOLE_STATE: Final = f"/var/lib/{CONSOLE}"
 _LISTENS_S: Final = 60
-"""On a busy Pi the console takes some seconds until it listens."""
+"""On a busy Pi the console needs some seconds until it listens."""
 _PAUSE_S: Final = 0.2
 
 _PACKAGED: Final = f"/usr/lib/systemd/system/{SERVICE}.service"
@@ -26,11 +26,11 @@ _FORMER: Final = (
     f"/usr/local/bin/{SERVICE}",
     f"/opt/{SERVICE}",
 )
-"""Of the installer before the package: these would go before the package's own."""
+"""From the installer before the package. systemd and the shell would prefer these to the package's files."""
 
 
 def remove_former(machine: Machine) -> None:
-    """Remove what the former installer made, if the package is installed. Configuration and state stay."""
+    """Remove the files of the former installer, if the package is installed. Configuration and state stay."""
     found = [each for each in _FORMER if os.path.lexists(machine.path(each))]
     if not found or not machine.path(_PACKAGED).exists():
         return
@@ -49,7 +49,7 @@ def _remove(path: Path) -> None:
 
 
 def start(machine: Machine, device: str) -> None:
-    """Let the service run with what is set up now. Raises GatewayError."""
+    """Run the service with the present setup. Raises GatewayError."""
     machine.enable(SERVICE)
     simulated = "--sim" in machine.show(SERVICE, "Environment")
     if machine.is_active(SERVICE):
@@ -57,7 +57,7 @@ def start(machine: Machine, device: str) -> None:
             machine.check_no_servo_runs()
             machine.change("restart the service: all legs stop", lambda: _start(machine, SERVICE))
         else:
-            say("the service runs with all of this")
+            say("the service runs with this setup")
     elif machine.path(device).exists() or simulated:
         machine.change("start the service", lambda: _start(machine, SERVICE))
     elif machine.reboot_due:
@@ -67,7 +67,7 @@ def start(machine: Machine, device: str) -> None:
 
 
 def _is_outdated(machine: Machine) -> bool:
-    """Whether a file was changed since the service's start, as by a `setup` that was interrupted."""
+    """Whether a file has changed since the service's start, such as by an interrupted `setup`."""
     kept = machine.path(KEPT_CONFIGURATION)
     if not kept.exists():
         return False
@@ -78,7 +78,7 @@ def _is_outdated(machine: Machine) -> bool:
 
 
 def _start(machine: Machine, unit: str) -> None:
-    """Also after so many failed starts that systemd begins no other."""
+    """Start a unit, also after so many failed starts that systemd attempts no other."""
     machine.systemctl("reset-failed", unit, check=False)
     try:
         machine.systemctl("restart", unit)
@@ -95,7 +95,7 @@ def _last_words(machine: Machine, unit: str) -> str:
 
 
 def start_console(machine: Machine) -> None:
-    """Let the web console run as a service of its own, on loopback unless its socket unit has another address."""
+    """Run the web console as its own service, on loopback unless its socket unit names another address."""
     readable = machine.let_read(f"/etc/{CONSOLE}", CONSOLE)
     if machine.read(_CONSOLE_OPTIONS) is None:
         machine.put(_CONSOLE_OPTIONS, configuration.shipped("systemd/console.conf"), group=CONSOLE)
@@ -111,7 +111,7 @@ def start_console(machine: Machine) -> None:
 
 
 def _begin(machine: Machine) -> None:
-    """systemd counts it as started with its process, which may still find a file that it cannot read."""
+    """Start the console, and wait until it listens: its process may start and then find an unreadable file."""
     since_s = time.time() - 1
     try:
         machine.systemctl("start", f"{CONSOLE}.socket")

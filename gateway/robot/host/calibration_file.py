@@ -205,7 +205,7 @@ def _fault(fault: ErrorDetails) -> str:
         return f"{place}: is missing; {_WHOLE}"
     if fault["type"] == "extra_forbidden":
         return f"{place}: {NO_SETTING}"
-    return f"{place}: {echo(fault['input'])} will not do: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+    return f"{place}: {echo(fault['input'])} is not allowed: {fault['msg'][0].lower()}{fault['msg'][1:]}"
 
 
 def _servo_id(name: str) -> int:

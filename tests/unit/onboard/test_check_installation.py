@@ -91,24 +91,24 @@ Plant = Callable[[Installed], object]
 PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: setattr(robot, "files", Whole(changed=("/usr/a", "/usr/b"))), "not as installed: /usr/a, /usr/b"),
     (lambda robot: setattr(robot, "files", Whole(added=("/usr/a",))), "and not installed with it: /usr/a"),
-    (lambda robot: setattr(robot, "files", Whole(closed=("/usr/a",))), "not for all to read"),
-    (lambda robot: setattr(robot, "package", "1.2.0"), "1.2.0 is installed, and 1.1.0 runs until no servo does"),
+    (lambda robot: setattr(robot, "files", Whole(closed=("/usr/a",))), "not readable by all"),
+    (lambda robot: setattr(robot, "package", "1.2.0"), "1.2.0 is installed, but 1.1.0 runs until no servo runs"),
     (
         lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
-        "the service that runs is 1.0",
+        "the running service is 1.0",
     ),
-    (lambda robot: robot.write("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is of the former"),
-    (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} is not as this release"),
-    (lambda robot: robot.write(UNIT_FILE, "x"), "hexapod-gateway.service is not as this release"),
-    (lambda robot: robot.replace_unit(), "/etc/systemd/system/hexapod-gateway.service is in force in place of"),
+    (lambda robot: robot.write("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is from the former"),
+    (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} differs from this release"),
+    (lambda robot: robot.write(UNIT_FILE, "x"), "hexapod-gateway.service differs from this release"),
+    (lambda robot: robot.replace_unit(), "/etc/systemd/system/hexapod-gateway.service replaces"),
     (lambda robot: robot.show(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
     (lambda robot: robot.forget_python(), "/usr/bin/python3.1 cannot be run"),
     (lambda robot: robot.show(ExecStopPost="{ path=/run/program ; }"), "runs no stop-servos after its end"),
     (lambda robot: robot.show(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
-    (lambda robot: robot.show(NeedDaemonReload="yes"), "hexapod-gateway was edited, and systemd still"),
+    (lambda robot: robot.show(NeedDaemonReload="yes"), "hexapod-gateway was edited, but systemd still"),
     (lambda robot: robot.drop_in("Environment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simu"),
     (lambda robot: robot.drop_in("ExecStopPost="), "empties ExecStopPost="),
-    (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "has settings, which hold in place of"),
+    (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "has settings that override"),
     (lambda robot: robot.drop_in("User=root\nNice=3"), "changes what Stops depend on: Nice, User"),
     (lambda robot: robot.drop_in("Environment=A=1 PYTHONPATH=/x\nMemoryMax=64M"), "depend on: MemoryMax, PYTHONPATH"),
     (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
@@ -116,9 +116,9 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: setattr(robot, "environment", "PATH=/bin HEXAPOD_LOG__LEVEL=debug"), "HEXAPOD_LOG__LEVEL is in"),
     (lambda robot: robot.runs("PYTHONPATH=/x\0"), "PYTHONPATH is in the service's environment"),
     (lambda robot: robot.file_for_folder(), "is no folder"),
-    (lambda robot: robot.path(STATE).chmod(0o500), "is not the service's to write"),
-    (lambda robot: robot.write(f"{STATE}/a", mode=0o400), "not the service's to read and write: a"),
-    (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "others than root and the service may read"),
+    (lambda robot: robot.path(STATE).chmod(0o500), "the service may not write"),
+    (lambda robot: robot.write(f"{STATE}/a", mode=0o400), "the service may not read and write: a"),
+    (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "not only root and the service may read"),
     (lambda robot: robot.keys("old.key"), "zenoh/old.key is the authority's key"),
     (lambda robot: robot.keys("ca.key"), "zenoh/ca.key is the authority's key"),
 )
@@ -204,7 +204,7 @@ def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: P
     assert folders.bring("ca.pem") == [
         f"{folders.state}/revoked.crl: this is no list of `hexapod-gateway certs revoke`, or it was cut off; "
         "the service does not start",
-        "revoked.crl is of another authority, so nobody is shut out by it",
+        "revoked.crl is of another authority, so it shuts nobody out",
     ]
     (folders.own / "ca.pem").write_text("")
     assert folders.bring() == [], "another line says it"

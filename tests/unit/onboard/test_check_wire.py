@@ -74,7 +74,7 @@ def nothing(_: Terminal) -> None:
         (lambda each: each.console("tty1"), "ok", "opens, as"),
         (lambda each: setattr(each.robot, "gateway_runs", True), "ok", "is the running gateway's"),
         (lambda each: each.console(f"tty1 {Path(each.path).name}"), "failure", "is the Linux console"),
-        (Terminal.login, "failure", "is the terminal of a login"),
+        (Terminal.login, "failure", "has a login terminal"),
     ],
 )
 def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: str, says: str) -> None:
@@ -153,7 +153,7 @@ def test_a_board_that_is_the_gateways_or_not_for_this_user_is_not_asked(
         patch.setitem(sys.modules, "can", None)
         assert "python-can is not installed" in board(tmp_path).sentence
     monkeypatch.setattr(os, "access", lambda *_: False)
-    assert "may not be opened" in board(tmp_path).sentence
+    assert "may not open" in board(tmp_path).sentence
     assert adapter.received == []
 
 

@@ -128,7 +128,7 @@ def test_unplugged_it_has_to_raise(monkeypatch: pytest.MonkeyPatch, judged: Call
 
     def answer(question: str) -> str:
         nonlocal plugged
-        plugged = "Put it back" in question
+        plugged = "Plug the board in again" in question
         return ""
 
     class Unplugged(Board):

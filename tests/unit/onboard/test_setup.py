@@ -54,7 +54,7 @@ def test_one_value_changes_and_everything_else_stays(before: str, after: str) ->
 
 @pytest.mark.parametrize("text", ['spi = { framing = "x" }\n', '[spi]\nframing = """x\n"""\n', '"spi".framing = "x"\n'])
 def test_a_text_that_a_person_has_to_change(text: str) -> None:
-    with pytest.raises(ConfigError, match="a person has to change"):
+    with pytest.raises(ConfigError, match="a person must change"):
         with_value(text, "spi", "framing", "plain")
 
 
@@ -131,7 +131,7 @@ def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> Non
     computer.set_up()
     assert capsys.readouterr().out.splitlines() == [
         f'{TOML} states spi.framing = "plain"',
-        f"SPI is on in {CONFIG_TXT}, and /dev/spidev0.0 is not there: a reboot is due",
+        f"SPI is on in {CONFIG_TXT}, but /dev/spidev0.0 is not there: a reboot is due",
         "the service starts with the reboot",
         "Next: sudo reboot; then: sudo hexapod-gateway check",
     ]
@@ -147,7 +147,7 @@ def test_after_the_reboot_it_starts_the_service_and_checks(
     assert computer.systemd.calls[-1] == "restart hexapod-gateway"
     calls = list(computer.systemd.calls)
     computer.set_up()
-    assert "the service runs with all of this" in capsys.readouterr().out.splitlines()
+    assert "the service runs with this setup" in capsys.readouterr().out.splitlines()
     assert computer.systemd.calls == calls
 
 
@@ -183,12 +183,12 @@ def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
 @pytest.mark.parametrize(
     ("text", "options", "fault"),
     [
-        ("", {}, "which wire does the controller need\\? State it: --wire hexapod-1.0 or elkapod-2025"),
-        ("", {"wire": "hexapod-1.0"}, "which framing does the controller need\\? State it: --framing"),
+        ("", {}, "which wire does the controller need\\? Use --wire hexapod-1.0 or elkapod-2025"),
+        ("", {"wire": "hexapod-1.0"}, "which framing does the controller need\\? Use --framing"),
         ("", {"wire": "elkapod-2025", "framing": "plain"}, "--framing is for hexapod-1.0"),
         ("framing = ", {"framing": "plain"}, "gateway.toml is not TOML"),
         ("spi = 1", {"framing": "plain"}, "is no table"),
-        ("spi = {}", {"framing": "plain"}, "a person has to change"),
+        ("spi = {}", {"framing": "plain"}, "a person must change"),
         ("", {"framing": "plain", "certs": Path("/nowhere.zip")}, "there is no /nowhere.zip"),
     ],
 )  # fmt: skip
@@ -222,7 +222,7 @@ def test_nobody_answers(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", end)
-    with pytest.raises(ConfigError, match="nobody answered: state it with --wire"):
+    with pytest.raises(ConfigError, match="nobody answered: use --wire"):
         computer.set_up()
 
 
@@ -265,7 +265,7 @@ def test_the_elkapod_on_a_pi_5(computer: Computer, capsys: pytest.CaptureFixture
     capsys.readouterr()
     computer.set_up(dry=True)
     assert (
-        "/dev/ttyAMA1 is on in /boot/firmware/config.txt, and is not there: a reboot is due" in capsys.readouterr().out
+        "/dev/ttyAMA1 is on in /boot/firmware/config.txt, but is not there: a reboot is due" in capsys.readouterr().out
     )
 
 
@@ -361,7 +361,7 @@ def _unzipped(folder: Path, people: Path) -> None:
         (_of_two_robots, "is not the key of its gateway.pem"),
         (_of_two_authorities, "is of another authority than its ca.pem"),
         (_unzipped, "has no gateway.pem .*It has the certificate of anna, role operator"),
-        (lambda folder, _: folder.rmdir() or folder.write_text("no zip"), "is no folder, and no zip"),
+        (lambda folder, _: folder.rmdir() or folder.write_text("no zip"), "is neither a folder nor a zip"),
     ],
 )
 def test_others_certificates_are_rejected_before_anything_changes(

@@ -72,9 +72,9 @@ def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch,
         monkeypatch.delenv(variable)
     for value, limit in ((low - 1, f"greater than or equal to {low}"), (high + 1, f"less than or equal to {high}")):
         file.write_text(f'wire.name = "{protocol}"\n{place} = {value}')
-        assert faults(file) == [f"file: {place}: {value} will not do: input should be {limit}"]
+        assert faults(file) == [f"file: {place}: {value} is not allowed: input should be {limit}"]
         monkeypatch.setenv(variable, str(value))
-        assert faults() == [f'{variable}: "{value}" will not do: input should be {limit}']
+        assert faults() == [f'{variable}: "{value}" is not allowed: input should be {limit}']
         monkeypatch.delenv(variable)
 
 
@@ -165,9 +165,9 @@ def test_a_fault_of_the_environment(monkeypatch: pytest.MonkeyPatch, variable: s
 def test_a_pose_in_the_file_that_limits_in_the_environment_forbid(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[watchdog.landing]\n11 = 110")
     monkeypatch.setenv("HEXAPOD_LIMITS__SERVOS__11__MAX_DEG", "100")
-    assert faults(file) == ["file: watchdog.landing.11: 110 will not do: limits.servos.11 allows 0 to 100"]
+    assert faults(file) == ["file: watchdog.landing.11: 110 is not allowed: limits.servos.11 allows 0 to 100"]
     monkeypatch.setenv("HEXAPOD_WATCHDOG__LANDING__11", "101")
-    assert faults(file) == ["HEXAPOD_WATCHDOG__LANDING__11: 101 will not do: limits.servos.11 allows 0 to 100"]
+    assert faults(file) == ["HEXAPOD_WATCHDOG__LANDING__11: 101 is not allowed: limits.servos.11 allows 0 to 100"]
 
 
 # ---- the framing of a real device
