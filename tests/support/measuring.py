@@ -1,20 +1,14 @@
 """What a robot that measures publishes, for tests of what people and programs make of it."""
 
-import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
-
-import zenoh
-from pydantic import BaseModel
+from typing import Final
 
 from gateway.client import Client
 from schemas import keys
-from schemas.state import Payloads
-from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
-from tests.support.published import WALL, state
-from tests.support.router import zenoh_listening
+from schemas.telemetry import Battery, Imu, Telemetry
+from tests.support.published import WALL
 
 MEASURED: Final = Telemetry(
     time=WALL,
@@ -61,42 +55,3 @@ def measures(client: Client, telemetry: Telemetry) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
-
-
-class Measuring:
-    """A session in a gateway's place: it answers with a state, and with what it measures once that is there."""
-
-    def __init__(self, session: zenoh.Session) -> None:
-        self._session = session
-        self.measured: Telemetry | None = None
-        self.state: GatewayState = state()
-        self._declared: Any = (
-            session.declare_queryable(
-                keys.STATE, lambda query: self._reply(query, keys.STATE, Payloads().of(self.state)[0])
-            ),
-            session.declare_queryable(
-                keys.CONFIG, lambda query: self._reply(query, keys.CONFIG, Payloads().of(self.state)[1])
-            ),
-            session.declare_queryable(keys.TELEMETRY, lambda query: self._reply(query, keys.TELEMETRY, self.measured)),
-        )
-
-    def publish(self, measured: Telemetry) -> None:
-        """As the gateway does ten times a second."""
-        self.measured = measured
-        self._session.put(keys.TELEMETRY, measured.model_dump_json())
-
-    def publish_rubbish(self) -> None:
-        """What no gateway publishes."""
-        self._session.put(keys.TELEMETRY, json.dumps({"battery": "full"}))
-
-    def _reply(self, query: zenoh.Query, key: str, report: BaseModel | None) -> None:
-        with query:
-            if report is not None:
-                query.reply(key, report.model_dump_json())
-
-
-@contextmanager
-def measuring(endpoint: str) -> Iterator[Measuring]:
-    """Listens there, in this process."""
-    with zenoh_listening(endpoint) as session:
-        yield Measuring(session)

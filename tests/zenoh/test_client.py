@@ -22,13 +22,12 @@ from gateway.client import Client, RejectedError, StoppedError, leg_payload
 from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from schemas import keys
-from schemas.telemetry import Ack, Cause, FrameRecord, Mode, Telemetry
+from schemas.telemetry import Ack, Cause, FrameRecord, Mode
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
-from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import frames, is_stop, running
-from tests.support.measuring import MEASURED, measuring
+from tests.support.gateway_process import Gateway
+from tests.support.heard import frames, is_stop
 
 MOST_LOOKS = 500
 """In 1.5 s: asked again every 50 ms, and each time a few calls. Without pauses they are many thousands."""
@@ -54,21 +53,6 @@ robot = client_fixture("test", rests=True)
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
     assert (failed, tried) == (0, examples)
-
-
-def test_what_the_robot_measures_is_asked_for_and_called_back() -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    received: SimpleQueue[Telemetry] = SimpleQueue()
-    with measuring(endpoint) as robot, Client(endpoint, timeout_s=10) as client:
-        subscriber = client.on_telemetry(received.put)
-        assert client.telemetry() is None, "nothing has come yet"  # and it knows the subscription
-        robot.publish_rubbish()
-        robot.publish(MEASURED)
-        assert received.get(timeout=10) == MEASURED
-        assert client.telemetry() == MEASURED
-        subscriber.undeclare()
-    with pytest.raises(ZenohError):
-        client.telemetry()
 
 
 def test_what_nobody_answers_is_one_sentence_and_no_busy_loop(tmp_path: Path) -> None:
@@ -177,17 +161,6 @@ def test_a_program_that_closes_nothing_leaves_nothing_to_the_watchdog(
         assert after.watchdog.expirations == before.watchdog.expirations
         stops = [record for record in written.all if record.cause is Cause.COMMAND and is_stop(record)]
         assert len(stops) == 6
-
-
-def test_the_end_of_a_client_ends_its_streams_first(patient_gateway: Gateway) -> None:
-    with patient_gateway.client() as watcher:
-        watcher.stop()
-        with patient_gateway.client() as client:
-            stream = client.stream(20).open()
-            stream.set([(90, 45, 120)] * 6)
-            assert running(watcher) == [1, 2, 3, 4, 5, 6]
-        assert running(watcher) == []
-        assert client.open_parts == []
 
 
 # ---- what is rejected, and whether it is ready

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from gateway.client import Client, DisconnectedError, RejectedError, StoppedError, Stream
+from gateway.client import Client, DisconnectedError, RejectedError, Stream
 from gateway.model.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
 from tests.support.cut_link import CutLink
@@ -51,26 +51,6 @@ def test_the_first_setpoint_of_a_leg_starts_it_and_the_end_stops_what_was_moved(
         assert {1, 4} <= set(running(watcher))
         assert watcher.start_leg(6, *POSE).accepted
     assert running(watcher) == [6]
-
-
-def test_the_emergency_stop_ends_it_and_a_reset_alone_moves_nothing(robot: Client, watcher: Client) -> None:
-    with robot.stream(HZ) as stream:
-        stream.set({1: POSE})
-        number = watcher.estop().estop
-        with pytest.raises(StoppedError, match="emergency stop"):
-            go_on(stream, 1)
-        stream.start_again()
-        for _ in range(2):  # a start that was rejected is not tried again by itself
-            with pytest.raises(RejectedError, match="rejected: estopped: ") as rejected:
-                stream.set({1: POSE})
-        assert rejected.value.reason == "estopped"
-        assert watcher.reset(number).accepted
-        with pytest.raises(RejectedError, match="rejected: estopped: "):
-            stream.set({1: POSE})
-        assert not running(watcher)
-        stream.start_again()
-        stream.set({1: POSE})
-        assert running(watcher) == [1]
 
 
 def test_a_setpoint_that_was_rejected_is_reported_and_the_stream_goes_on(robot: Client, watcher: Client) -> None:

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Final
 
 import pytest
 
@@ -126,33 +126,3 @@ def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_t
         leaves()
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
-
-
-def test_a_walk_that_goes_on_after_each_error_keeps_its_ticks_and_asks_twice_a_second(
-    robot: Client, watcher: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[str] = []
-    own = robot._get
-
-    def counted(key: str, *given: Any, **named: Any) -> Any:
-        asked.append(key)
-        return own(key, *given, **named)
-
-    with robot.walk() as walk:
-        walk.stand()
-        stopped, errors = watcher.estop(), list[str]()
-        with pytest.raises(StoppedError):
-            walks(walk, 500)
-        monkeypatch.setattr(robot, "_get", counted)
-        begun_s = time.monotonic()
-        while (took_s := time.monotonic() - begun_s) < 8 / QUICKER:
-            for call in (walk.go, walk.start_again):
-                with pytest.raises(StoppedError) as error:
-                    call()
-                errors.append(str(error.value))
-        assert len(asked) <= 2 * QUICKER * took_s + 2
-        assert "emergency stop: nothing moves until a person runs `hexapod-gateway reset --connect " in errors[-1]
-        assert robot.reset(stopped.estop).accepted
-        walk.start_again()
-        walk.stand()
-        assert running(watcher) == [1, 2, 3, 4, 5, 6]

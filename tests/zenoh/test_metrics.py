@@ -48,16 +48,6 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
     assert described(page) == documented()
 
 
-def test_a_port_that_is_taken_is_a_fault_of_the_configuration(tmp_path: Path) -> None:
-    address = f"127.0.0.1:{free_port()}"
-    settings = {"telemetry": {"metrics": address}}
-    with Gateway(tmp_path, settings), Gateway(tmp_path, settings, wait=False) as second:
-        assert second.child.wait() == 2
-        assert second.child.stderr == (
-            f"hexapod-gateway: telemetry.metrics: {address} cannot be opened: Address already in use\n"
-        )
-
-
 def test_no_web_page_reads_them_by_a_name_of_its_own(tmp_path: Path) -> None:
     """A page whose name points at this machine (DNS rebinding), or one of another origin."""
     port = free_port()

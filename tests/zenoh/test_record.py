@@ -19,9 +19,8 @@ from gateway.people.recorder.drawing import FRAMES, JOINT_STATES, LOG
 from schemas.keys import EVENT, FRAME, STATE
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child
-from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames, states
 from tests.support.mcap_file import checked, whole
 
@@ -128,18 +127,3 @@ def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Cl
         assert found == expected[first : first + len(found)], "none is missing between the first and the last"
         lost_s = (end_ns - found[-1]["monotonic_ns"]) / 1e9
         assert lost_s < 1, "a tenth of a second, and what a busy machine adds"
-
-
-@pytest.mark.parametrize("given", [(), ("--csv", "--live"), ("ride.bag",)], ids=" ".join)
-def test_it_asks_for_what_to_make(given: tuple[str, ...]) -> None:
-    ended = run_here("record", *given)
-    assert ended.returncode == 2
-    assert ".mcap" in ended.stderr
-
-
-def test_without_a_gateway_no_file_is_made(tmp_path: Path) -> None:
-    path = tmp_path / "ride.mcap"
-    assert (
-        run_here("record", str(path), "--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.1").returncode == 4
-    )
-    assert not path.exists()

@@ -1,5 +1,6 @@
 """The service as a process on the simulated controller: settings that only a process shows, start and end, mistakes."""
 
+import os
 import re
 import signal
 import socket
@@ -8,8 +9,11 @@ import sys
 import threading
 from pathlib import Path
 
+import pytest
+
 from gateway.client import Client
 from schemas import keys
+from tests.support.child import Child
 from tests.support.gateway_process import READY, Gateway, free_port, write_settings
 
 
@@ -62,56 +66,56 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
             peer.kill()
 
 
-def test_a_port_that_is_taken_ends_it_with_4_and_one_line(tmp_path: Path) -> None:
+def test_a_port_that_is_taken_ends_it_with_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
-        with Gateway(tmp_path, {"zenoh": {"listen": [endpoint]}}, wait=False) as gateway:
-            assert gateway.child.wait() == 4
-            assert gateway.child.stderr == (
-                f"hexapod-gateway: {endpoint} is taken by another program (perhaps another gateway); "
-                "stop it, or set another zenoh.listen\n"
-            )
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        listens = f"tcp/{address} is taken by another program (perhaps another gateway); stop it, or set another"
+        metrics = f"telemetry.metrics: {address} cannot be opened: Address already in use"
+        for section, code, line in (
+            ({"zenoh": {"listen": [f"tcp/{address}"]}}, 4, f"{listens} zenoh.listen"),
+            ({"telemetry": {"metrics": address}}, 2, metrics),
+        ):
+            with Gateway(tmp_path, section, wait=False) as gateway:
+                assert gateway.child.wait() == code
+                assert gateway.child.stderr == f"hexapod-gateway: {line}\n"
 
 
-FAULTY = """
-import atexit, os, sys
-from gateway import cli
+BROKEN = """
 from gateway.robot.runtime import conductor
 def broken(self, received, now_ns):
     raise RuntimeError("planted")
 conductor.Conductor._receive = broken
+"""
+DEAF = """
+from gateway.robot.zenoh_io import inbox
+inbox.Inbox.receives = property(lambda self: False)
+"""
+RUN = """
+import atexit, os, sys
+from gateway import cli
 atexit.register(os.write, 2, b"ended by the interpreter, which aborts while a thread is inside Zenoh")
 sys.argv[1:] = ["run", "--sim", "--config", sys.argv[1]]
 cli.main()
 """
 
 
-def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path) -> None:
-    """A fault planted in the process's own code: nobody knows what state is left, so the robot must stand."""
-    config = write_settings(
-        tmp_path / "gateway.toml",
-        {"zenoh": {"listen": [(endpoint := f"tcp/127.0.0.1:{free_port()}")]}},
-    )
-    with subprocess.Popen(
-        [sys.executable, "-X", "dev", "-c", FAULTY, config], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert READY in process.stdout.readline()
-        with Client(endpoint) as client:
-            client.publish(keys.leg_command(3), {})
-            _, said = process.communicate(timeout=20)
-    assert process.returncode == 1
-    assert said.splitlines()[-1] == "hexapod-gateway: a mistake in the gateway ended it: planted"
-    after = said[said.index("planted") :]
-    assert len(re.findall(r"servo \d\d stopped", after)) >= 18
-
-
-def test_it_ends_when_a_thread_that_hears_has_ended(tmp_path: Path) -> None:
-    deaf = FAULTY.replace("conductor.Conductor._receive = broken", "").replace(
-        "def broken",
-        "from gateway.robot.zenoh_io import inbox\ninbox.Inbox.receives = property(lambda self: False)\ndef broken",
-    )
-    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
-    end = subprocess.run([sys.executable, "-c", deaf, config], capture_output=True, text=True, check=False, timeout=20)
-    assert end.returncode == 1
-    assert "a thread that waits for commands has ended" in end.stderr
+@pytest.mark.parametrize(
+    ("planted", "last"),
+    [
+        (BROKEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
+        (DEAF, "a thread that waits for commands has ended"),
+    ],
+)
+def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path, planted: str, last: str) -> None:
+    """Planted in the process's own code: nobody knows what state is left, so the robot must stand."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [endpoint]}})
+    with Child([sys.executable, "-X", "dev", "-c", planted + RUN, str(config)], os.environ) as child:
+        if planted is BROKEN:
+            child.wait_for_output(READY, 60)
+            with Client(endpoint, timeout_s=20) as client:
+                client.publish(keys.leg_command(3), {})
+                child.wait()
+        assert child.wait() == 1
+    assert last in child.stderr.splitlines()[-1]
+    assert len(re.findall(r"servo \d\d stopped", child.stderr)) >= 2 * 18, "at the start, and at this end"

@@ -47,16 +47,15 @@ BY_HAND = ASYNC.replace("asyncio.run(main())", "asyncio.new_event_loop().run_unt
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("program", "number"),
+    ("program", "number", "again"),
     [
-        pytest.param(BLOCKING, signal.SIGINT, id="blocking-Ctrl-C"),
-        pytest.param(BLOCKING, signal.SIGTERM, id="blocking-SIGTERM"),
-        pytest.param(ASYNC, signal.SIGINT, id="async-Ctrl-C"),
-        pytest.param(ASYNC, signal.SIGTERM, id="async-SIGTERM"),
-        pytest.param(BY_HAND, signal.SIGINT, id="by hand-Ctrl-C"),
+        pytest.param(BLOCKING, signal.SIGINT, True, id="blocking-Ctrl-C-twice"),
+        pytest.param(BLOCKING, signal.SIGTERM, False, id="blocking-SIGTERM"),
+        pytest.param(ASYNC, signal.SIGINT, False, id="async-Ctrl-C"),
+        pytest.param(ASYNC, signal.SIGTERM, True, id="async-SIGTERM-twice"),
+        pytest.param(BY_HAND, signal.SIGINT, False, id="by hand-Ctrl-C"),
     ],
 )
-@pytest.mark.parametrize("again", [False, True], ids=["once", "twice"])
 def test_the_first_sits_and_the_second_stops(
     gateway: Gateway, number: signal.Signals, again: bool, program: str
 ) -> None:

@@ -1,6 +1,6 @@
-"""The contract of a rule that may keep the robot from moving, or bring it down. Pure.
+"""The contract of one rule that may keep the robot from moving, or bring it down. Pure.
 
-A rule is a file with one such class, and a line in the supervisor's `ORDER`.
+A rule is a file with one such class, and a line in the supervisor's `ORDER`. The first that objects gives the reason.
 """
 
 from typing import Any, Generic, NamedTuple, Self, TypeVar
@@ -19,7 +19,7 @@ Own = TypeVar("Own")
 
 
 class Halt(NamedTuple):
-    """Stop all six legs at once, and reject waiting commands."""
+    """All six legs are stopped at once, and what waits is rejected."""
 
     cause: Cause
     reason: Reason
@@ -27,7 +27,7 @@ class Halt(NamedTuple):
 
 
 class Down(NamedTuple):
-    """No servo may run: running ones land until `landing_ns` after `since_ns` (None: now), or are stopped."""
+    """Nothing may run: what runs lands until `landing_ns` after `since_ns` (None: now), or is stopped."""
 
     why: str
     since_ns: int | None
@@ -41,13 +41,13 @@ class Interlock(Generic[Own]):
     takes: tuple[type[Event], ...] = ()
     """The events that it takes."""
     bars: tuple[type[Barred], ...] = (Command,)
-    """The requests to which it may object. A command that only stops is never barred."""
+    """The requests to which it may object; to a command only if that starts or sets a servo."""
     closed = False
-    """Whether it may object; only then `why_not` is called."""
+    """Whether it may object. `why_not` is asked only then."""
     down: Down | None = None
-    """Why no servo may run, or None."""
+    """Why nothing may run; None: it may."""
     due_ns: int | None = None
-    """When `expire` is due, or None."""
+    """When `expire` is due; None: never."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
@@ -58,19 +58,19 @@ class Interlock(Generic[Own]):
         return cls(rules)
 
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
-        """Return why `request` is rejected, or None."""
+        """Return why `request` takes no effect, or None if it may."""
         return None
 
     def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        """Handle its deadline `due_ns`, which `now_ns` has reached. Return the effects."""
+        """Do what is due once `now_ns` (monotonic) has reached `due_ns`. Return the effects."""
         return []
 
     def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        """Handle legs' deadlines that `now_ns` has reached. Return the effects."""
+        """Return the effects of a leg's deadline that has come."""
         return []
 
     def halts(self, event: Own) -> Halt | None:  # noqa: ARG002
-        """Return the Halt that precedes `take` of this event, or None. A Halt voids due deadlines."""
+        """Return the stop of all legs that precedes `take` of this event, or None. Deadlines due then are void."""
         return None
 
     def take(self, event: Own, now_ns: int, legs: Legs) -> list[Effect]:
@@ -84,7 +84,7 @@ def nothing_to_stop(legs: Legs) -> bool:
 
 
 def how_it_comes_down(legs: Legs, rules: Rules) -> str:
-    """Return how the robot comes down in this step, for an event's text, or "" if nothing is to be stopped."""
+    """Return an event's words for how the robot comes down in this step, or "" if nothing is to be stopped."""
     if nothing_to_stop(legs):
         return ""
     return "the robot lands" if rules.landing_ns and legs.running else "all six legs are stopped"
