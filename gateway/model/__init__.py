@@ -1,1 +1,1 @@
-"""What both wings mean by a servo, an angle, a frame, a calibration, a limit, and a record of the black box. Pure."""
+"""Servos, angles, frames, calibrations, limits and black-box records, for the robot's and the people's side. Pure."""

@@ -1,8 +1,8 @@
 """The angles that servos may take: the settings' joint limits and the calibration in force. Pure.
 
-Both must allow an angle. Each allows one range without gaps, so whatever lies between two angles that were accepted
-(a step of a limited speed, a landing's straight line) may be sent as well. There is one gap, of wire angles that are
-never sent (`Framing.avoid_cdeg`): a way that leads across it waits at its near end until it would be beyond.
+Both must allow an angle. Each allows one range without gaps, so every angle between two accepted ones may be sent, too
+(a step of a limited speed, a landing's straight line). Wire angles that are never sent (`Framing.avoid_cdeg`) are a
+gap: a motion across it waits at the near end until it would be at the far end.
 """
 
 from collections.abc import Mapping
@@ -25,8 +25,8 @@ class AngleLimits:
         landing_cdeg: Mapping[int, int] = MappingProxyType({}),
         avoid_cdeg: tuple[int, int] | None = None,
     ) -> None:
-        """The settings' limits and landing pose by servo, in users' angles; `avoid_cdeg`: wire angles that are never
-        sent, from the first up to, without, the second. All in hundredths of a degree."""
+        """Take the settings' limits and landing pose by servo, in users' angles. `avoid_cdeg` are wire angles that are
+        never sent, the second one not included. All are in hundredths of a degree."""
         self._limits_cdeg = limits_cdeg
         self._landing_cdeg = landing_cdeg
         self._avoid_cdeg = avoid_cdeg
@@ -36,7 +36,7 @@ class AngleLimits:
         """Put this calibration in force. No servo whose frames it changes may run."""
         self.calibration = calibration
         self.wire = calibration if calibration.servos else None
-        """Translates frames for the wire; None: the frames need no translation."""
+        """Converts frames for the wire; None: they need no conversion."""
         self.limited = bool(self._limits_cdeg or calibration.servos or self._avoid_cdeg)
         """Whether `why_not` may reject any angle."""
 
@@ -70,8 +70,8 @@ class AngleLimits:
         return (servo.wire_cdeg(from_cdeg) < low_cdeg) is not (servo.wire_cdeg(to_cdeg) < low_cdeg)
 
     def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
-        """Return the angle to send on a way from `from_cdeg` that is at `angle_cdeg` now: the latter if allowed, else
-        the last angle before the gap."""
+        """Return the angle to send for a motion from `from_cdeg` that is at `angle_cdeg` now: `angle_cdeg` if it is
+        allowed, else the last angle before the gap."""
         if self._avoid_cdeg is None:
             return angle_cdeg
         servo, (low_cdeg, high_cdeg) = self.calibration.of(servo_id), self._avoid_cdeg

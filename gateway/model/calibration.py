@@ -2,9 +2,8 @@
 
     wire = (180 - user if inverted else user) + trim
 
-in hundredths of a degree, so that nothing is rounded and an angle that went to the wire comes back as it was. Users'
-angles stand in commands, limits, state and events; only frames carry the servo's own. This module is the one place
-where one becomes the other, and where hundredths become the degrees of `schemas.calibration`, and back.
+in hundredths of a degree, so that conversions lose nothing. Commands, limits, state and events have users' angles; only
+frames have the servos' own. All conversions between the two, and to the degrees of `schemas.calibration`, are here.
 """
 
 from collections.abc import Callable, Mapping

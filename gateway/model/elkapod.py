@@ -7,9 +7,9 @@
 | 73-78                   | zeros                                                                                |
 | 79                      | 0F                                                                                   |
 
-An answer has as many bytes with the same first and last one; `ANSWER` has what is between. Neither has a length, a type
-or a checksum, so an answer is checked as far as it can be (`measured`). No frame has a Stop: UART messages start and
-shut down all servos. The values' units are undocumented; docs/protocol.md states the assumed ones.
+An answer has as many bytes, with the same first and last byte (`_ANSWER`). Neither has a length, a type or a checksum,
+so an answer is checked only as far as possible (`measured`). No frame has a Stop: UART messages start and shut down all
+servos. The values' units are undocumented; docs/protocol.md states the assumed ones.
 """
 
 import math
@@ -55,7 +55,7 @@ class AnswerError(ValueError):
 
 
 class Measured(NamedTuple):
-    """An answer: what the robot measures."""
+    """The measurements in an answer."""
 
     temperature_c: float
     voltage_v: float
@@ -158,6 +158,6 @@ class Heartbeats:
             whole = left[at : at + HEARTBEAT_BYTES].endswith(_HEARTBEAT_END)
             found += whole
             at += HEARTBEAT_BYTES if whole else len(_HEARTBEAT_BEGIN)
-        # What may be the begin of one is kept: from the place found, or (at is -1) the last byte, half of a begin.
+        # A possible begin of a heartbeat is kept: from the place found, or (at is -1) the last byte, half of a begin.
         self._left = left[at:]
         return found

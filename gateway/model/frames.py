@@ -6,10 +6,10 @@
 | ONE SERVO | 6                 | 2                  | once        SERVO ID, OP, INT, FLOAT       |
 
 A servo id is leg (1 to 6) times ten plus joint (1 to 3, from the body outward). INT is whole degrees, FLOAT hundredths
-of a degree, together 0.00° to 180.00°. On a Stop both have no meaning: read as anything, written as 0 0.
+of a degree, together 0.00° to 180.00°. A Stop has neither: any values are read, and 0 0 is written.
 
-The controller checks none of this and corrupts its own memory on a bad id, so a value that is not a legal frame cannot
-be built here. Every message counts bytes from 1, as docs/protocol.md does.
+The controller checks nothing and corrupts its own memory on a bad id, so no illegal frame can be built here. Messages
+count bytes from 1, as docs/protocol.md does.
 """
 
 import enum
@@ -20,10 +20,10 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 PROTOCOL_VERSION: Final = "1.0.0"
 STOP_REPEATS: Final = 3
-"""How often a Stop is written again, since the wire acknowledges nothing. Each time has a preamble of its own. A fault
-that outlasts them meets the further runs of Stops, while nothing runs (docs/protocol.md)."""
+"""Repeats of a Stop, each after a preamble, since the wire acknowledges nothing. Longer faults meet the further runs of
+Stops while nothing runs (docs/protocol.md)."""
 STOP_REPEAT_MS: Final = 20.0
-"""How far these are apart: one period of the servos' PWM. On a wire with cycles it is one frame."""
+"""Time between repeats: one period of the servos' PWM, and one frame on a wire with cycles."""
 MAX_ANGLE_CDEG: Final = 180_00
 
 _SERVO_ID_SET: Final = frozenset(SERVO_IDS)
@@ -55,7 +55,7 @@ class Op(enum.IntEnum):
 OP_START: Final = Op.START
 OP_STOP: Final = Op.STOP
 OP_SET: Final = Op.SET
-"""Shortcuts for each setpoint: to find a member through its enum takes Python 3.11 as long as three calls."""
+"""Shortcuts for each setpoint: in Python 3.11 an enum's attribute takes as long as three calls."""
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
@@ -82,7 +82,7 @@ class ServoOp:
 
 
 class _Moves(dict[int, ServoOp]):
-    """The operation for each angle, made when it is first asked for: at most 18001. Each setpoint needs three."""
+    """The operation for each angle, made at its first use (18001 at most). Each setpoint needs three."""
 
     def __init__(self, op: Op) -> None:
         self._op = op

@@ -1,4 +1,4 @@
-"""How a frame becomes SPI transfers: one by the protocol document, two for the published controller firmware."""
+"""The SPI transfers of a frame: one by the protocol document, two for the published controller firmware."""
 
 import enum
 from typing import Final
@@ -7,11 +7,11 @@ from gateway.model.frames import PROTOCOL_VERSION
 
 ZERO: Final = b"\0"
 PREAMBLE_ZEROS: Final = 16
-"""Zeros that synchronise a controller which still awaits an announced body: the longest (14), and some.
+"""Zeros that synchronise a controller that awaits an announced body: the longest body has 14 bytes.
 
-They complete that body, whose type of 0 the controller ignores, as it ignores lengths of 0. Each zero is a transfer of
-its own: in one transfer they arrive faster than the firmware handles lengths of 0, which jams a healthy controller for
-up to a second. Zeros that complete half a body would be ids and angles of 0.
+They complete the body. The controller ignores its type 0, and lengths of 0. Each zero is its own transfer: within one
+transfer they arrive faster than the firmware handles lengths of 0, which jams a healthy controller for up to a second.
+Zeros that complete half a body would be ids and angles of 0.
 """
 
 
@@ -40,28 +40,27 @@ class Framing(enum.StrEnum):
 
     @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
-        """Wire angles that are not sent by default, in hundredths of a degree: from the first up to the second, which
-        is not one of them.
+        """Wire angles that are never sent: first <= angle < second, in hundredths of a degree; None: all are sent.
 
         After one lost byte the published firmware takes the whole degrees for an operation, and the operation for a
         servo's id. Ids 0 to 3 and 10 with operations 1 to 3 are a bus fault: it receives nothing until it is reset, and
-        its servos stay on. One lost byte makes only ids 1 to 3 of these. More lost bytes kill it all the same.
+        its servos stay on. One lost byte makes ids 1 to 3; more lost bytes can still kill it.
         """
         return (1_00, 4_00) if self is Framing.LENGTH_PREFIXED else None
 
     @property
     def least_gap_us(self) -> float:
-        """The published firmware loses frames, Stops too, where the pause is shorter: 20 µs held in each of its builds,
-        6 µs failed in several."""
+        """The shortest pause with which the published firmware loses no frame: 20 µs held in each build, 6 µs failed in
+        several."""
         return 20.0 if self is Framing.LENGTH_PREFIXED else 0.0
 
     @property
     def most_hz(self) -> int:
-        """The published firmware lost nothing at 5 and 8 MHz, and some 2 % at 10 MHz in one of its builds."""
+        """The highest clock: the published firmware lost nothing at 5 and 8 MHz, and 2 % at 10 MHz in one build."""
         return 5_000_000 if self is Framing.LENGTH_PREFIXED else 20_000_000
 
     def too_fast(self, speed_hz: int, frame_gap_us: float) -> str:
-        """Return why a controller with this framing loses frames of such transfers, or "" if it does not."""
+        """Return why a controller with this framing loses frames at this clock and pause, or ""."""
         faults = []
         if speed_hz > self.most_hz:
             faults.append(

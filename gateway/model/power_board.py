@@ -19,8 +19,8 @@
 | supply too low          | 08                                                                                |
 | cannot be read          | anything else; it may concern any output                                          |
 
-65 also comes unasked: when an error comes, and every 140 ms while it is too hot. All requests but 6A are answered in
-the board's receive interrupt. Its firmware decides, not its DBC file, which numbers the mask's bits differently.
+65 is also sent unasked: at each new error, and every 140 ms while it is too hot. The board answers all requests except
+6A in its receive interrupt. The firmware decides, not its DBC file, which numbers the mask's bits differently.
 """
 
 import struct
@@ -77,7 +77,7 @@ class Supplied(NamedTuple):
 
 
 class Currents(NamedTuple):
-    """What the outputs from `first` (1, 4, … 16) on draw, in mA."""
+    """The currents of three outputs from `first` (1, 4, … 16) on, in mA."""
 
     first: int
     ma: tuple[int, int, int]
@@ -206,5 +206,5 @@ NO_LOAD_DEG_S: Final = 60 / 0.17
 IDLE_A: Final = 0.01
 MOVING_A: Final = 0.25
 A_PER_NM: Final = 1.25
-"""Assumed, not measured on the robot: a hobby servo's current that holds without load, that moves without load, and the
-current that a load adds. A servo stalled at 2 N·m draws 2.5 A."""
+"""A hobby servo's current at rest and in motion without load, and the current that a load adds (assumed, not measured
+on the robot). A servo stalled at 2 N·m draws 2.5 A."""

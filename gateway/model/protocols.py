@@ -19,12 +19,12 @@ class SpiProtocol(enum.StrEnum):
 
     @property
     def supply_starts(self) -> bool:
-        """Whether a power board's supply is what starts each servo: its angle is on the wire before."""
+        """Whether servos start by a power board's supply, with their angles on the wire before."""
         return not self.framed
 
     @property
     def framed(self) -> bool:
-        """Whether its frames need a framing (`spi.framing`); else a UART starts and stops the servos."""
+        """Whether the wire's frames need a framing (`spi.framing`). If not, a UART starts and stops the servos."""
         return self is SpiProtocol.HEXAPOD_1_0
 
     @property
@@ -44,7 +44,7 @@ class SpiProtocol(enum.StrEnum):
 
 
 FRAMED: Final = SpiProtocol.HEXAPOD_1_0
-"""The wire of SPI alone, whose frames need a framing."""
+"""The wire with SPI alone, whose frames need a framing."""
 WITH_UART: Final = SpiProtocol.ELKAPOD_2025
 """The wire whose controller also has a UART."""
 BUILT_IN: Final = {str(each): each for each in SpiProtocol}

@@ -1,34 +1,30 @@
-"""Which commands were delayed on their way (`limits.max_age_ms`), without synchronised clocks. Pure.
+"""Detects commands that were delayed on their way (`limits.max_age_ms`), without synchronised clocks. Pure.
 
-A command may carry `sent_ms`, the time by its publisher's own monotonic clock. That clock's zero is unknown, so a
-command's *difference*, arrival - sent_ms, is its transit time plus an unknown constant. A clock's *baseline* is the
-smallest difference that it has shown, which stands for transit without delay. A command's delay is its difference less
-the baseline.
+A command may have `sent_ms`, the time of its publisher's monotonic clock. That clock's zero is unknown, so a command's
+*difference*, arrival - sent_ms, is its transit time plus an unknown constant. A clock's *baseline* is its smallest
+difference, which means transit without delay. A command's delay is its difference minus the baseline.
 
 - Burst after a stall: the queued commands arrive together, each with its own delay, and are rejected until the first
-  fresh one. A burst follows a silence, so no silence makes the gateway forget the baseline.
-- Drift: the baseline rises by 200 ppm, twice the error of a bad crystal. It falls at once, but by no more than `FALL`
-  of `max_age_ms`.
-- Several clocks behind one source: a source is only a name, shared by programs on two machines, by a program before
-  and after its restart, or by somebody who borrows the name. So each clock is kept apart and judges only its own
-  commands. A command whose difference is below a clock's baseline was not sent by that clock. Commands of one clock
-  arrive in order, so a command older than a clock's newest belongs to another clock if one fits. A command that fits
-  no clock is the first of a new clock, and fresh.
-- Two clocks close together may both fit a command. Then two of them judge: the latest one and the one known for
-  longest. The command is fresh if either finds it fresh. A clock with one command, forged or delayed at first, thus
-  neither keeps out another's commands nor lets old ones in.
+  fresh one. A burst follows a silence, so a silence does not erase the baseline.
+- Drift: the baseline rises by 200 ppm, twice the error of a bad crystal. It falls at once, but by `FALL` of
+  `max_age_ms` at most.
+- Several clocks with one source: a source is only a name, which several programs may use, or one program before and
+  after its restart. So each clock is kept apart and judges only its own commands. A command whose difference is below a
+  clock's baseline is not that clock's. Commands of one clock arrive in order, so a command older than a clock's newest
+  belongs to another clock, if one fits. A command that fits no clock is the first of a new clock, and fresh.
+- Two similar clocks may both fit a command. Then two of them judge: the latest one and the one known for longest. The
+  command is fresh if either finds it fresh. So a clock with a single command, forged or delayed, neither blocks another
+  clock's commands nor admits old ones.
 - An out-of-order command that is within `HORIZON_MS` of a clock may be an old one of that clock (two programs on one
-  machine, one of which lost its link). It is judged as that.
-- Steady delay: a clock may fall behind (the laptop slept, or restarted), or transit may stay slower. Then
-  all commands have the same delay, which a queue that empties never shows. After five seconds that delay becomes the
-  baseline.
-- Pauses of the gateway itself (a debugger, a frozen virtual machine): what waited in its rings and sockets looks as if
-  it had just arrived. For `max_age_ms` after such a pause, only commands that a clock known from before finds fresh are
-  accepted. Each judgement looks at the clock first, and so does the owner of the state ten times a second: a longer
-  gap between two looks is a pause.
+  machine, one of which lost its link), and is judged as such.
+- Steady delay: a clock may fall behind (the laptop slept or restarted), or transit may stay slower. Then all commands
+  have the same delay, unlike commands from a queue that empties. After five seconds the delay becomes the baseline.
+- Pauses of the gateway itself (a debugger, a frozen virtual machine): commands that waited in its rings and sockets
+  seem to have just arrived. For `max_age_ms` after such a pause, a command is accepted only if a clock known from
+  before finds it fresh. A pause is a gap between two calls of `record_alive`.
 
 Memory is bounded. A source is forgotten only after a minute of silence, when any burst of it has arrived or is lost.
-A new source that finds no place is rejected, since its burst would look like fresh commands.
+With all places taken, a new source is rejected, since its burst would look like fresh commands.
 """
 
 from dataclasses import dataclass
@@ -36,18 +32,18 @@ from typing import Final
 
 SOURCES: Final = 256
 CLOCKS: Final = 8
-"""Sources, and clocks of each: half a megabyte at most."""
+"""The most sources, and clocks of each: half a megabyte."""
 FORGET_MS: Final = 60_000.0
 HORIZON_MS: Final = 20_000.0
 """Zenoh closes a silent link after 10 s and drops what waits for it; a router on the way adds another 10 s."""
 DRIFT: Final = 200e-6
 FALL: Final = 0.25
-"""Of `max_age_ms`: how far below a clock's first baseline its own commands may be."""
+"""The part of `max_age_ms` by which a clock's commands may be below its first baseline."""
 STEADY_MS: Final = 5000.0
 GAP_MS: Final = 1000.0
-"""A longer pause in the arrivals ends a stretch of steady delay: what follows may be another burst."""
+"""A longer gap between arrivals ends a stretch of steady delay, since another burst may follow."""
 LEAST_PAUSE_MS: Final = 250.0
-"""A shorter pause is no stop of the gateway: an idle loop turns every 100 ms, on a busy machine somewhat later."""
+"""A shorter gap is no pause of the gateway: an idle loop turns every 100 ms, on a busy machine somewhat later."""
 
 
 @dataclass(slots=True)
@@ -59,7 +55,7 @@ class _Stretch:
     smallest_ms: float
     largest_ms: float
     overtaken: bool
-    """Whether one of them arrived after a newer one: then there may be two clocks."""
+    """Whether one of them arrived after a newer one, so that there may be two clocks."""
 
 
 @dataclass(slots=True)
@@ -73,12 +69,12 @@ class _Clock:
     fresh_ms: float
     newest_sent_ms: float
     newest_before_ms: float
-    """The newest before this instant: commands of one instant may come in any order."""
+    """The newest before this instant, since commands of one instant may arrive in any order."""
     stretch: _Stretch | None = None
 
     @property
     def proven_ms(self) -> float:
-        """For how long it has sent fresh commands, at most `STEADY_MS`."""
+        """How long it has sent fresh commands, at most `STEADY_MS`."""
         return min(self.fresh_ms - self.since_ms, STEADY_MS)
 
 
@@ -89,7 +85,7 @@ class Staleness:
         self._max_age_ms = max_age_ms
         self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
         self._sources: dict[str | None, tuple[list[_Clock], list[float]]] = {}
-        """The one that was silent for longest comes first."""
+        """Clocks and newest instant by source; the source that was silent for longest comes first."""
         self._turned_ms: float | None = None
         self._woke_ms: float | None = None
         self._paused_ms = 0.0
@@ -104,7 +100,7 @@ class Staleness:
     def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
         """Return why a command is, or may be, older than allowed (one sentence), or None if it is accepted.
 
-        `instant_ns` is when it was collected, together with others in no known order.
+        `instant_ns` is when it was collected, together with others in unknown order.
         """
         self.record_alive(now_ns)
         now_ms = now_ns / 1e6
@@ -155,7 +151,7 @@ class Staleness:
         )
 
     def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
-        """Return the known clocks of a source, as of this instant; None if a new source finds no place."""
+        """Return the known clocks of a source, as of this instant, or None if there is no place for a new source."""
         if name in self._sources:
             source = self._sources[name]
             del self._sources[name]  # and put back at the end

@@ -1,7 +1,4 @@
-"""Reports of the robot's measurements, for `hexapod/telemetry` and incidents.
-
-Values are not rounded.
-"""
+"""Reports of the robot's measurements, for `hexapod/telemetry` and incidents. Values are not rounded."""
 
 from datetime import datetime
 
@@ -32,7 +29,7 @@ def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
 
 
 def fed_singly(state: GatewayState) -> bool:
-    """Return whether a board feeds each servo from its start to its Stop. A start then takes longer."""
+    """Return whether a board powers each servo from its start to its Stop. A start then takes longer."""
     return state.power is not None
 
 

@@ -9,15 +9,15 @@ The process ends with its standard input, on which lines of JSON are faults:
 |----------------------------------------|-------------------------------------------------------------------------|
 | `{"press_off": true}`                  | somebody presses the board's button, which wakes it from standby, too   |
 | `{"restart": true}`                    | its supply was interrupted: all off, and in standby                     |
-| `{"draws_ma": {"21": 0.0}}`            | these servos (and no others) draw that while fed, whatever they do      |
+| `{"draws_ma": {"21": 0.0}}`            | these servos alone draw this current while powered, in any motion       |
 | `{"error": 8}`                         | the board finds an error of this code                                   |
-| `{"temperatures_c": [70, 30, 30]}`     | its three sensors show that                                             |
+| `{"temperatures_c": [70, 30, 30]}`     | its three sensors show these values                                     |
 | `{"converter": 2}`                     | this converter draws too much: the board switches it off                |
 | `{"clear_error": true}`                | somebody deletes the newest error at the board's own buttons            |
-| `{"stuck_on": 21}`                     | this servo has supply whatever the board does; 0: none                  |
+| `{"stuck_on": 21}`                     | this servo is always powered; 0: none                                   |
 | `{"silent": true}`                     | no frame passes between board and adapter                               |
 | `{"frame": "t06A3000000"}`             | another node puts this frame on the bus                                 |
-| `{"flood_hz": 8000, "flood": "t1000"}` | and this one so many times a second; 0: no more                         |
+| `{"flood_hz": 8000, "flood": "t1000"}` | and this one 8000 times a second; 0: no more                            |
 | `{"unplug": true}`, `{"plug": true}`   | the adapter goes, and returns under the same path                       |
 
 The record has a line for each frame that the adapter receives (`<`) or sends (`>`), and for each change of the outputs
@@ -59,7 +59,7 @@ class SimulatedAdapter:
     | tIIILDD…      | `\\r`  | puts a frame on the bus                                    |
     | r, T, R       | `\\r`  | frames of other kinds, which the power board does not take |
     | nothing       | `\\r`  |                                                            |
-    | anything else | `\\a`  | as what is not allowed now                                 |
+    | anything else | `\\a`  | also a line that is not allowed now                        |
 
     While the channel is open, each frame on the bus leaves as `tIIILDD…\\r`.
     """

@@ -1,7 +1,7 @@
 """Zenoh access for the process that simulates the robot's body: a Unix socket, and its own keys only.
 
-Only this user can enter the socket's folder, so the process needs no certificate. These rules are added only while a
-simulated robot runs; no robot's Zenoh file has them.
+Only this user can enter the socket's folder, so the process needs no certificate. These rules are added only for a
+simulated robot; no robot's Zenoh file has them.
 """
 
 import secrets

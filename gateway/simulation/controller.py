@@ -1,33 +1,32 @@
 """A simulated controller: it reads raw bytes as the published STM32F446 firmware does, and moves 18 simulated servos.
 
-What it takes from that firmware (docs/protocol.md):
+It behaves like that firmware (docs/protocol.md):
 
-* `length-prefixed` is the firmware as it is: one byte is a length, then it awaits that many bytes, and only then reads
-  them. `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
+* `length-prefixed` is the firmware: it reads one byte as a length, awaits that many bytes, and then handles them.
+  `plain` is a controller that follows the document: byte 1 is FRAME LEN and belongs to the frame.
 * Chip select means nothing: bytes are one stream, so a lost byte misaligns everything after it, until a pause.
-* A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not looked at.
+* A frame is executed if its type (byte 2) fits the length received. Byte 1 and the servo ids are not checked.
 * A receive times out after 1000 ms. The firmware counts ticks of a millisecond (HAL_GetTick), from the tick in which
   the length arrived to the thousandth after it: 999 to 1000 ms. `tick_phase_ns` is the part of a tick that had passed
   at time 0 of the clock. The published firmware then executes the bytes received, with zeros for the rest, so half of
   a ONE SERVO Start starts its servo. The controller that follows the document drops them.
 * A length over 64 overruns the receive buffer, and an id may index past the servo table: counted in `corruptions`.
 * The firmware dies (`dead`) of a record with an operation whose id has the table index 252 to 255 (ids 0 to 3 and 10):
-  a bus fault. It also dies of a 69th byte in its receive buffer: bytes 65 to 68 do no harm, the SPI handle lies behind
-  them. All builds that were measured do both (-Og, -Ofast, -O0 hard and soft float, -Os). A dead firmware receives
-  nothing until somebody resets it, and its servos stay as they are, energised. The controller that follows the document
-  does not die.
+  a bus fault. It also dies of a 69th byte in its receive buffer: bytes 65 to 68 do no harm, the SPI handle lies after
+  them. All measured builds do both (-Og, -Ofast, -O0 hard and soft float, -Os). A dead firmware receives nothing until
+  it is reset, and its running servos stay energised. The controller that follows the document does not die.
 * Ids outside the protocol may start a real servo. An index within the table drives that entry's servo, as in every
   build (id 14 drives servo 21). Two entries past the table drive a servo as in the -Og build (ids 64 and 90 were
   measured: servos 11 and 21), for `length-prefixed` only. Ids with the same index drive the same servo here.
 
-What it leaves out, so that the firmware may do worse:
+Not simulated, so that the firmware may do worse:
 
 * The other entries past the table touch nothing here. In the firmware, 118 to 132 of the 199 ids outside the table end
   in a fault, depending on the build, some leave it deaf, and many others start a real servo.
-* There is no time between bytes, and to handle a frame or a length of 0 takes none. The firmware misses bytes that come
-  meanwhile, such as zeros within one transfer. So a stream that is out of sync loses more bytes there, and kills it
-  more often (docs/protocol.md has both figures).
-* There are no bits: a clock edge that is lost or added would misalign everything after it, until a reset.
+* Bytes, frames and lengths of 0 take no time. The firmware misses bytes that arrive while it handles others, such as
+  zeros within one transfer. So a stream that is out of sync loses more bytes there, and kills it more often
+  (docs/protocol.md has both figures).
+* Bits: a lost or added clock edge would misalign everything after it, until a reset.
 """
 
 import collections
@@ -71,7 +70,7 @@ class SimulatedServos(dict[int, ServoState]):
     """The 18 servos by id. Times are of one monotonic clock."""
 
     def __init__(self, now_ns: int, page: ServoPage | None) -> None:
-        """All off. `page` gets each target, and states which servos have supply; None: all have."""
+        """All off. `page` gets each target, and contains which servos are powered; None: all are."""
         super().__init__((servo_id, ServoState()) for servo_id in SERVO_IDS)
         self._page = page
         self._moved_ns = now_ns
@@ -144,7 +143,7 @@ class SimulatedController(ByteDevice):
         self.executed = 0
         self.corruptions: collections.Counter[str] = collections.Counter()
         self.dead: str | None = None
-        """Why the firmware died; None: it runs. A dead one receives nothing."""
+        """Why the firmware died, or None. A dead one receives nothing."""
         self._announced = framing is Framing.LENGTH_PREFIXED
         self._clock = clock
         self._on_change = on_change

@@ -1,6 +1,6 @@
-"""A simulated controller that speaks `elkapod-2025`: SPI in full duplex, a UART, 18 servos and sensors.
+"""A simulated controller with `elkapod-2025`: SPI in full duplex, a UART, 18 servos and sensors.
 
-Its firmware is not published. The simulation does what is known of it (docs/protocol.md):
+Its firmware is not published. Known behaviour (docs/protocol.md):
 
 * A transfer of 80 bytes from 7E to 0F sends all servos to its angles; any other transfer changes nothing.
 * Each transfer returns the measurement prepared at the transfer before; the first one after power-up returns garbage.
@@ -8,17 +8,16 @@ Its firmware is not published. The simulation does what is known of it (docs/pro
   bytes are skipped.
 * It sends a heartbeat every 50 ms.
 
-Where nothing is known, the simulation does what harms most:
+Unknown behaviour is simulated as the most harmful one:
 
-* If frames stop, the last angles hold for ever.
+* If frames stop, the last angles hold forever.
 * Angles are not checked. A servo stops at the end of its range, and an angle that is not a number leaves its target.
-  Both are counted in `corruptions`. So is a START before any frame: its effect is not known. Here the servos wait for
-  the first frame.
+  Both are counted in `corruptions`, and so is a START before any frame: here the servos then wait for the first frame.
 
-Measurements come from the simulated body, if there is one; after the end of its process they stay constant. Without a
+Measurements are from the simulated body, if there is one; after the end of its process they stay constant. Without a
 body the robot is at rest and level, and servos draw current while they move. Each foot carries a sixth of the assumed
-weight while servos are driven, and nothing while they are slack: the robot then lies on its belly. The sensors are
-noisy, so no two answers are equal. The unit of forces on this wire is not documented; here it is the newton.
+weight while servos are driven, and nothing while they are slack. The sensors are noisy, so no two answers are equal.
+The unit of forces on this wire is not documented; here it is the newton.
 """
 
 import collections
@@ -104,7 +103,7 @@ class SimulatedElkapod(DuplexDevice):
     ) -> None:
         """Switched on now, servos slack. `clock` returns ns. `on_change` gets a line on each change.
 
-        `page` gets the targets, and states which servos a power board supplies. `sensed`: a simulated body's senses.
+        `page` gets the targets, and contains which servos a power board powers. `sensed` is a simulated body's sensors.
         """
         self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         """The newest on SPI, with their times."""
@@ -280,7 +279,7 @@ class SimulatedUart(Uart):
 
 
 def _first_message(received: bytes) -> tuple[bytes, bytes] | None:
-    """The first message in these bytes, and the bytes after it; None: no message."""
+    """Return the first message in these bytes, and the bytes after it, or None."""
     places = {received.find(message): message for message in (START, SHUTDOWN) if message in received}
     if not places:
         return None

@@ -1,1 +1,1 @@
-"""The black box as its writer and its readers know it: the bytes of its ring, its files, and what an incident is."""
+"""The black box, for its writer and its readers: the bytes of its ring, its files, and its incidents."""

@@ -1,6 +1,4 @@
-"""The black box's records: their content, their bytes, and how they are written.
-
-The readers are in `people/recorder/ring_reader.py`.
+"""The black box's records: their content, their bytes, and their writing. `people/recorder/ring_reader.py` reads them.
 
 A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
 
@@ -17,8 +15,8 @@ A file is a header and slots of SLOT bytes. The record with sequence number n is
 A process that is killed while it writes leaves a slot with a wrong checksum. Numbers are little-endian. Texts are
 UTF-8, preceded by their length, so that a new kind, reason or cause needs no new version.
 
-Records are packed by hand, since they are written during a gait: a frame takes 0.3 µs, by a declarative table 3.5 µs,
-by `construct` 20.9 µs (10.2 compiled), measured in one run.
+Records are packed by hand, since a gait writes many: a frame takes 0.3 µs, by a declarative table 3.5 µs, by
+`construct` 20.9 µs (10.2 compiled).
 """
 
 import json
@@ -34,16 +32,16 @@ from schemas.calibration import Calibration
 from schemas.robot import JOINTS
 
 HEADER_BYTES: Final = 4096
-"""One page, so that slots begin on a page boundary; its content: `header`."""
+"""One page, so that slots begin on a page boundary. `header` has its content."""
 SLOT: Final = 128
-"""Room for a command of one leg with a source of 60 characters; one of all legs with a long name takes two slots."""
+"""Room for a command of one leg with a source of 60 characters. One of all legs with a long name takes two slots."""
 ROOM: Final = SLOT - 24
 MAX_NS: Final = 2**62
 """Later than any time of a record: the year 2116, or a machine that runs for 146 years."""
 MAX_SEQUENCE: Final = 2**63
 """Sequence numbers continue across restarts, and never reach this."""
 MAX_TEXT: Final = 4000
-"""Bytes of content of a continued record: the longest sentence of an event has some 400."""
+"""Bytes of content of a continued record; the longest sentence of an event has about 400."""
 
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
@@ -165,7 +163,7 @@ class IncidentBegun(NamedTuple):
 
 
 class Calibrated(NamedTuple):
-    """The calibration in force from now on; before a change, the previous one is recorded as well."""
+    """The calibration in force from now on. Before a change, the previous one is recorded, too."""
 
     calibration: Calibration
 
@@ -177,7 +175,7 @@ class About(NamedTuple):
 
 
 class BodyState(NamedTuple):
-    """What the robot measured, recorded ten times a second at most."""
+    """The robot's measurements, recorded ten times a second at most."""
 
     values: elkapod.Measured
 
@@ -278,9 +276,9 @@ COMMAND_HEAD: Final = struct.Struct("<IdB")
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
 _MOST_FRAME: Final = 14
-"""Bytes of a frame in a CarriedOut; a longer one gets a record of its own, since evidence is never cut."""
+"""The most bytes of a frame in a CarriedOut. A longer frame gets its own record, uncut."""
 CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
-"""Of a CarriedOut: time from the arrival to the end of the transfer, duration of the transfer, both in ns; the frame's
+"""A CarriedOut's time from arrival to the end of the transfer, and the transfer's duration, both in ns; the frame's
 length, and the frame. The command follows, as in a CommandRecord."""
 _UINT32: Final = 0xFFFFFFFF
 EVENT_HEAD: Final = struct.Struct("<I")
@@ -299,7 +297,7 @@ MAX_KNOWN: Final = 200
 
 
 def _texts(*texts: str | None) -> bytes:
-    """Texts of at most 255 bytes, each after its length; None becomes "". Cached, since the same texts recur."""
+    """Return texts of at most 255 bytes, each after its length; None becomes "". Cached, since texts recur."""
     made = _known.get(texts)
     if made is None:
         if len(_known) >= MAX_KNOWN:

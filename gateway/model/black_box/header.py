@@ -1,11 +1,11 @@
-"""The files of the black box, and a ring's first page, which readers need before its records.
+"""The files of the black box, and a ring's first page, the header.
 
 | bytes   | content                                                                                       |
 |---------|-----------------------------------------------------------------------------------------------|
 | 0-27    | magic, version, the size of a slot, and how many there are                                    |
 | 64-71   | used by earlier versions; not read                                                            |
 | 128-133 | CRC-32 and length of the calibration; 0: none                                                 |
-| 134-    | the calibration in force, whose record the ring overwrites sooner than it changes             |
+| 134-    | the calibration in force, since the ring overwrites its record                                |
 """
 
 import re
@@ -70,12 +70,12 @@ RING_FILE: Final = "black-box"
 """A link to the ring, which is in memory."""
 
 MAX_SLOTS: Final = 500_000
-"""64 MB of memory. More than 60 s at 1000 frames a second and leg, or 600 s at 125, do not fit in it."""
+"""64 MB of memory: 60 s at 1000 frames a second and leg."""
 
 COPIED_SHARE: Final = 8
 """A copy has an eighth of the ring's records: 10 s of six legs at their rate, with either framing; 7.5 s of a flood."""
 MOST_COPIES: Final = 8
-"""The newest are kept: together as large as the ring."""
+"""Copies that are kept, the newest: together as large as the ring."""
 
 
 def copy_path(ring: Path, newest: int) -> Path:

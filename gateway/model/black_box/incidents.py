@@ -1,4 +1,4 @@
-"""Which events are kept as incidents, what belongs to one, and its id."""
+"""The events that are kept as incidents, their duration, and their ids."""
 
 from datetime import UTC, datetime
 from typing import Final
@@ -6,11 +6,11 @@ from typing import Final
 from schemas.telemetry import Kind
 
 FOLLOW_NS: Final = 5_000_000_000
-"""An incident includes the 5 s after it. A further event in that time prolongs it …"""
+"""An incident includes the 5 s after its latest event."""
 LONGEST_INCIDENT_NS: Final = 30_000_000_000
-"""… up to this."""
+"""Later events prolong an incident up to this."""
 LANDING_NS: Final = 5_000_000_000
-"""What `watchdog.landing_ms` allows at most: the Stops at its end belong to the silence that began it."""
+"""The highest `watchdog.landing_ms`: the Stops at a landing's end belong to its incident."""
 
 INCIDENT_NAMES: Final = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
@@ -30,7 +30,7 @@ INCIDENT_NAMES: Final = {
     Kind.SERVO_DRAWS: "servo-draws",
     Kind.OFF_BUTTON: "off-button",
 }
-"""Events that are kept as incidents, and how their ids end."""
+"""Events that are kept as incidents, and the ends of their ids."""
 MISTAKE: Final = "mistake"
 """An unexpected exception has ended the service."""
 

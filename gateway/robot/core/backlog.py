@@ -1,16 +1,16 @@
-"""Starts that may come from a backlog: pure, time as an argument.
+"""Rejects starts that may come from a backlog. Pure: time is an argument.
 
-A link that stalls keeps what a program sends, and delivers all of it at once, perhaps after the program has died. A
-command with `sent_ms` shows its delay (`model/staleness.py`). One without shows it only by what comes with it. So a leg
-that does not run takes no start from a burst of messages without `sent_ms` on one key:
+A link that stalls delivers a program's messages all at once, perhaps after the program has died. A command with
+`sent_ms` shows its delay (`model/staleness.py`); without, only the messages that arrive with it do. So a burst of
+messages without `sent_ms` on one key starts no stopped leg:
 
-- A start waits for `Rules.start_wait_ns` before its leg's first frame. Messages that the link kept behind it arrive
-  within that time.
-- More messages of one key within `Rules.window_ns` than its rate allows are a burst. The starts of this key that wait
-  are dropped, and further ones are rejected, until the watchdog's time has passed without a burst on the key: a link
+- A start waits for `Rules.start_wait_ns` before its leg's first frame. Delayed messages after it arrive within that
+  time.
+- More messages of one key within `Rules.window_ns` than its rate allows are a burst. The key's waiting starts are
+  dropped, and further ones are rejected, until the watchdog's timeout has passed without a burst on the key: a link
   that loses packets delivers a backlog in pieces.
 
-Legs that run take every command, and a Stop is always carried out.
+Running legs take every command, and a Stop is always carried out.
 """
 
 from typing import Final
@@ -34,14 +34,14 @@ class Backlog:
         self._rules = rules
         self._legs = legs
         self._most = max(BUCKET, BUCKET - 1 + rules.window_ns // rules.period_ns)
-        """How many messages the rate limit allows in the window, with a full bucket."""
+        """The most messages that the rate limit allows in the window, with a full bucket."""
         self._came_ns: dict[str, tuple[int, ...]] = {}
         self._until_ns: dict[str, int] = {}
         self.held: dict[int, str] = {}
         """Legs that wait for a start without `sent_ms`, each with the key of that start."""
 
     def note(self, command: Command, now_ns: int) -> list[Effect]:
-        """Count a command without `sent_ms`. If the command is of a burst, drop the starts of its key that wait."""
+        """Count a command without `sent_ms`. If it belongs to a burst, drop its key's waiting starts."""
         if not self._rules.start_wait_ns or not command.moves:
             return []
         key = command.key

@@ -1,12 +1,12 @@
-"""Starts are forbidden on an empty battery, and all motion on a body that has fallen. Pure.
+"""Forbids starts on an empty battery, and all motion of a body that has fallen. Pure.
 
 - The battery is low from the first measurement below `min_battery_mv` until one is `RECOVERS` above it. Meanwhile
-  no stopped servo starts. Running servos go on, since a Stop would let the robot fall.
+  no stopped servo starts. Running servos continue, since a Stop would let the robot fall.
 - The body has fallen once it has been tilted beyond `max_tilt_cdeg` for `tilt_ns`: it fell, or was lifted. Nothing
   starts or moves until a measurement is within the limit. An unknown tilt neither begins nor ends that time, and does
   not show that the body stands.
 
-Time passes here only with measurements. The bus reports missing measurements as a fault of the link (`BusFailed`).
+Only measurements advance the time here. The bus reports missing ones as a fault (`BusFailed`).
 """
 
 from typing import Any, Final
@@ -20,8 +20,7 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
 RECOVERS: Final = 50
-"""A low battery has recovered once it is a fiftieth above the limit: a voltage that jitters around the limit is
-announced once. An assumption, measured on no robot."""
+"""A low battery has recovered a fiftieth above the limit, so that a jittering voltage is announced once (assumed)."""
 _ALL: Final = tuple(LEGS)
 
 
@@ -38,7 +37,7 @@ class BodyLimits(Interlock[BodyMeasured]):
         """Whether the battery is too low for a start."""
         self.fallen = False
         self.beyond_ns: int | None = None
-        """Since when the body is tilted beyond the limit; None: it is not."""
+        """Since when the body is tilted beyond the limit, or None."""
 
     @property
     def fell_ns(self) -> int:

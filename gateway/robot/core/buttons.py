@@ -2,21 +2,20 @@
 
 The rules (docs/interface.md, Behaviour *Buttons*), for each button:
 
-- Registered: it has a token that nobody else has. It does not count yet.
-- Alive: from its first check-in on, until `timeout_ns` after its latest one was sent. Deadlines come before a check-in
-  of the same step: one that is late does not keep it alive.
+- Registered: it has its own token, and does not count yet.
+- Alive: from its first check-in until `timeout_ns` after its latest one was sent. Deadlines precede a check-in of the
+  same step, so a late check-in does not keep a button alive.
 - Silent: after that. Its next check-in makes it alive again, and starts nothing.
 
-A check-in names the token and a count that grows, so none counts twice. One that carries `sent_ms` counts from when it
-was sent, however late it comes: the button's own clock has shown how long its fastest message took, registration
-included, and whatever a later one takes longer is its delay. Without `sent_ms` it counts from its arrival.
+A check-in has the token and a growing count, so none counts twice. With `sent_ms`, it counts from when it was sent: the
+button's fastest message, registration included, shows the offset of its clock, and a later message's extra time is its
+delay. Without `sent_ms` it counts from its arrival.
 
-A place belongs to the certificate that has proved the name. A new registration of a name takes the place of the older
-one by the same certificate, and is alive for as long as that one was; no registration takes another certificate's
-place. What is counted are certificates, so one device with two names is no second person. Where nothing is proved,
-names are counted, and all of them share their places.
+A registration belongs to the certificate that has proved its name. A new one of the same name and certificate replaces
+the older one, and is alive for as long as that was; it never replaces another certificate's. Certificates are counted,
+so one device with two names is no second person. Without proofs, names are counted, and share MOST_UNPROVED places.
 
-While fewer are alive than `buttons_required`, the supervisor starts and sets nothing, and stops what runs.
+While fewer than `buttons_required` are alive, the supervisor starts and sets nothing, and stops running servos.
 """
 
 from dataclasses import dataclass
@@ -33,15 +32,14 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
 MOST_OF_ONE: Final = 4
-"""Registrations of one certificate: a person's phone, tablet and laptop. A further one replaces the
-certificate's oldest registration that is not alive."""
+"""Registrations of a certificate: a person's phone, tablet and laptop. One more replaces the oldest one not alive."""
 MOST_UNPROVED: Final = 16
 """Registrations without a certificate: twice as many as can be required."""
 DRIFT_PPM: Final = 200
-"""How much slower a button's clock may run than the gateway's: twice the error of a bad crystal (as in `staleness`)."""
+"""How much slower than the gateway's a button's clock may run: twice the error of a bad crystal (as in `staleness`)."""
 RISE: Final = 4
-"""A registration's clock may fall behind by at most the timeout divided by this: an attacker who delays check-ins a
-little longer each second looks like a slow clock. A button that is slower must register again."""
+"""A button's clock may fall behind by the timeout divided by this, at most, since an attacker who delays check-ins ever
+longer looks like a slow clock. A slower button must register again."""
 _ALL: Final = tuple(LEGS)
 
 
@@ -53,22 +51,22 @@ class Registration:
     holder: str | None
     """The certificate that has proved the name."""
     counts: bool
-    """Whether it is one of those that may be required."""
+    """Whether it counts towards `buttons.required`."""
     until_ns: int | None
     """Until when it is alive; None: it has not checked in yet, or is silent."""
     count: int = -1
-    """Of its latest check-in."""
+    """The count of its latest check-in."""
     silent: bool = False
     offset_ns: int | None = None
-    """The gateway's clock less the button's, plus the time that its fastest message took, as of `newest_ns`."""
+    """The gateway's clock minus the button's, plus the transit time of its fastest message, as of `newest_ns`."""
     newest_ns: int = 0
     least_ns: int = 0
     """The smallest `offset_ns` of this registration."""
 
     def sent_ns(self, sent_ms: float | None, received_ns: int, rise_ns: int) -> int:
-        """Return when a message of this button was sent (ns, the gateway's clock), at the latest when it was received.
+        """Return when a message of this button was sent, in ns of the gateway's clock, `received_ns` at the latest.
 
-        `rise_ns` is how far the button's clock may fall behind in all.
+        `rise_ns` is the most by which the button's clock may fall behind.
         """
         if sent_ms is None:
             return received_ns
@@ -92,16 +90,16 @@ class Buttons(Interlock[ButtonRequest]):
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.required = rules.buttons_required
-        """How many must be alive."""
+        """The number of buttons that must be alive."""
         self._timeout_ns = rules.buttons_timeout_ns
         self._rise_ns = rules.buttons_timeout_ns // RISE
         self._by_token: dict[str, Registration] = {}
         self.closed = self.required > 0
-        """Whether fewer are alive than are required."""
+        """Whether too few are alive."""
         self.fell_ns: int | None = None
-        """Since when, if enough were alive before."""
+        """Since when too few are alive, if enough were before."""
         self.alive = 0
-        """How many of those that may be required check in: certificates, or names where nothing is proved."""
+        """How many certificates (without proofs: names) with an alive button that counts."""
         self.due_ns: int | None = None
         """When the next button falls silent (ns); None if none is alive."""
 
@@ -123,7 +121,7 @@ class Buttons(Interlock[ButtonRequest]):
     # ---- time
 
     def expire(self, now_ns: int, legs: Legs) -> list[Effect]:
-        """Mark the buttons as silent whose deadline is at or before `now_ns`. Return the events."""
+        """Mark buttons as silent whose deadline has passed at `now_ns`. Return the events."""
         late = [
             (button.until_ns, button)
             for button in self._by_token.values()

@@ -1,15 +1,14 @@
-"""Changes of the calibration are checked, saved to the disk, and only then put in force. Pure.
+"""Checks changes of the calibration, has them saved to the disk, and then puts them in force. Pure.
 
-A change takes two steps, since no Stop may wait for a disk. `Calibrate` is checked, and the new calibration goes to the
-disk (`SaveCalibration`) while the old one stays in force; `CalibrationSaved` then puts it in force, or leaves the old
-one where the disk failed.
+A change takes two steps, since no Stop may wait for a disk. `Calibrate` is checked, and the new calibration is saved
+(`SaveCalibration`) while the old one stays in force. `CalibrationSaved` puts it in force, or, after a disk fault, drops
+it.
 
-The calibration of a servo must never change while the servo runs: the servo would jump at the next frame, unasked.
-So no changed servo may run or wait to be started when the change comes, and none can be started until the change is in
-force.
+A servo's calibration must not change while the servo runs: the servo would jump at the next frame. So a change is
+rejected if one of its servos runs or waits to be started, and none of them can be started until it is in force.
 
-Where the file that kept the calibration cannot be read (`fault`), nothing moves until a person takes the default
-calibration as this robot's: with a wrong trim or direction, a leg goes where nobody sent it.
+If the calibration file cannot be read (`fault`), nothing moves until a person takes the default calibration as this
+robot's: with a wrong trim or direction, a leg would move to an angle that was not commanded.
 """
 
 from typing import Any, Final, NamedTuple, Self
@@ -35,7 +34,7 @@ ACCEPT_DEFAULT: Final = "calibrate accept-default"
 
 
 class _OnItsWay(NamedTuple):
-    """A change that is accepted, but not yet saved."""
+    """An accepted change that is not saved yet."""
 
     calibration: RobotCalibration
     servos: frozenset[int]
@@ -44,7 +43,7 @@ class _OnItsWay(NamedTuple):
 
 
 class Calibrating(Interlock[Calibrate | CalibrationSaved]):
-    """One robot's calibration, and the change of it that is on its way to the disk."""
+    """One robot's calibration, and the change that is being saved."""
 
     takes = (Calibrate, CalibrationSaved)
 
@@ -52,10 +51,10 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         super().__init__(rules)
         self._limits = limits
         self.fault: str | None = None
-        """Why the calibration cannot be trusted; None: it can."""
+        """Why the calibration cannot be trusted, or None."""
         self._on_its_way: _OnItsWay | None = None
         self._delay = ""
-        """Why the pending change is late; "": it is not late."""
+        """Why the pending change is late, or ""."""
 
     @classmethod
     def of(cls, rules: Rules, limits: AngleLimits) -> Self:
@@ -63,7 +62,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     @property
     def in_force(self) -> RobotCalibration:
-        """The calibration that frames are written with now."""
+        """The calibration of the frames that are written now."""
         return self._limits.calibration
 
     def load(self, calibration: RobotCalibration, fault: str | None = None) -> None:
@@ -95,7 +94,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         return self._kept(event) if isinstance(event, CalibrationSaved) else self._change(event, legs)
 
     def _change(self, event: Calibrate, legs: Legs) -> list[Effect]:
-        """Check a change against everything but the mode and other interlocks."""
+        """Check a change. The supervisor has checked the mode and other interlocks."""
         rejection = self._why_not_now(event)
         if rejection is not None:
             return [Rejected(event, *rejection)]

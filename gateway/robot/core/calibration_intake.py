@@ -1,4 +1,4 @@
-"""Reading a CalibrationCommand, and the change that it asks for. Pure."""
+"""Reads a CalibrationCommand, and converts it to a change of the calibration. Pure."""
 
 from typing import Final
 
@@ -11,8 +11,8 @@ from schemas.calibration import CalibrationCommand
 from schemas.robot import SERVO_IDS
 
 _MAX_COLONS: Final = 7 + len(SERVO_IDS) * (1 + 4 + 1) + 64
-"""A CalibrationCommand with all its fields, each servo with its name and four numbers and in the landing pose, and a
-source of colons only. A payload with more is rejected before pydantic lists each of its wrong fields."""
+"""A CalibrationCommand with all fields: for each servo its name, four numbers and a landing angle, and a source of
+colons. A payload with more is rejected before pydantic lists each wrong field."""
 
 
 def read(payload: bytes) -> CalibrationCommand | Rejection:

@@ -1,4 +1,4 @@
-"""What the supervisor receives (events), and what it wants done (effects)."""
+"""The supervisor's inputs (events) and outputs (effects)."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
@@ -22,10 +22,7 @@ _GET: Final = Verb.GET  # see `frames.OP_STOP`
 
 @dataclass(slots=True, eq=False)
 class Request:
-    """A request: one object from its payload to its answer, which the owner of the state changes.
-
-    The reader of its payload makes it, and adds how it came.
-    """
+    """A request: one object from payload to answer. The payload's reader makes it; the state's owner changes it."""
 
     targets: Targets = ()
     """The operation for each servo."""
@@ -35,18 +32,18 @@ class Request:
     """The sender's name, for people: it does not decide what is sent."""
     sent_ms: float | None = None
     lease: str | None = field(default=None, repr=False)
-    """The token that it carries."""
+    """The lease's token in the request."""
     reply: Reply | None = field(default=None, repr=False)
     verb: Verb = Verb.PUT
     received_ns: int = 0
     number: int = 0
-    """Its own, from 1 on, for the supervisor and the black box; 0: it is rejected before."""
+    """The request's number for supervisor and black box, from 1 on; 0: rejected before the supervisor."""
     written: tuple[int, ...] = ()
-    """The legs that a frame of it was written for; should it be rejected after that, its answer names them."""
+    """The legs with a written frame of the request. If it is rejected afterwards, its answer names them."""
     stopped: tuple[int, ...] = ()
-    """The servos that it stops, or may stop, and that are stopped though it is rejected."""
+    """Servos that the request stops though it is rejected."""
     moves: Targets = field(init=False, default=())
-    """Of a command: those of its targets that are no Stops."""
+    """A command's targets that are no Stops."""
 
     @property
     def servo_ids(self) -> Iterable[int]:
@@ -65,14 +62,14 @@ class Command(Request):
     """A valid command for servos, and how much of it is still to be written."""
 
     lost: bool = False
-    """Whether these are Stops for lost messages of the channel, which no client sent."""
+    """Whether these are Stops for lost messages, sent by no client."""
     rejected: "Rejected | None" = field(default=None, repr=False)
-    """Why it was rejected before the supervisor takes it: only its Stops are carried out. For a message that could not
-    be read, these are the Stops that it may contain, and another request is answered in its place."""
+    """The rejection, if the command was rejected before the supervisor: only its Stops are carried out. The Stops of an
+    unreadable message are such a command; its rejection answers another request."""
     by_leg: dict[int, Targets] = field(init=False)
     """The targets of each leg."""
     left: int = field(init=False)
-    """How many of its targets are still to be written, or replaced by a newer command's."""
+    """The number of targets that are not yet written or replaced by a newer command's."""
     coalesced: bool = False
     """Whether a newer command has replaced one of its targets."""
 
@@ -93,24 +90,23 @@ class Command(Request):
 
     @property
     def channel(self) -> str:
-        """Verb and key. Commands of one channel came in their order; between channels the order is unknown."""
+        """Verb and key. Commands of one channel arrive in order; between channels the order is unknown."""
         return f"{'get' if self.verb is _GET else 'put'} {self.key}"
 
 
 @final
 @dataclass(slots=True, eq=False, kw_only=True)
 class Reset(Request):
-    """Leaves the emergency stop with number `estop`; None: the sender named none."""
+    """Leaves the emergency stop number `estop`; None: the request has no number."""
 
     estop: int | None = None
 
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Calibrate(Request):
-    """Changes the calibration with this `revision`; None: the one in force.
+    """Changes the calibration with this `revision` (None: the one in force).
 
-    `accept_default` takes the default calibration (with `change`, if that has anything) as this robot's, where the
-    file with its own cannot be read.
+    `accept_default` takes the default calibration, with `change`, as this robot's: for an unreadable calibration file.
     """
 
     change: CalibrationChange
@@ -139,7 +135,7 @@ class BusFailed:
 
     detail: str
     kind: Kind = Kind.BUS_FAULT
-    """Which event reports it, if it is the first since the bus was opened."""
+    """The event that reports the fault, if it is the first since the bus was opened."""
 
 
 @value
@@ -152,18 +148,18 @@ class BodyMeasured:
 
 @value
 class PowerSeen:
-    """What the power board reports of the servos' supply."""
+    """The power board's report on the servos' supply."""
 
     alive: bool
     """Whether the board answers."""
     refused: tuple[tuple[int, str], ...] = ()
-    """Servos that the board will not feed, and why."""
+    """Servos that the board will not power, and why."""
     fed: frozenset[int] = frozenset()
-    """Servos that the board has confirmed to feed since their last start: their starts may leave."""
+    """Servos that the board has confirmed to power since their last start. Their starts may leave."""
     lost: frozenset[int] = frozenset()
-    """Servos that the board no longer feeds, though it should."""
+    """Servos that the board no longer powers, though it should."""
     doubt: str = ""
-    """Why a servo that should be off may still be on; "": all are known to be off."""
+    """Why a servo that should be off may be on, or ""."""
 
 
 @value
@@ -175,7 +171,7 @@ class EmergencyStop:
 
 
 class Do(StrEnum):
-    """What a request about the lease asks for."""
+    """The kinds of lease requests."""
 
     ACQUIRE = "acquire"
     ASK = "ask"
@@ -186,10 +182,7 @@ class Do(StrEnum):
 
 @value
 class LeaseRequest:
-    """A request about the lease; where names have to be proved, `source` is.
-
-    `fresh_token` is 128 random bits, for a lease that it may give.
-    """
+    """A request for the lease. `verified`: `source` was proved. `fresh_token` is 128 random bits for a new lease."""
 
     do: Do
     source: str | None = None
@@ -200,7 +193,7 @@ class LeaseRequest:
 
 
 class ButtonDo(StrEnum):
-    """What a button's request asks for."""
+    """The kinds of a button's requests."""
 
     REGISTER = "register"
     ALIVE = "alive"
@@ -209,10 +202,10 @@ class ButtonDo(StrEnum):
 
 @value
 class ButtonRequest:
-    """A button registers (where names have to be proved, `source` is), checks in, or leaves.
+    """A button registers, checks in, or leaves. `fresh_token` is 128 random bits for a registration.
 
-    `received_ns` is when that came; `fresh_token` is 128 random bits, for a registration. `holder` is the certificate
-    that has proved `source` (None: nothing is proved), and `counts` whether that one may be required.
+    `holder` is the certificate that has proved `source` (None: names are not proved). `counts`: the button counts
+    towards `buttons.required`.
     """
 
     do: ButtonDo
@@ -228,7 +221,7 @@ class ButtonRequest:
 
 @value
 class CalibrationSaved:
-    """The calibration of the SaveCalibration with this number is on the disk; with a `fault`, the old one still is."""
+    """The calibration of SaveCalibration `number` is on the disk; with a `fault`, the old one still is."""
 
     number: int
     fault: str | None = None
@@ -236,16 +229,16 @@ class CalibrationSaved:
 
 @value
 class StoppedOutside:
-    """`stop-servos` stops all servos past the gateway; not `at_work`: it has ended, and no Stop of it follows."""
+    """`stop-servos` stops all servos past the gateway, or (not `at_work`) has ended and sends no further Stop."""
 
     at_work: bool
 
 
 @value
 class EstopKept:
-    """The emergency stop that an earlier run left. Comes once if `Rules.estop_kept`.
+    """The earlier run's latest emergency stop (`number` 0: none). It is sent once if `Rules.estop_kept`.
 
-    `number` is that of the latest (0: none); `engaged`: no reset has left it.
+    `engaged`: no reset has left it.
     """
 
     number: int
@@ -254,7 +247,7 @@ class EstopKept:
 
 @value
 class TimePassed:
-    """Only time has passed; send it when `due_ns` has come."""
+    """Only time has passed. Send this event at `due_ns`."""
 
 
 @value
@@ -295,24 +288,24 @@ class Transmit:
     done: tuple[Command, ...] = ()
     """Those of `commands` that the frame completes."""
     joins: bool = False
-    """A repeated Stop that leaves in one call with the step's first Stops, behind them, and needs no preamble."""
+    """Whether this repeated Stop leaves in one call with the step's first Stops, after them and without a preamble."""
 
 
 @value
 class Completed:
-    """The request is done without another frame: a newer command replaced its targets, or its Stops are written."""
+    """The request is done without a further frame: newer commands replaced its targets, or its Stops are written."""
 
     request: Request
 
     @property
     def done(self) -> tuple[Request, ...]:
-        """The requests that are completed, as in `Transmit.done`."""
+        """The completed requests, as in `Transmit.done`."""
         return (self.request,)
 
 
 @value
 class Rejected:
-    """The request takes no further effect, except for its Stops."""
+    """The request has no further effect, except for its Stops."""
 
     request: Request
     reason: Reason
@@ -333,9 +326,9 @@ class Announce:
 
 @value
 class RequestAnswer:
-    """The answer to a LeaseRequest or a ButtonRequest: granted, if there is no `reason`.
+    """The answer to a LeaseRequest or a ButtonRequest; without a `reason` it is granted, with this `token`.
 
-    `token` is that of the granted lease or registration. `detail` may also inform a button that is granted.
+    A granted button may get a `detail`, too.
     """
 
     reason: Reason | None = None
@@ -345,9 +338,9 @@ class RequestAnswer:
 
 @value
 class SaveCalibration:
-    """Write this calibration to the disk, without delaying anything else. Always answer with CalibrationSaved.
+    """Write this calibration to the disk, in the background, and answer with CalibrationSaved in any case.
 
-    Until then the old calibration is in force, and command `number` has no answer.
+    Until then the old calibration is in force, and request `number` has no answer.
     """
 
     number: int
@@ -359,7 +352,7 @@ Decision = tuple[list[Effect], RequestAnswer]
 """A request's events, and its answer."""
 
 
-# ---- what became of the requests of a step
+# ---- the outcome of a step's requests
 
 Verdict = Reason | Literal["accepted", "coalesced"]
 Result = tuple[Request, Verdict, str]
@@ -369,8 +362,8 @@ Result = tuple[Request, Verdict, str]
 def results(effects: Sequence[Effect], failed: Sequence[Transmit] = (), why: str = "") -> list[Result]:
     """Return the requests that these effects end, in their order, each with its verdict.
 
-    `failed` are the frames that were not written, and `why` is the fault. It rejects the commands that these frames
-    carry out, and no others: a request without a frame, such as a reset, has taken effect.
+    `failed` are the frames that were not written, because of the fault `why`, which rejects the commands in these
+    frames. Requests without a frame, such as a reset, have taken effect.
     """
     lost: list[Command] = []
     for transmit in failed:

@@ -1,9 +1,8 @@
-"""Reading payloads with pydantic into plain dicts: a message of a gait makes fewer objects.
+"""Reads payloads with pydantic into plain dicts, so that a message of a gait makes fewer objects.
 
-`schemas.command` stays the only source: a validator here is a model's own core schema, with a dict of the same fields
-in the place of each model. It accepts and rejects the same with the same errors; only what is no object has the type
-`dict_type` in its error, where a model's has `model_type` (`intake.explain` has one sentence for both), and an unknown
-name that is given twice is two errors.
+`schemas.command` stays the only source: a validator here is a model's core schema with a dict in place of each model.
+It accepts the same payloads and reports the same errors, with two exceptions. A value that is no object gets the error
+`dict_type` instead of `model_type` (`intake.explain` treats both alike). An unknown name given twice is two errors.
 """
 
 from typing import Any
@@ -13,9 +12,9 @@ from pydantic_core import SchemaValidator
 
 
 def into_dicts(model: type[BaseModel]) -> SchemaValidator:
-    """Return a validator of the model's payloads whose `validate_json` returns dicts, with the defaults filled in.
+    """Return a validator of the model's payloads. Its `validate_json` returns dicts, with the defaults filled in.
 
-    Raises ValueError for a model that is more than its fields: with a function that validates, or computed fields.
+    Raises ValueError for a model with validating functions or computed fields.
     """
     return SchemaValidator(_without_models(model.__pydantic_core_schema__))
 

@@ -1,4 +1,4 @@
-"""Reading a message into a Command, a Reset, or a Rejection. Pure; `targets` has what each key means."""
+"""Reads a message into a Command, a Reset, or a Rejection. Pure. `targets` defines each key's meaning."""
 
 import json
 import math
@@ -21,11 +21,11 @@ from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Reason
 
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
-"""JSON, and what Zenoh reports if the publisher gave no encoding. `is_json` knows JSON's other names."""
+"""JSON, and Zenoh's value for no encoding. `is_json` knows JSON's other names."""
 _JSON: Final = re.compile(r"application/(json|[\w.+-]+\+json)\s*(;.*)?", re.ASCII | re.DOTALL)
 MAX_COLONS_OF_SOURCE: Final = 64
 MAX_KEY: Final = 100
-"""Characters of a key of the sender's own making that an event repeats; ours have at most 20."""
+"""Characters of an unknown key that an event repeats; ours have at most 20."""
 
 _DELETE: Final = Verb.DELETE  # see `frames.OP_STOP`
 _SERVO_OPS: Final = ("start", "set", "stop")
@@ -34,7 +34,7 @@ _SERVO_OPS: Final = ("start", "set", "stop")
 @final
 @value
 class Rejection:
-    """Why a command is rejected, and a sentence for its sender."""
+    """The reason for rejecting a command, and a sentence for its sender."""
 
     reason: Reason
     detail: str
@@ -98,7 +98,7 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
         command = row.read(number, payload)
     except ValidationError as error:
         return explain(error)
-    # Each field takes a colon. A payload with no more colons than fields repeats no name and needs no second reading.
+    # Each field has a colon. A payload with no more colons than fields has no name twice and is read only once.
     twice = name_given_twice(payload) if colons > _fields(row, command) else None
     return command if twice is None else given_twice(twice)
 
@@ -112,7 +112,7 @@ def named_source(payload: bytes) -> str | None:
 
 
 def echo_of(key: str) -> str:
-    """Return an unknown key as an event repeats it: at most `MAX_KEY` characters, without secrets."""
+    """Return an unknown key for an event: at most `MAX_KEY` characters, without secrets."""
     return without_secrets(key[: 2 * MAX_KEY])[:MAX_KEY]
 
 
@@ -131,7 +131,7 @@ def too_many_fields(payload: bytes) -> Rejection:
 
 
 def _fields(row: TargetRules, command: Command | Reset) -> int:
-    """Return how many fields a payload with this content has at least."""
+    """Return the least number of fields of a payload with this content."""
     fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
     once, each_leg = row.fields_around
     if type(command) is Reset:
@@ -142,13 +142,13 @@ def _fields(row: TargetRules, command: Command | Reset) -> int:
 
 
 class _GivenTwiceError(ValueError):
-    """Carries the name that one of a payload's objects has twice."""
+    """An object of the payload has a name twice; the text is the name."""
 
 
 def name_given_twice(payload: bytes) -> str | None:
-    """Return the first name that an object of this (valid) payload has twice, or None.
+    """Return the first name that an object of this valid payload has twice, or None.
 
-    pydantic silently keeps the last value; which one the sender meant must not be guessed.
+    pydantic silently keeps the last value, but the sender may have meant the other one.
     """
     if payload:
         try:
@@ -171,10 +171,10 @@ def each_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
 # ---- rejections in words
 
 _MAX_ECHO: Final = 40
-"""Characters of the sender's own value, or name, that a rejection repeats."""
+"""Characters of a sender's value or name that a rejection repeats."""
 _MAX_ECHO_BITS: Final = 128
 _SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
-"""What may be a lease's token, in a field where it does not belong."""
+"""Text that may be a lease's token in the wrong field."""
 _PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
 
@@ -194,19 +194,19 @@ def explain(error: ValidationError) -> Rejection:
 
 
 def _malformed(payload: bytes | str, why: str) -> Rejection:
-    """The rejection of a payload that is not JSON, with the cause where that is a usual one."""
+    """Return the rejection of a payload that is not JSON, with the cause if it is a common one."""
     text = payload if isinstance(payload, str) else payload.decode(errors="replace")
     cause = "it begins with a byte order mark; send it without" if text.startswith(BOM) else decimal_comma(text)
     return Rejection(Reason.MALFORMED, f"the payload is not JSON: {cause or why}")
 
 
 def _sentence(fault: dict[str, Any]) -> str:
-    """One sentence of bounded length that names the field and what it must be."""
+    """Return a sentence of bounded length that names the field and what it must be."""
     loc = fault["loc"]
     where = _path(loc)
     field = loc[-1] if loc else None
     if where == "lease" and fault["type"] != "missing":
-        return "lease must be 32 hex digits, a to f in lower case"  # what was sent may be most of a secret
+        return "lease must be 32 hex digits, a to f in lower case"  # the value may be most of a secret
     match fault["type"]:
         case "missing":
             return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if isinstance(field, int) else "")
@@ -254,9 +254,9 @@ _RANGES: Final[dict[object, str]] = {
 
 
 def _path(loc: tuple[int | str, ...]) -> str:
-    """`servos[2].angle_deg`: the place in the JSON, without the names of union members, which pydantic adds.
+    """Return the place in the JSON, such as `servos[2].angle_deg`, without the union members that pydantic adds.
 
-    The last part is the field, whatever the sender calls it; all others are our own names.
+    Only the last part may be a name of the sender's.
     """
     path = ""
     for index, part in enumerate(loc):
@@ -274,17 +274,17 @@ def _join(path: str, name: str) -> str:
 
 
 def without_secrets(text: str) -> str:
-    """Return the sender's own text without what may be the token of a lease."""
+    """Return a sender's text without parts that may be a lease's token."""
     return _SECRET.sub("(hex digits)", text)
 
 
 def _name(name: str) -> str:
-    """A short, plain name as it is; any other quoted."""
+    """Return a short, plain name unchanged, and any other quoted."""
     return name if _PLAIN_NAME.fullmatch(name) and not _SECRET.search(name) else _echo(name)
 
 
 def _echo(value: object) -> str:
-    """The value as JSON in ASCII, on one line, without tokens, and cut to `_MAX_ECHO` characters."""
+    """Return a value as JSON in ASCII, on one line, without tokens, cut to `_MAX_ECHO` characters."""
     if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
         # Thousands of digits take long to write out.
         return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"

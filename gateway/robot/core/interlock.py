@@ -1,6 +1,6 @@
-"""The contract of one rule that may keep the robot from moving, or bring it down. Pure.
+"""The contract of a rule that may keep the robot from moving, or bring it down. Pure.
 
-A rule is a file with one such class, and a line in the supervisor's `ORDER`. The first that objects gives the reason.
+A rule is a file with one such class, and a line in the supervisor's `ORDER`.
 """
 
 from typing import Any, Generic, NamedTuple, Self, TypeVar
@@ -19,7 +19,7 @@ Own = TypeVar("Own")
 
 
 class Halt(NamedTuple):
-    """All six legs are stopped at once, and what waits is rejected."""
+    """Stop all six legs at once, and reject waiting commands."""
 
     cause: Cause
     reason: Reason
@@ -27,7 +27,7 @@ class Halt(NamedTuple):
 
 
 class Down(NamedTuple):
-    """Nothing may run: what runs lands until `landing_ns` after `since_ns` (None: now), or is stopped."""
+    """No servo may run: running ones land until `landing_ns` after `since_ns` (None: now), or are stopped."""
 
     why: str
     since_ns: int | None
@@ -41,13 +41,13 @@ class Interlock(Generic[Own]):
     takes: tuple[type[Event], ...] = ()
     """The events that it takes."""
     bars: tuple[type[Barred], ...] = (Command,)
-    """The requests to which it may object; to a command only if that starts or sets a servo."""
+    """The requests to which it may object. A command that only stops is never barred."""
     closed = False
-    """Whether it may object. `why_not` is asked only then."""
+    """Whether it may object; only then `why_not` is called."""
     down: Down | None = None
-    """Why nothing may run; None: it may."""
+    """Why no servo may run, or None."""
     due_ns: int | None = None
-    """When `expire` is due; None: never."""
+    """When `expire` is due, or None."""
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
@@ -58,19 +58,19 @@ class Interlock(Generic[Own]):
         return cls(rules)
 
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
-        """Return why `request` takes no effect, or None if it may."""
+        """Return why `request` is rejected, or None."""
         return None
 
     def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        """Do what is due once `now_ns` (monotonic) has reached `due_ns`. Return the effects."""
+        """Handle its deadline `due_ns`, which `now_ns` has reached. Return the effects."""
         return []
 
     def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        """Return the effects of a leg's deadline that has come."""
+        """Handle legs' deadlines that `now_ns` has reached. Return the effects."""
         return []
 
     def halts(self, event: Own) -> Halt | None:  # noqa: ARG002
-        """Return the stop of all legs that precedes `take` of this event, or None. Deadlines due then are void."""
+        """Return the Halt that precedes `take` of this event, or None. A Halt voids due deadlines."""
         return None
 
     def take(self, event: Own, now_ns: int, legs: Legs) -> list[Effect]:
@@ -84,7 +84,7 @@ def nothing_to_stop(legs: Legs) -> bool:
 
 
 def how_it_comes_down(legs: Legs, rules: Rules) -> str:
-    """Return an event's words for how the robot comes down in this step, or "" if nothing is to be stopped."""
+    """Return how the robot comes down in this step, for an event's text, or "" if nothing is to be stopped."""
     if nothing_to_stop(legs):
         return ""
     return "the robot lands" if rules.landing_ns and legs.running else "all six legs are stopped"

@@ -1,8 +1,8 @@
 """The landing of a robot without commands: a straight line for each running servo. Pure.
 
-No client commands this motion, so its limits are narrow. It goes from the servo's last frame to the landing pose that a
-person has recorded, at an even pace, and its end is known when it begins. Nothing may start a servo during a landing,
-reverse it, or make it longer or faster.
+No client commands this motion, so its limits are narrow. It leads from the servo's last frame to the recorded landing
+pose, at constant speed, and its end is known from the beginning. Nothing may start a servo during a landing, reverse
+the landing, or make it longer or faster.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,27 +12,27 @@ from gateway.robot.core.leg import Servo
 
 
 class Landing(NamedTuple):
-    """A landing under way: for each running servo where it was and where it goes, in hundredths of a degree."""
+    """A landing in progress."""
 
     began_ns: int
     length_ns: int
-    """How long the way takes. A landing that began in time arrives two rate slots before its end, so that a frame can
-    state it."""
+    """The motion's duration. If it began in time, it arrives two rate slots before `ends_ns`, for its last frame."""
     period_ns: int
     """A rate slot: the most that one frame advances the landing."""
     ends_ns: int
-    """When all six legs get their Stop, wherever they are."""
+    """When all six legs get their Stop, at any angle."""
     ways_cdeg: Mapping[int, tuple[int, int]]
+    """Begin and end of each running servo's motion, in hundredths of a degree."""
 
     def next_part_ns(self, part_ns: int, now_ns: int) -> int:
-        """Return the part of the way (ns) for a leg's next frame, if its last frame was at `part_ns`.
+        """Return the time within the motion (ns) for a leg's next frame, if its last frame was at `part_ns`.
 
-        Time lost in a stall is not made up for: the servos would leap.
+        Time lost in a stall is not made up for, since the servos would jump.
         """
         return min(now_ns - self.began_ns, part_ns + self.period_ns, self.length_ns)
 
     def angle_cdeg(self, servo_id: int, part_ns: int) -> int:
-        """Return the servo's angle at `part_ns` of the way. It never lies outside the two ends."""
+        """Return the servo's angle at `part_ns` of the motion, never beyond its two ends."""
         first, last = self.ways_cdeg[servo_id]
         return first + (last - first) * part_ns // self.length_ns
 
@@ -48,6 +48,6 @@ def landing(
 ) -> Landing:
     """Return a landing that begins now. `period_ns` is a leg's rate slot; a short landing takes one frame.
 
-    A landing that begins late, after a stall, is no faster than one of `landing_ns`: it is stopped on its way.
+    A landing that begins late is no faster than one of `landing_ns`: it is stopped on its way.
     """
     return Landing(now_ns, max(period_ns, landing_ns - 2 * period_ns), period_ns, ends_ns, ways_cdeg)

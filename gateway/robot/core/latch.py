@@ -1,4 +1,4 @@
-"""The emergency stop: it stops six legs and latches; a reset leaves the latch and nothing else. Pure."""
+"""The emergency stop: it stops six legs and latches. A reset leaves the latch and starts nothing. Pure."""
 
 from typing import Final
 
@@ -42,14 +42,14 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
     def _engage(self, event: EmergencyStop, legs: Legs) -> list[Effect]:
         first = self.since_ns is None
         self.number += 1
-        self.since_ns = legs.instant_ns  # not the time: a reset of the same instant may be the older of the two
+        self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
         detail = "emergency stop; all commands are rejected until a reset"
         if not legs.sends:
             detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
         return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key)] if first else []
 
     def _kept(self, event: EstopKept, instant_ns: int) -> list[Effect]:
-        """Take over the earlier run's state; the emergency stops of this run count after it."""
+        """Take the earlier run's state. This run's emergency stops are numbered after it."""
         self.unknown = False
         self.number += event.number
         if event.engaged and self.since_ns is None:

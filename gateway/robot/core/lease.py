@@ -1,16 +1,16 @@
-"""Who is driving: one lease for the whole robot. Pure: the time, and the randomness of tokens, are arguments.
+"""The lease: one driver for the whole robot. Pure: the time, and the tokens' randomness, are arguments.
 
 The rules (docs/interface.md, Behaviour *Lease*), by state:
 
-- Free: anybody acquires it. Commands need no token, unless the lease is required.
-- Held: what moves, and a reset, needs the holder's token. The lease expires `ttl_ns` after the holder's last renewal or
-  accepted command; deadlines come before a command of the same step.
-- Asked: held, and others have asked for it. The latest `MOST_ASKERS` are known: the holder may hand over to each.
-- Handed over: for `ttl_ns` it waits for one of them. Nobody else acquires it, and no token is good.
+- Free: everyone may acquire it. Commands need no token, unless the lease is required.
+- Held: moves and resets need the holder's token. The lease expires `ttl_ns` after the holder's last renewal or accepted
+  command. Deadlines precede a command of the same step.
+- Asked: held, and others have asked for it. The latest `MOST_ASKERS` are known; the holder may hand over to each.
+- Handed over: reserved for one of them for `ttl_ns`. No other client can acquire it, and no token is valid.
 
-A takeover succeeds in any state; the supervisor stops all legs before. A token is
-good as long as its lease lasts. After that it is rejected in every state, for commands of its holder may still be on
-their way. Stops, deletes and emergency stops are not asked for a token.
+A takeover succeeds in every state; the supervisor stops all legs first. A token is valid as long as its lease. Later
+it is rejected in every state, since commands of its holder may still be on their way. Stops, deletes and emergency
+stops need no token.
 """
 
 import hmac
@@ -35,11 +35,11 @@ from schemas import keys
 from schemas.telemetry import Cause, Kind, Reason
 
 MOST_ASKERS: Final = 8
-"""More people than one robot has around it; a ninth replaces the first who asked."""
+"""More people than drive one robot; a ninth replaces the first."""
 
 
 class RobotLease(Interlock[LeaseRequest]):
-    """The lease of one robot: its holder, its token and who has asked for it."""
+    """The lease of one robot: its holder, its token, and the clients that have asked for it."""
 
     takes = (LeaseRequest,)
     bars = (Command, Reset, Calibrate)
@@ -50,14 +50,14 @@ class RobotLease(Interlock[LeaseRequest]):
         """The holder, or the nominee of a handover."""
         self.verified = False
         self.since_ns: int | None = None
-        """When its holder acquired it; None while it is handed over."""
+        """When its holder acquired it; None while it is free or handed over."""
         self.due_ns: int | None = None
         """When the lease, or the handover, expires; None while it is free."""
         self.closed = rules.lease_required
-        """Whether commands need a token. While it is false, only those that carry one are looked at."""
+        """Whether commands need a token. If not, only commands with a token are checked."""
         self._token: str | None = None
         self._askers: dict[str, bool] = {}
-        """Who has asked, in this order, and whether the name is verified."""
+        """The clients that have asked, in this order, and whether their names are verified."""
 
     @property
     def _handed_over(self) -> bool:
@@ -66,7 +66,7 @@ class RobotLease(Interlock[LeaseRequest]):
 
     @property
     def asked_by(self) -> str | None:
-        """The latest who has asked for the lease, or None."""
+        """The client that asked for the lease last, or None."""
         return next(reversed(self._askers), None)
 
     # ---- commands
@@ -87,7 +87,7 @@ class RobotLease(Interlock[LeaseRequest]):
         return None
 
     def record_use(self, token: str, now_ns: int) -> None:
-        """Renew the lease for an accepted command, if it carried the holder's token."""
+        """Renew the lease for an accepted command with the holder's token."""
         if self.holds(token):
             self.due_ns = now_ns + self._rules.lease_ttl_ns
 
@@ -118,7 +118,7 @@ class RobotLease(Interlock[LeaseRequest]):
     def take(self, event: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
         published, answer = self.grant(event, now_ns)
         dropped: list[Effect] = []
-        if answer.token is not None:  # what others had waiting would move under the new holder
+        if answer.token is not None:  # others' waiting commands must not move the robot under the new holder
             detail = f"{self.holder} has acquired the lease"
             dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, detail)
         return [*dropped, *published, answer]

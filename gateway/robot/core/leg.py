@@ -22,68 +22,62 @@ class Rules:
     repeats: int = STOP_REPEATS
     repeat_interval_ns: int = round(STOP_REPEAT_MS * NS_PER_MS)
     rest_ns: int = 800 * NS_PER_MS
-    """How often legs at rest get a Stop while others run (Behaviour *Legs at rest*). No setting switches it off.
+    """Period of Stops for legs at rest while others run (Behaviour *Legs at rest*). No setting switches them off.
 
-    Shorter than `RESYNC_NS` of the bus: with the preamble ahead of these Stops, the stream needs no other one.
+    It is shorter than `RESYNC_NS` of the bus: the preamble of these Stops serves the stream, too.
     """
     rest_runs: int = 3
-    """How many more runs of Stops follow the last Stop's repeats while nothing runs (Behaviour *Legs at rest*).
+    """Further runs of Stops after the last Stop's repeats while nothing runs (Behaviour *Legs at rest*).
 
-    One more follows these, with a frame for each servo: no bytes that are lost of it can start one.
+    After these, one run has a frame for each servo: with lost bytes it cannot start a servo.
     """
     rest_run_ns: int = 1_100 * NS_PER_MS
-    """How far these runs are apart: the published firmware gives up a frame after 1000 ms, and then reads lengths."""
+    """Time between these runs: the published firmware gives up a frame after 1000 ms, and then reads lengths."""
     period_ns: int = NS_PER_S // 50
     start_pause_ns: int = 0
     start_wait_ns: int = 0
-    """How long a start without `sent_ms` waits for messages behind it; 0: bursts are not detected.
-
-    Behaviour *Bursts without `sent_ms`*.
-    """
+    """How long a start without `sent_ms` waits for later messages (*Bursts without `sent_ms`*); 0: no detection."""
     window_ns: int = 20 * NS_PER_MS
-    """The time in which a burst is counted (`core/backlog.py`); neither this nor `start_wait_ns` is a setting."""
+    """The time in which a burst is counted (`core/backlog.py`)."""
     unnumbered_reset_ns: int = 2 * NS_PER_S
-    """How old the latest emergency stop must be for a reset without a number (Behaviour *Emergency stop*)."""
+    """The least age of an emergency stop for a reset without a number (Behaviour *Emergency stop*)."""
     joint_limits_cdeg: dict[int, tuple[int, int]] = field(default_factory=dict)
     avoid_cdeg: tuple[int, int] | None = None
     """Wire angles that are never sent: from the first up to, not including, the second."""
     max_speed_cdeg_s: dict[int, int] = field(default_factory=dict)
-    """Servos that go no faster than this from one frame to the next (Behaviour *Speed*)."""
+    """The highest speed of servos with a limit, from frame to frame (Behaviour *Speed*)."""
     takeover_cdeg_s: int = 0
-    """The highest speed on the first way under another source, or behind a Stop; 0: off.
-
-    Behaviour *Take-over and first frame*.
-    """
+    """The highest speed to the first target of another source or after a Stop (*Take-over and first frame*); 0: off."""
     takeover_known_ns: int = 2 * NS_PER_S
-    """How long after its Stop a servo counts as standing where it was; not a setting."""
+    """How long after its Stop a servo's angle counts as known."""
     landing_ns: int = 0
     """How long a landing takes (Behaviour *Landing*); 0: a silent leg is stopped at once."""
     landing_cdeg: dict[int, int] = field(default_factory=dict)
-    """The landing pose; a servo that is not named holds its angle."""
+    """The landing pose; servos without an angle here hold theirs."""
     lease_required: bool = False
     lease_ttl_ns: int = NS_PER_S
     buttons_required: int = 0
     """How many buttons must be alive for anything to move (Behaviour *Buttons*)."""
     buttons_timeout_ns: int = NS_PER_S
-    """For how long a button is alive after a check-in."""
+    """How long a button is alive after a check-in."""
     starts_whole: bool = False
-    """Whether the wire starts and stops all servos only (Behaviour *The whole robot*); `start_pause_ns` is then 0."""
+    """Whether the wire only starts and stops all servos (Behaviour *The whole robot*); then `start_pause_ns` is 0."""
     min_battery_mv: int = 0
-    """Below it nothing is started (Behaviour *Measurements*); 0: no voltage is too low."""
+    """The lowest voltage for starts (Behaviour *Measurements*); 0: no limit."""
     max_tilt_cdeg: int = 0
-    """Beyond it for `tilt_ns`, the robot has fallen (Behaviour *Measurements*); 0: no tilt counts as a fall."""
+    """Tilted further for `tilt_ns`, the robot has fallen (Behaviour *Measurements*); 0: no tilt counts as a fall."""
     tilt_ns: int = 200 * NS_PER_MS
     """How long the tilt must last: longer than a stumble or a single bad value."""
 
     estop_kept: bool = False
     """Whether an earlier run may have left an emergency stop engaged; `EstopKept` follows (*Emergency stop*)."""
     power: bool = False
-    """Whether a power board feeds the servos (Behaviour *Power*): a start then waits until its servo is fed."""
+    """Whether a power board powers the servos (Behaviour *Power*): then a start waits for its servo's power."""
     angles_first: bool = False
-    """Whether supply is what starts a servo: its angle is on the wire before it is fed."""
+    """Whether supply starts a servo: then its angle is on the wire before its power."""
     feed_ns: int = 1800 * NS_PER_MS
-    """How long a start waits for its supply. The board takes up to 1 s for 18 servos, and 0.4 s for the one that is
-    judged first; a client waits 2 s for its answer."""
+    """How long a start waits for power. The board takes up to 1 s for 18 servos, and 0.4 s for the first one, which is
+    powered alone. A client waits 2 s for its answer."""
 
     def __post_init__(self) -> None:
         if self.starts_whole and self.start_pause_ns:
@@ -107,23 +101,23 @@ class Servo:
     waiting: ServoOp | None = None
     """Its newest target, until that is sent."""
     waiting_for: Command = NO_COMMAND
-    """Which command set it; NO_COMMAND: none, it is a step on the way to a target that a command was answered for."""
+    """The command that set `waiting`; NO_COMMAND: a step towards the target of an already answered command."""
     announced_cdeg: int | None = None
-    """Where supply starts servos: the angle on the wire before, which the servo takes once it is fed."""
+    """If supply starts servos: the angle on the wire before, which the servo takes once it is powered."""
     target_cdeg: int | None = None
-    """Its target, while its speed is limited and it is not there yet."""
+    """Its target, while its speed is limited and it has not arrived."""
     target_for: Command = NO_COMMAND
-    """Which command set that target."""
+    """The command that set `target_cdeg`."""
     since_ns: int = 0
-    """From when the time for its next step counts."""
+    """When the time for its next step begins."""
     source: str | None = None
-    """Who started or set it last."""
+    """The source that started or set it last."""
     eases: bool = False
-    """Whether it goes to its target no faster than `Rules.takeover_cdeg_s`, until it is there."""
+    """Whether `Rules.takeover_cdeg_s` limits its speed until it arrives."""
     stopped: tuple[int, int, RobotCalibration] | None = None
-    """Its angle when it was stopped, when that was, and by which calibration the angle counts; None: it never ran."""
+    """Its angle at its latest Stop, the Stop's time (ns), and the angle's calibration; None: it never ran."""
     passing_cdeg: int | None = None
-    """Where it would be on its way through angles that are not sent, and at whose near end it waits."""
+    """Its computed angle within a range that is never sent, at whose near end it waits."""
     repeats_left: int = 0
     repeat_ns: int = 0
     stopped_ns: int | None = None
@@ -136,7 +130,7 @@ class Servo:
 
     @property
     def will_run(self) -> bool:
-        """Whether a `set` has something to set: the servo runs, or waits to be started."""
+        """Whether the servo runs or waits to be started, so that a `set` applies to it."""
         return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)
 
     def note_stop(self, by: str, instant_ns: int) -> None:
@@ -156,21 +150,21 @@ class Leg:
     commanded_ns: int | None = None
     expired: bool = False
     source: str | None = None
-    """Whose command is in force: the latest accepted one's; None once the gateway has stopped the leg itself."""
+    """The source of the latest accepted command; None once the gateway itself has stopped the leg."""
     eases: bool = False
-    """Whether a servo of it may ease (`Servo.eases`), or is to be started."""
+    """Whether one of its servos may ease (`Servo.eases`) or waits to be started."""
     landed_ns: int = 0
-    """How far along the landing its frames are, in ns of the landing's time."""
+    """The progress of its frames in the landing, in ns of the landing's time."""
     unfed_ns: int | None = None
-    """Since when a start of it waits for supply, as of the last `Legs.plan`; None: none does."""
+    """When one of its starts began to wait for power, or None; as of the last `Legs.plan`, like the following."""
     due_ns: int = NEVER
-    """When its deadline, its rate slot or a repeated Stop comes; like the next three as of the last `Legs.plan`."""
+    """When its next deadline, rate slot or repeated Stop is due."""
     repeat_ns: int = NEVER
-    """When its next repeated Stop comes."""
+    """When its next repeated Stop is due."""
     runs: bool = False
     """Whether one of its servos runs."""
     rests: bool = True
-    """Whether none runs, and none waits to be started."""
+    """Whether no servo runs or waits to be started."""
 
     @property
     def waits_to_start(self) -> bool:
@@ -179,7 +173,7 @@ class Leg:
 
     @property
     def is_bound(self) -> bool:
-        """Whether a servo of it is on its way to a target."""
+        """Whether one of its servos is on its way to a target."""
         first, second, third = self.servos
         return not (first.target_cdeg is second.target_cdeg is third.target_cdeg is None)
 
@@ -190,7 +184,7 @@ class Leg:
         return first.will_run or second.will_run or third.will_run
 
     def deadline_ns(self, timeout_ns: int) -> int | None:
-        """Return when the watchdog stops this leg, or None if nothing is to stop or the leg only waits for supply."""
+        """Return when the watchdog stops this leg, or None if the leg rests or only waits for power."""
         waits = self.unfed_ns is not None and not self.runs
         return self.commanded_ns + timeout_ns if self.commanded_ns is not None and self.armed and not waits else None
 

@@ -1,4 +1,4 @@
-"""What a leg is sent, and what is published when its source changes. Pure."""
+"""Stops for a leg, the event of a changed source, and rejections of dropped commands. Pure."""
 
 from gateway.model.frames import SETS, STOP, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Announce, Command, Effect, Rejected, Transmit
@@ -12,7 +12,7 @@ def as_it_is(servo: Servo) -> ServoOp:
 
 
 def stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
-    """Return Stops for these servos of a leg, in one frame if they are all three."""
+    """Return Stops for these servos of a leg: one frame for all three, else one for each."""
     if len(servos) == len(leg.servos):
         return [Transmit(stop_leg(leg.number), cause, None, commands)]
     return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]

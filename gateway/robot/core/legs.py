@@ -1,7 +1,7 @@
-"""How the legs' commands become frames: pure, time as an argument.
+"""Makes frames from the legs' commands. Pure: time is an argument.
 
 The supervisor decides whether a command is carried out. This module decides how: which targets wait for their leg's
-rate slot, what one frame contains for three servos, which Stops are still to be repeated, and which commands are done.
+rate slot, what a frame contains for three servos, which Stops are repeated, and when commands are done.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -45,9 +45,9 @@ class Legs:
         self.instant_ns = 0
         """When the present instant began; see `Supervisor.step`."""
         self.due_ns: int | None = None
-        """When a deadline, a repeat or a rate slot comes next; like the next two as of the last `plan`."""
+        """When the next deadline, repeat or rate slot is due; as of the last `plan`, like the next two."""
         self.repeat_ns: int | None = None
-        """When the next repeated Stop comes, or one for legs at rest."""
+        """When the next repeated Stop, or the next one for legs at rest, is due."""
         self.at_rest = True
         """Whether no servo of any leg runs."""
         self.rest = RestStops(rules)
@@ -61,9 +61,9 @@ class Legs:
         """Whether the watchdog stops a leg in this step."""
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
-        """The landing that is under way."""
+        """The landing in progress."""
         self._fed: frozenset[int] | None = frozenset() if rules.power else None
-        """Servos that the power board feeds; None: there is no board."""
+        """Servos that the power board powers; None: there is no board."""
         self.land_ns = 0
         """When the landing's next frames are due: one for each leg in a period, at any speed."""
 
@@ -72,7 +72,7 @@ class Legs:
 
     @property
     def running(self) -> bool:
-        """Whether a servo runs now, in the middle of a step, too."""
+        """Whether a servo runs now, even within a step."""
         return {servo.angle_cdeg for servo in self.servos.values()} != {None}
 
     # ---- time
@@ -80,7 +80,7 @@ class Legs:
     def begin(self, instant_ns: int) -> None:
         """Begin a step of this instant (ns)."""
         self.instant_ns = instant_ns
-        if self._fed:  # the supply of what was stopped went with it
+        if self._fed:  # stopped servos have lost their power
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
         self.stopping, self._first_stops, self._silent = set(), set(), False
 
@@ -128,20 +128,21 @@ class Legs:
         self.at_rest = at_rest
 
     def _slot_ns(self, leg: Leg) -> int:
-        """When the leg's next frame may leave. A robot that starts as a whole waits for the last leg's rate slot.
+        """Return when the leg's next frame may leave.
 
-        Between two frames of its start, some servos would run and others wait, and the wire has no such state.
+        A robot that starts as a whole waits for the last leg's rate slot. Between two frames of its start, only some
+        servos would run, and the wire has no such state.
         """
         if not leg.waits_to_start:
             return leg.slots.next_ns
         return max(each.slots.next_ns for each in self if not each.servos[0].running)
 
     def note_fed(self, fed: frozenset[int]) -> None:
-        """Record the servos that the power board has confirmed to feed."""
+        """Record the servos that the power board has confirmed to power."""
         self._fed = None if self._fed is None else fed
 
     def start_fed(self, now_ns: int) -> list[Effect]:
-        """Send the starts that waited for supply, within their legs' rate slots, and arm these legs' deadlines."""
+        """Return the starts that waited for power, within their legs' rate slots, and arm these legs' deadlines."""
         for leg in self:
             if leg.unfed_ns is not None and not leg.runs and not self._held(leg):
                 leg.commanded_ns = now_ns
@@ -151,14 +152,11 @@ class Legs:
         return held_starts(leg, self.servos.values(), self._fed)
 
     def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
-        """When a leg that lands gets its next frame; if it moves no more, when the landing ends."""
+        """Return when a landing leg gets its next frame, or, if it has arrived, when the landing ends."""
         return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
-        """Return the repeated Stops that are due.
-
-        If nothing runs, all pending repeats leave with the first: one run, with one preamble.
-        """
+        """Return the repeated Stops that are due. If nothing runs, all pending repeats leave together: one preamble."""
         due = any(servo.repeats_left and now_ns >= servo.repeat_ns for servo in self.servos.values())
         together = due and self.at_rest
         return [effect for leg in self for effect in self._repeat(leg, now_ns, together=together)] if due else []
@@ -171,17 +169,17 @@ class Legs:
     def stop_at_rest(self, now_ns: int) -> list[Effect]:
         """Return Stops for legs at rest, since a servo may run without a start. Call it at the end of a step.
 
-        A controller that lost bytes may take a frame, also a Stop, for a start. A leg for which a Stop leaves in this
-        step anyway, or is still to be repeated, gets no other.
+        A controller that lost bytes may take a frame, even a Stop, for a start. A leg with a Stop in this step, or with
+        pending repeats, gets no other.
         """
         ran = not self.at_rest and bool(self.stopping)
         come_to_rest = ran and not self.running
         if come_to_rest and len(self._first_stops) == len(self.servos):
-            self.rest.due_ns = None  # all six legs were stopped by this step: none is owed another Stop
+            self.rest.due_ns = None  # this step has stopped all six legs, so no leg needs another Stop
             return []
         at_once = come_to_rest or self._silent
         due = self.rest.due_ns is not None and now_ns >= self.rest.due_ns
-        if due and self.at_rest:  # a start ends these runs, and waits for none
+        if due and self.at_rest:  # a start ends these runs
             due = not self.running
         resting = [leg for leg in self if not leg.armed] if at_once or due else []
         if not resting:
@@ -199,7 +197,7 @@ class Legs:
         return effects
 
     def lose_bus(self, reason: Reason, detail: str) -> list[Effect]:
-        """Drop all that waits, after a fault of the bus. Once it opens again, all legs are stopped anew."""
+        """Drop all waiting targets after a bus fault. The next opening of the bus stops all legs."""
         for servo in self.servos.values():
             servo.repeats_left = 0
         self.rest.forget()
@@ -214,7 +212,7 @@ class Legs:
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
         whole = self._rules.starts_whole and len(command.moves) < len(command.targets)
-        fed, self._fed = self._fed, self._fed and frozenset()  # its starts leave together, below
+        fed, self._fed = self._fed, self._fed and frozenset()  # the command's starts leave together, below
         for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
             moves = False
@@ -231,33 +229,33 @@ class Legs:
                 changed += [leg]
             else:
                 stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
-        for leg, servos in stops:  # after the moves, so that they are known as what came with these Stops
+        for leg, servos in stops:  # after the moves, which these Stops then do not drop
             effects += self._stop_on_command(leg, servos, command, now_ns)
         self._fed = fed
-        if stops or fed:  # Stops may have ended what its own starts queued behind
+        if stops or fed:  # Stops may have removed starts that the command's own starts waited for
             effects += self.take_slots(now_ns)
-        elif not self._queue.legs and self._fed is None:  # else a leg that starts delays others
+        elif not self._queue.legs and self._fed is None:  # else a starting leg may delay other legs
             self._changed = changed
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
 
     def stop_for(self, command: Command, rejected: Rejected, now_ns: int, *, write: bool) -> list[Effect]:
-        """Carry out only the Stops of a rejected command; not `write`: the Stops are written already."""
+        """Carry out only the Stops of a rejected command. Not `write`: the Stops are already written."""
         if not command.stops:
             return [rejected]
         effects: list[Effect] = []
         if write:
             stops = replace(command, targets=command.stops)
-            stops.left += 1  # it is never completed, but rejected
+            stops.left += 1  # so that it is never completed: it is rejected
             effects = self.apply(stops, now_ns)
         rejected.request.stopped = tuple(servo_id for servo_id, _ in command.stops)
         return [*effects, rejected]
 
     def why_not_whole(self, command: Command) -> tuple[Reason, str] | None:
-        """Return why a robot that only starts as a whole rejects these starts; None: it accepts them, or it runs.
+        """Return why a robot that only starts as a whole rejects these starts, or None.
 
-        All servos are in one state, so one of them shows whether the robot runs. With a Stop, the whole command is one.
+        All its servos are in one state, so one servo shows whether the robot runs. A command with a Stop stops it.
         """
         moves = command.moves
         if not moves or len(moves) < len(command.targets) or len(moves) == len(self.servos):
@@ -265,15 +263,15 @@ class Legs:
         return None if self.servos[moves[0][0]].will_run else (Reason.WHOLE_ROBOT, _PARTLY)
 
     def _stop_whole(self, command: Command) -> dict[int, Targets]:
-        """The targets of a command that stops a servo of a robot that can only be stopped as a whole: all Stops.
+        """Return Stops of all servos, for a command with a Stop on a robot that can only be stopped as a whole.
 
-        Its moves, if any, are never written, so it is not completed.
+        The command's moves are never written, so it is not completed.
         """
         command.left += len(self.servos) - len(command.stops)
         return {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
-        """A command that only stops: its frames go out now, whatever waits."""
+        """Carry out a command's Stops for a leg that it only stops: the frames leave now."""
         effects = stops(leg, servos, Cause.COMMAND, (command,))
         if command.lost:
             effects += self.drop(servos, Reason.OVERFLOW, _LOST)
@@ -286,7 +284,7 @@ class Legs:
         return effects + self._empty_start_queue(command)
 
     def _move(self, leg: Leg, targets: Targets, command: Command, now_ns: int) -> list[Effect]:
-        """A command that starts or sets (and may stop some servos as well): it waits for the leg's rate slot."""
+        """Carry out a command that starts or sets a leg, and may stop some of its servos, in the leg's rate slot."""
         effects: list[Effect] = []
         taken: list[Servo] = []
         for servo_id, op in targets:
@@ -304,10 +302,10 @@ class Legs:
         effects += self._send(leg, now_ns)
         for servo_id, _ in targets:
             servo = self.servos[servo_id]
-            # The leg's rate slot has not come. Its moves wait; its Stops do not.
+            # Before the leg's rate slot, moves wait but Stops do not.
             if servo.waiting is not None and servo.waiting.op is OP_STOP:
                 servo.waiting = None
-                # A stream above the rate that keeps a stopped servo stopped is served by the repeats.
+                # If a stream above the rate keeps stopping a stopped servo, the repeats suffice.
                 if servo.running or not servo.repeats_left:
                     stop = OneServo(servo.servo_id, STOP)
                     effects.append(Transmit(stop, Cause.COMMAND, None, (command,)))
@@ -316,7 +314,7 @@ class Legs:
         return effects
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
-        """Send what waits for this leg, if it may leave now."""
+        """Return the frame for this leg's waiting targets, if it may leave now."""
         held = None if self._fed is None else self._held(leg)
         if held:
             return self._send_beside(leg, held, now_ns, cause)
@@ -337,14 +335,14 @@ class Legs:
         if limited:
             waiting = self._speeds.in_steps(leg, now_ns)
         frame: OneLeg | OneServo
-        if waiting[1:]:  # a servo that nothing waits for is sent what it does already
+        if waiting[1:]:  # servos without a new target repeat their current one
             first, second, third = leg.servos
             one, two = first.waiting or as_it_is(first), second.waiting or as_it_is(second)
             frame = OneLeg(leg.number, (one, two, third.waiting or as_it_is(third)))
         else:
             only, op = waiting[0]
             frame = OneServo(only.servo_id, op)
-        wire = self._limits.wire  # the one place where users' angles become the servos' own; a Stop has none
+        wire = self._limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
         for servo, target in waiting:
@@ -363,7 +361,7 @@ class Legs:
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
     def _send_beside(self, leg: Leg, held: list[Servo], now_ns: int, cause: Cause) -> list[Effect]:
-        """Send what waits for this leg, but for starts that wait for their supply."""
+        """As `_send`, without the starts that wait for power."""
         starts = [(servo, servo.waiting) for servo in held]
         for servo in held:
             servo.waiting = None
@@ -375,7 +373,7 @@ class Legs:
     # ---- landing
 
     def begin_landing(self, now_ns: int, ends_ns: int) -> list[Effect]:
-        """Move each running servo to its angle of the pose until `ends_ns`. Reject all that waits, starts too."""
+        """Begin to move each running servo to its angle of the pose until `ends_ns`. Reject all waiting commands."""
         pose_cdeg = self._limits.landing_cdeg()
         ways = {
             servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
@@ -387,15 +385,15 @@ class Legs:
         for leg in self:
             leg.source, leg.landed_ns = None, 0
             for servo in leg.servos:
-                servo.eases = False  # the landing has a pace of its own
+                servo.eases = False  # the landing has its own pace
         return self.drop(self.servos.values(), Reason.LANDING, "the robot lands, and is then stopped")
 
     def land(self, now_ns: int) -> list[Effect]:
-        """Return the landing's frames that are due: only for servos that run, so nothing is started."""
+        """Return the landing's due frames: only for running servos, so that nothing is started."""
         effects: list[Effect] = []
         if self.landing is None or now_ns < self.land_ns:
             return effects
-        self.land_ns += self._rules.period_ns  # not from now on: what a timer is late would add up
+        self.land_ns += self._rules.period_ns  # not now_ns + period: late timers would add up
         if self.land_ns <= now_ns:
             self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
@@ -410,15 +408,15 @@ class Legs:
                         servo.waiting, servo.waiting_for = SETS[angle_cdeg], NO_COMMAND
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
             for servo in leg.servos:
-                servo.target_cdeg = None  # one whose speed is limited follows the line, and not where the line was
+                servo.target_cdeg = None  # a servo with a limited speed follows the line, not an earlier point of it
         return effects
 
     def stop(
         self, deadlines_ns: Mapping[int, int | None], cause: Cause, now_ns: int, reason: Reason, detail: str
     ) -> list[Effect]:
-        """Stop legs for the gateway's own reasons; `deadlines_ns` has, for each leg, when its Stop was due.
+        """Stop legs for the gateway's own reasons. `deadlines_ns` has when each leg's Stop was due.
 
-        What waited for them is rejected with `reason`.
+        Commands that wait for these legs are rejected with `reason` and `detail`.
         """
         transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
         self._silent = self._silent or cause is Cause.WATCHDOG
@@ -427,7 +425,7 @@ class Legs:
             servo.note_stop(cause, self.instant_ns)
             self._stopped(servo, now_ns)
             if cause is Cause.STARTUP:
-                servo.stopped = None  # behind a fault of the bus nobody knows which frame was the last
+                servo.stopped = None  # after a bus fault the last frame is not known
         for number in deadlines_ns:
             self.by_number[number].expired = False
             self.by_number[number].source = None
@@ -439,14 +437,14 @@ class Legs:
         if servo.angle_cdeg is not None:
             servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self._limits.calibration), False
         servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = servo.passing_cdeg = None
-        if not servo.repeats_left:  # else the next one stays where it is
+        if not servo.repeats_left:  # else the next repeat keeps its time
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
 
     def _empty_start_queue(self, own: Command | None = None) -> list[Effect]:
-        """A Stop anywhere ends what waits to be energised: who stops one leg does not want another to start now.
+        """Drop all waiting starts after a Stop of any leg, except those of the Stop's `own` command.
 
-        Unless the Stop's own command wants it.
+        A person who stops one leg does not want another to start.
         """
         pauses = self._queue.pause_ns > 0
         legs = [leg for leg in self if leg.number in self._queue.legs or (pauses and leg.unfed_ns is not None)]
@@ -457,7 +455,7 @@ class Legs:
     # ---- commands under way
 
     def _replaced(self, servo: Servo) -> list[Effect]:
-        """Drop a servo's waiting target for a newer one, and note it in the older command."""
+        """Drop a servo's waiting target for a newer one, and mark its command as coalesced."""
         if servo.waiting is None:
             return []
         servo.waiting = None
@@ -470,15 +468,15 @@ class Legs:
         return [] if command.left else [Completed(command)]
 
     def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
-        """Drop the targets that wait for these servos. Reject, as a whole, the commands that set these targets."""
+        """Drop these servos' waiting targets, and reject the commands that set them, as a whole."""
         rejected = dict.fromkeys(servo.waiting_for for servo in servos if servo.waiting is not None)
         for servo in servos:
-            servo.target_cdeg = None  # nor does it go on to where an earlier command sent it
+            servo.target_cdeg = None  # it does not continue to an earlier command's target, either
             servo.passing_cdeg = None
-        for servo in self.servos.values():  # what is rejected here must not take effect on another leg
+        for servo in self.servos.values():  # a rejected command must not take effect on another leg
             if servo.waiting is not None and servo.waiting_for in rejected:
                 servo.waiting = servo.announced_cdeg = None
-            if servo.target_cdeg is not None and servo.target_for in rejected:  # nor go on where it has begun to
+            if servo.target_cdeg is not None and servo.target_for in rejected:  # nor continue there
                 servo.target_cdeg = servo.passing_cdeg = None
         for number in tuple(self._queue.legs):
             if not self.by_number[number].waits_to_start:
@@ -493,7 +491,7 @@ class Legs:
             and (now_ns >= servo.repeat_ns or (together and servo.servo_id not in self._first_stops))
         ]
         for servo in due:
-            servo.repeats_left -= servo.servo_id not in self.stopping  # a first Stop of this step owes all repeats
+            servo.repeats_left -= servo.servo_id not in self.stopping  # after a first Stop of this step, all are left
             self.stopping.add(servo.servo_id)
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         return stops(leg, due, Cause.REPEAT)

@@ -1,7 +1,7 @@
-"""The servos to stop for a Stop that may have been lost, or rejected for its form. Pure.
+"""Determines the servos to stop for a Stop that may have been lost, or rejected for its form. Pure.
 
-A flood pushes older messages out of its key's ring, and a Stop may be among them. So the servos that the key names are
-stopped, except those that one of the remaining messages starts.
+A flood pushes older messages out of its key's ring, and a Stop may be among them. So the key's servos are stopped,
+except those that one of the remaining messages starts.
 
 A message that is rejected for its form, and may contain a Stop, stops the servos that its payload names, or all servos
 of its key if the payload cannot be read. A Stop too many is harmless.
@@ -25,7 +25,7 @@ DETAIL: Final = (
 
 
 class Losses:
-    """The key whose messages are handled after some were lost (else ""), and the Stops that it needs."""
+    """The key whose messages are handled after a loss (else ""), and the Stops that it needs."""
 
     def __init__(self) -> None:
         self.key = ""
@@ -56,7 +56,7 @@ def stops_in(rejected: Received) -> Targets:
     try:
         payload = json.loads(rejected.payload, object_pairs_hook=each_name_once)
         if isinstance(payload, dict) and isinstance(payload.get("source"), str):
-            del payload["source"]  # a name, whatever words it has
+            del payload["source"]  # a name may contain any word
         servo_ids = _stopped_by(payload, servo_ids)
     except (ValueError, RecursionError):
         pass  # all servos of the key

@@ -1,7 +1,4 @@
-"""What the core and the transports share: a received message, its answer, and the way of reports.
-
-No Zenoh here, so that whatever carries messages can be exchanged.
-"""
+"""The types that core and transports share: messages, replies, reports. No Zenoh, so the transport is replaceable."""
 
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -24,14 +21,14 @@ class Verb(StrEnum):
     DELETE = "delete"
     GET = "get"
     LOST = "lost"
-    """At least `size` puts were lost before the messages that follow; a Stop may be among them."""
+    """At least `size` puts were lost before the next messages; a Stop may be among them."""
 
 
 @value
 class Received:
-    """One received message. `size` is the payload's, in bytes; a payload that is too large is not copied from Zenoh.
+    """A received message. `size` is the payload's, in bytes; a payload that is too large is not copied from Zenoh.
 
-    `key` is the command key; `expression` is what the sender wrote (perhaps a wildcard, or an unknown key).
+    `key` is the command key, `expression` the sender's key expression: a wildcard, or an unknown key.
     """
 
     key: str
@@ -47,16 +44,16 @@ class Received:
 
 
 class Messages(Protocol):
-    """What the conductor needs of the inbox."""
+    """The inbox, as the conductor uses it."""
 
     instant_open: bool
     """Whether the next messages are of the same instant as the last."""
 
     estops: deque[Received]
-    """Emergency stops that are not carried out yet. The state's owner empties it before each message."""
+    """Emergency stops that are not carried out yet. The state's owner empties this queue before each message."""
 
     def take(self) -> Iterable[Received]:
-        """Return the other messages that have come, in the order in which they apply."""
+        """Return the other received messages, in the order in which they apply."""
 
 
 class NoMessages:
@@ -73,7 +70,7 @@ class NoMessages:
 
 
 class Outbox(Protocol):
-    """What the conductor needs of the outbox."""
+    """The outbox, as the conductor uses it."""
 
     def publish(self, key: str, report: BaseModel) -> None:
         """Publish a report. Never raises, never waits."""

@@ -1,7 +1,6 @@
-"""`stop-servos` at work on the same device: all legs count as stopped, and get a Stop from here too. Pure.
+"""`stop-servos` at work on the same device: all legs count as stopped, and get a Stop from the gateway, too. Pure.
 
-Until `stop-servos` is known to have ended, no Start or Set is accepted: a later Stop of that program would undo it
-unseen.
+Until its end is known, no Start or Set is accepted, since a later Stop of `stop-servos` would undo it unnoticed.
 """
 
 from typing import Any, Final

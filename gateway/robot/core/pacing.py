@@ -1,14 +1,13 @@
-"""When a leg may send next, and what it then sends. Pure, in integer nanoseconds of the monotonic clock.
+"""Decides when a leg's next frame may leave. Pure, in integer nanoseconds of the monotonic clock.
 
-A leg gets one rate slot per period. A command that finds a slot goes out at once and uses it up; one that comes sooner
-is pending until there is a slot, and only the newest target of each servo is kept. A slot that nobody used is kept for
-later, but never more than `BUCKET` of them (a token bucket): a stream at just the limit's rate comes now early, now
-late, and with spare slots it passes unchanged. Older slots are skipped.
+A leg gets one rate slot in each period. A command with a free slot leaves at once and uses it up. A command without
+waits, and only the newest target of each servo is kept. Up to `BUCKET` unused slots are kept (a token bucket), so that
+a stream at the limit's rate passes unchanged although its messages arrive early and late. Older slots are dropped.
 
-Kept slots are no burst: two frames of a leg are never less than a quarter of its period apart. So at most rate + 3
-frames go out in any second, and exactly the rate in the long run.
+Kept slots make no burst: two frames of a leg are at least a quarter of its period apart. So at most rate + 3 frames
+leave in any second, and exactly the rate in the long run.
 
-Stop frames need no slot and never pass through here.
+Stop frames need no slot.
 """
 
 from dataclasses import dataclass, field
@@ -21,14 +20,14 @@ NEVER: Final = 2**63
 """Later than any time."""
 
 BUCKET: Final = 3
-"""At 50 Hz, Wi-Fi delivers a setpoint up to 15 ms early or late: 30 ms from one to the next, which is one and a half
-periods. Three slots take up two periods, since the frame itself uses one."""
+"""At 50 Hz, Wi-Fi delivers a setpoint up to 15 ms early or late: up to 30 ms between two, which is one and a half
+periods. Three slots cover two periods, since the frame itself uses one."""
 SPACING_SHARE: Final = 4
-"""Two frames of a leg are at least a period, divided by this, apart."""
+"""The least time between two frames of a leg is its period divided by this."""
 
 
 def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
-    """Return the newest target. A waiting start stays a start if only its angle changes."""
+    """Return the newer target. A waiting start stays a start if only its angle changes."""
     if older.op is OP_START and newer.op is OP_SET:
         return STARTS[newer.angle_cdeg]
     return newer
@@ -40,11 +39,11 @@ class RateSlots:
 
     period_ns: int
     oldest_ns: int = -BUCKET * NS_PER_S  # the longest period is 1 s, and the clock begins at 0
-    """When the oldest kept slot began, or when the next one begins."""
+    """When the oldest kept slot began, or the next one begins."""
     next_ns: int = 0
-    """When the next frame may go out."""
+    """When the next frame may leave."""
     taken_ns: int = 0
-    """When the latest frame went out."""
+    """When the latest frame left."""
 
     def wait_until(self, until_ns: int) -> None:
         """Let no frame leave before this time."""
@@ -61,9 +60,9 @@ class RateSlots:
 
 @dataclass(slots=True)
 class StartQueue:
-    """Legs that wait to be energised, in order, at least `pause_ns` apart; 0 lets all go at once.
+    """Legs that wait to be energised, in order, at least `pause_ns` apart (0: all at once).
 
-    Eighteen servos that draw their starting current in one instant can pull the supply down.
+    The starting current of eighteen servos at once can overload the supply.
     """
 
     pause_ns: int
@@ -75,7 +74,7 @@ class StartQueue:
         if not starts:
             self.leave(leg)
             return True
-        if leg not in self.legs:  # a leg that waits already keeps its place
+        if leg not in self.legs:  # a waiting leg keeps its place
             self.legs.append(leg)
         if self.legs[0] != leg or now_ns < self.next_ns or now_ns < slots.next_ns:
             return False
@@ -84,12 +83,12 @@ class StartQueue:
         return True
 
     def leave(self, leg: int) -> None:
-        """Remove `leg` from the queue, if it is there."""
+        """Remove `leg` from the queue, if it waits."""
         if leg in self.legs:
             self.legs.remove(leg)
 
     def due_ns(self, leg: int, slot_ns: int) -> int | None:
-        """Return when a leg with its slot at `slot_ns` may send, or None if another leg is before it."""
+        """Return when a leg with its slot at `slot_ns` may send, or None if another leg precedes it."""
         if leg not in self.legs:
             return slot_ns
         return max(slot_ns, self.next_ns) if self.legs[0] == leg else None

@@ -1,8 +1,7 @@
-"""The starts that the power board's answers allow, and the servos that it is to feed. Pure.
+"""Decides which starts the power board's answers allow, and which servos to power. Pure.
 
-One rule for both wires: a servo is fed while it runs or waits to be started, and at no other time. Its start leaves
-once the board has confirmed that it is fed. A servo that is not fed does not count as running: fed again, it would jump
-to its angle. So a servo that the board no longer feeds is stopped on the wire as well.
+With either wire, a servo is powered only while it runs or waits to be started. Its start leaves once the board has
+confirmed its power. A servo without power is stopped on the wire, too: with power again, it would jump to its angle.
 """
 
 from collections.abc import Collection, Iterable
@@ -18,8 +17,8 @@ def starts(servo: Servo) -> bool:
 
 
 def held_starts(leg: Leg, servos: Iterable[Servo], fed: Collection[int] | None) -> list[Servo]:
-    """Return the servos of a leg whose starts wait for supply: those of a command that starts a servo of `servos` that
-    the board does not feed. So a command starts all its servos at once, or none. `fed` None: there is no board."""
+    """Return the leg's servos whose starts wait for power. A command starts all its servos at once, or none: its starts
+    wait while one of its servos in `servos` has no power. `fed` None: there is no board."""
     if fed is None:
         return []
     unfed = [each.waiting_for for each in servos if starts(each) and each.servo_id not in fed]
@@ -27,10 +26,9 @@ def held_starts(leg: Leg, servos: Iterable[Servo], fed: Collection[int] | None) 
 
 
 def note_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules: Rules) -> tuple[int, bool]:
-    """Record since when a leg waits for supply. Return its deadline (ns), and whether a target of it waits only for its
-    rate slot.
+    """Record since when a leg waits for power. Return its deadline (ns), and whether another target waits for its slot.
 
-    `held`: its starts that wait for supply. `watched_ns`: when the watchdog stops it; NEVER if none of it runs.
+    `held` are its starts that wait for power. `watched_ns` is when the watchdog stops it (NEVER: no servo runs).
     """
     under_way = sum(each.waiting is not None or each.target_cdeg is not None for each in leg.servos)
     if not held:
@@ -42,15 +40,14 @@ def note_supply(leg: Leg, held: list[Servo], now_ns: int, watched_ns: int, rules
 
 
 def unfed_since(legs: Iterable[Leg], ns: int) -> list[int]:
-    """Return the legs with a start that has waited for its supply since `ns` or longer."""
+    """Return the legs with a start that has waited for power since `ns` or longer."""
     return [leg.number for leg in legs if leg.unfed_ns is not None and leg.unfed_ns <= ns]
 
 
 def servos_to_feed(servos: Iterable[Servo], wire: RobotCalibration | None) -> dict[int, int | None]:
-    """Return the servos that are to be fed: those that run (None), and those that wait to be started, each with the
-    wire's angle (hundredths of a degree) at which supply would start it.
+    """Return the servos to power: running ones (None), and waiting starts with their wire angle in hundredths of 1°.
 
-    That angle stays the same while the start waits, whatever is set meanwhile.
+    Supply may start a servo at this angle, so it stays the same while the start waits.
     """
     found: dict[int, int | None] = {}
     for servo in servos:

@@ -1,7 +1,4 @@
-"""No servo starts or moves without supply, and a servo that loses its supply is stopped. Pure.
-
-A servo that is not fed does not count as running: fed again, it would jump to its angle.
-"""
+"""Rejects starts and moves without power, and stops a servo that loses its power. Pure."""
 
 from collections.abc import Collection, Mapping
 from typing import Any, Final
@@ -19,7 +16,7 @@ UNFED: Final = "the power board has not confirmed that it is fed"
 
 
 class PowerRule(Interlock[PowerSeen]):
-    """Reject moves of servos that the board does not feed, and stop their legs."""
+    """Rejects moves of servos that the board does not power, and stops their legs."""
 
     takes = (PowerSeen,)
 

@@ -1,8 +1,8 @@
-"""When legs at rest get Stops (Behaviour *Legs at rest*). Pure; time is an argument.
+"""Schedules Stops for legs at rest (Behaviour *Legs at rest*). Pure; time is an argument.
 
-A controller that lost bytes may run a servo that nobody started. So legs at rest get Stops: a round every
-`Rules.rest_ns` while other legs run, and a few more runs some time after the last Stop and its repeats.
-A time that is set is not moved: moved again and again, it would never come.
+A controller that lost bytes may run a servo that was not started. So legs at rest get Stops: a round every
+`Rules.rest_ns` while other legs run, and a few more runs some time after the last Stop and its repeats. A set time is
+not postponed, since it could be postponed forever.
 """
 
 from gateway.model.frames import STOP, OneServo, stop_leg
@@ -19,17 +19,17 @@ class RestStops:
         self._run_ns = rules.rest_run_ns
         self._settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
         self._settled_ns = 0
-        """When runs begin to count: long enough after the last Stop and its repeats."""
+        """When runs begin to count, after the last Stop and its repeats."""
         self._runs_left = 0
         self.runs = rules.rest_runs + 1 if rules.rest_runs else 0
-        """How many runs follow a Stop while nothing runs; 0 once the service ends, which waits for none."""
+        """The number of runs after a Stop while nothing runs; 0 once the service ends, which waits for none."""
         self.due_ns: int | None = None
-        """When legs at rest get their next Stop; None: no further one."""
+        """When legs at rest get their next Stop, or None."""
 
     def plan(self, now_ns: int, *, at_rest: bool, stopped: bool) -> None:
         """Set the next time at the end of a step. `at_rest`: nothing runs; `stopped`: a servo got a first Stop.
 
-        A leg that begins to run ends the runs, and begins the rounds.
+        A leg that starts ends the runs and begins the rounds.
         """
         if not at_rest:
             self._runs_left, self.due_ns = 0, now_ns + self._round_ns
@@ -43,7 +43,7 @@ class RestStops:
             self.due_ns = self._settled_ns if self._settled_ns > next_ns else next_ns
 
     def take(self, now_ns: int, *, is_run: bool) -> bool:
-        """Record Stops that leave now; `is_run`: they were due, and nothing runs. Return whether it is the last run."""
+        """Record Stops that leave now; `is_run`: they are a due run. Return whether it is the last run."""
         self.due_ns = None
         if not is_run or now_ns < self._settled_ns:
             return False
@@ -51,12 +51,12 @@ class RestStops:
         return self._runs_left == 0
 
     def forget(self) -> None:
-        """Cancel all Stops after a fault of the bus. Once it opens again, all legs are stopped anew."""
+        """Cancel all Stops after a bus fault. The next opening of the bus stops all legs."""
         self.due_ns, self._runs_left = None, 0
 
 
 def rest_stops(leg: Leg, *, joins: bool, singly: bool) -> list[Transmit]:
-    """Return Stops for a leg at rest: one frame, or `singly` one per servo, which no lost bytes turn into a start."""
+    """Return Stops for a leg at rest: one frame, or `singly` one for each servo, which lost bytes make no start."""
     if singly:
         return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT) for servo in leg.servos]
     return [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=joins)]

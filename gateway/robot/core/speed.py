@@ -1,8 +1,8 @@
-"""How far one frame may move a servo with a limited speed. Pure.
+"""Limits how far one frame may move a servo. Pure.
 
-Two limits: a servo's own (`Rules.max_speed_cdeg_s`), and one for servos that *ease* (`Rules.takeover_cdeg_s`). A servo
-eases from a command of another source on, or from a start within `Rules.takeover_known_ns` of its Stop, until it has
-arrived. Where it stands is known then, and the first target of a new source may be far away.
+There are two limits: a servo's own speed (`Rules.max_speed_cdeg_s`), and one for servos that *ease*
+(`Rules.takeover_cdeg_s`). A servo eases from another source's first command, or from a start within
+`Rules.takeover_known_ns` of its Stop, until it arrives. Its angle is known then, and the new target may be far away.
 """
 
 from collections.abc import Iterable
@@ -22,12 +22,11 @@ class Step(NamedTuple):
 
 
 def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns: int, period_ns: int) -> Step:
-    """Return a step towards an angle, at most speed times time since `since_ns`, and speed times a rate slot.
+    """Return a step towards an angle: at most speed times the time since `since_ns`, and speed times a rate slot.
 
-    Time beyond a rate slot is lost: else a servo would leap after a stall, or a long time without a command.
-
-    Whole hundredths of a degree only. The time that a hundredth took counts as used, and the rest is left for the next
-    step: else a slow servo whose leg gets many frames would never move.
+    Time beyond a rate slot is dropped, since the servo would jump after a stall or a long time without a command.
+    Steps are whole hundredths of a degree. Time too short for a hundredth is kept for the next step: otherwise a slow
+    servo whose leg gets many frames would never move.
     """
     most_cdeg = speed_cdeg_s * (now_ns - since_ns) // NS_PER_S
     slot_cdeg = -(-speed_cdeg_s * period_ns // NS_PER_S)  # rounded up: at least a hundredth
@@ -36,7 +35,7 @@ def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns:
         return Step(to_cdeg, now_ns)
     if most_cdeg > slot_cdeg:
         return Step(from_cdeg + (slot_cdeg if way_cdeg > 0 else -slot_cdeg), now_ns)
-    used_ns = -(-most_cdeg * NS_PER_S // speed_cdeg_s)  # rounded up: never faster, by no nanosecond
+    used_ns = -(-most_cdeg * NS_PER_S // speed_cdeg_s)  # rounded up: never faster
     return Step(from_cdeg + (most_cdeg if way_cdeg > 0 else -most_cdeg), since_ns + used_ns)
 
 
@@ -49,15 +48,15 @@ class LimitedSpeeds:
         self._eases = rules.takeover_cdeg_s > 0
 
     def take_over(self, leg: Leg, servos: Iterable[Servo], source: str | None, now_ns: int) -> None:
-        """Ease these servos: `source` starts or sets them, and they do not run, or another source commanded them."""
+        """Ease these servos, which `source` starts, or sets after another source."""
         supply_starts = self._rules.angles_first
         for servo in servos:
             servo.source = source
             if self._eases and (servo.running or supply_starts or servo.stopped):
-                leg.eases = True  # a servo that does not run eases by its start's frame
+                leg.eases = True  # a stopped servo begins to ease with its start's frame
                 if servo.running and not servo.eases:
                     servo.eases, servo.since_ns = True, leg.slots.taken_ns
-                elif not servo.running and supply_starts and servo.announced_cdeg is None:  # that is before any frame
+                elif not servo.running and supply_starts and servo.announced_cdeg is None:  # before any frame
                     servo.announced_cdeg = self._stood_cdeg(servo, now_ns)
 
     def _stood_cdeg(self, servo: Servo, now_ns: int) -> int | None:
@@ -69,14 +68,14 @@ class LimitedSpeeds:
         return angle_cdeg if known else None
 
     def _speed_cdeg_s(self, servo: Servo) -> int | None:
-        """Return the highest speed of a servo now; None: any."""
+        """Return the present speed limit of a servo, or None."""
         own, takeover = self._rules.max_speed_cdeg_s.get(servo.servo_id), self._rules.takeover_cdeg_s
         if not servo.eases:
             return own
         return takeover if own is None else min(own, takeover)
 
     def in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
-        """Return each servo's operation in the frame that leaves now: a step towards its target, where limited."""
+        """Return each servo's operation in the frame that leaves now: with a speed limit, a step towards its target."""
         said: list[tuple[Servo, ServoOp]] = []
         for servo in leg.servos:
             if servo.waiting is None and servo.target_cdeg is not None:
@@ -91,7 +90,7 @@ class LimitedSpeeds:
                     stands_cdeg = servo.announced_cdeg if first else self._stood_cdeg(servo, now_ns)
                     servo.eases, servo.since_ns = self._eases, now_ns
                 speed_cdeg_s = self._speed_cdeg_s(servo)
-                if speed_cdeg_s is not None and stands_cdeg is not None:  # else it may be anywhere: no step
+                if speed_cdeg_s is not None and stands_cdeg is not None:  # else its angle is unknown: no step
                     angle_cdeg = self._step(servo, stands_cdeg, target_cdeg, speed_cdeg_s, now_ns)
                     servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
                     servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg

@@ -1,38 +1,38 @@
 """The rules of safety: a pure state machine, `step(event, now_ns)` → what to send and report.
 
-No I/O, no clock, no logger: time is an argument (nanoseconds of the monotonic clock, never going back), and the effects
-are carried out by the service in their order. If writing a frame fails, `BusFailed` follows.
+No I/O, no clock, no logger. Time is an argument, in ns of the monotonic clock, and never goes back. The service carries
+out the effects in their order. If a frame cannot be written, `BusFailed` follows.
 
 Each rule that may keep the robot from moving, or bring it down, is an `Interlock` (lease, buttons, body, power,
-calibration, landing, `stop-servos`, emergency stop). They stand in `ORDER`, and are carried out here. A request is
-rejected with the reason of the first that objects. What a rule stops is stopped before its event is answered.
+calibration, landing, `stop-servos`, emergency stop), in the `ORDER` below. A request is rejected with the reason of the
+first interlock that objects. A rule's Stops precede the answer to its event.
 
-What else is decided here and in `Legs`, by the names in docs/interface.md, *Behaviour*:
+Further rules, here and in `Legs`, by their names in docs/interface.md, *Behaviour*:
 
-*Start*: `BusOpened` stops all six legs, at the start and after a fault; nothing is accepted before.
-*Start before Set*: Only an accepted `start` energises a servo. A `set` for a servo that neither runs nor waits to be
-    started is rejected, and the whole command with it. A Stop ends what waits for its servo.
-*Rate limit*: Starts and Sets wait for their leg's rate slot (`pacing`), newest target per servo. A Stop waits for
-    nothing, and in what one step wants sent, all Stops come first.
-*Answered in part*: Of a command that is rejected, for whatever reason, the Stops are carried out, and nothing else.
-*Watchdog*: Deadlines come before a command of the same step: a command that was late does not save its leg
-    (`watchdog`). Every Stop is repeated, until its servo is started again.
-*Legs at rest*: They get Stops as well, since lost bytes may run a servo that nobody started (`Legs.stop_at_rest`). None
-    of these takes a rate slot or precedes a first Stop. No Stop that is owed moves to a later time.
-*Bus fault*: After `BusFailed` nothing is sent and everything is rejected until `BusOpened`; what waited is dropped. The
-    latch of an emergency stop stays through it.
-*End*: `ShutDown` stops six legs and rejects everything from then on, except an emergency stop. A bus that answers again
-    only then gets its Stops too.
-*Calibration*: Angles here are users'; only a frame that goes out has the servo's own (`Legs`).
-*Speed*: A servo whose speed is limited goes towards its target step by step, one in each rate slot (`speed`).
-*Take-over and first frame*: Under another source, and soon behind its Stop, a servo goes to its first target at a
+*Start*: `BusOpened` stops all six legs, at the start and after a fault. Before it, nothing is accepted.
+*Start before Set*: Only an accepted `start` energises a servo. A command with a `set` for a servo that neither runs nor
+    waits to be started is rejected. A Stop drops its servo's waiting target.
+*Rate limit*: Starts and Sets wait for their leg's rate slot (`pacing`); each servo's newest target counts. A Stop does
+    not wait. Stops precede all other effects of a step.
+*Answered in part*: Of a rejected command, the Stops are carried out, whatever the reason.
+*Watchdog*: Deadlines precede a command of the same step, so a late command does not save its leg (`watchdog`). Every
+    Stop is repeated until its servo is started again.
+*Legs at rest*: They get Stops, too, since lost bytes may start a servo (`Legs.stop_at_rest`). These Stops take no rate
+    slot and do not precede a first Stop. A due Stop is never postponed.
+*Bus fault*: `BusFailed` drops waiting commands. Until `BusOpened` nothing is sent, and every request is rejected. The
+    latch of an emergency stop remains.
+*End*: `ShutDown` stops six legs and rejects all further events except an emergency stop. A bus that answers again only
+    then still gets its Stops.
+*Calibration*: Angles here are users'. Only outgoing frames have the servos' own (`Legs`).
+*Speed*: A servo with a limited speed approaches its target in steps, one in each rate slot (`speed`).
+*Take-over and first frame*: Under another source, and soon after its Stop, a servo goes to its first target at a
     limited speed (`speed`).
-*The whole robot*: All servos run or wait to be started, or none does: a start names all of them, and leaves with the
-    last leg's rate slot; whatever stops one of them stops all in the same step.
-*Power*: A start waits until its servo is fed, and its leg's watchdog with it (`power`).
-*Bursts without `sent_ms`*: A leg that does not run takes no start from them (`backlog`).
+*The whole robot*: Either all servos run or wait to be started, or none does. A start names all of them and leaves with
+    the last leg's rate slot. A Stop of one stops all in the same step.
+*Power*: A start, and its leg's watchdog, wait until its servo is powered (`power`).
+*Bursts without `sent_ms`*: They start no stopped leg (`backlog`).
 
-Within one instant, the order of what came by different channels is unknown. So a Stop wins over a Start or Set of
+Within one instant, the order of messages from different channels is unknown. So a Stop wins over a Start or Set of
 another channel, and the emergency stop wins over a reset.
 """
 
@@ -85,9 +85,9 @@ _REJECTING: Final = {
 }
 """The modes in which every command is rejected, and why."""
 _STOPS_ALL: Final = frozenset({BusOpened, BusFailed, ShutDown})
-"""These events, and a Halt, void the deadlines that were due."""
+"""These events, and a Halt, void due deadlines."""
 _CHECKED: Final = frozenset({CalibrationSaved, EstopKept})
-"""Events that are legal only while they are awaited."""
+"""Events that are legal only while they are expected."""
 _NOT_AT_THE_END: Final = frozenset({LeaseRequest, ButtonRequest, PowerSeen})
 ORDER: tuple[type[Interlock[Any]], ...] = (
     Outside,
@@ -99,7 +99,7 @@ ORDER: tuple[type[Interlock[Any]], ...] = (
     Calibrating,
     Latch,
 )
-"""The interlocks, in the order in which they are asked. A new rule is a file, and a line here."""
+"""The interlocks, in the order in which they may object. A new rule is a file, and a line here."""
 
 
 class Supervisor:
@@ -112,19 +112,19 @@ class Supervisor:
         self.backlog = Backlog(rules, self.legs)
         self.connect(each.of(rules, self._limits) for each in ORDER)
         self._opened = False  # ever
-        self._fault = Kind.BUS_FAULT  # the one that was announced, while there is one
+        self._fault = Kind.BUS_FAULT  # the announced fault, while there is one
         self._ended = False
         self.mode = Mode.STARTING
         """The mode of the whole gateway."""
         self.due_ns: int | None = None
-        """When `TimePassed` is next needed; None: not before another event."""
+        """When to send `TimePassed`; None: another event comes first."""
 
     def connect(self, interlocks: Iterable[Interlock[Any]]) -> None:
         """Use these interlocks, in this order."""
         found: dict[type, Any] = {type(each): each for each in interlocks}
         self._interlocks: tuple[Interlock[Any], ...] = tuple(found.values())
         self._timed = tuple(each for each in self._interlocks if type(each).expire is not Interlock.expire)
-        # In reverse: a leg that a rule stops by itself is no reason to land.
+        # Reversed, so that the watchdog does not land the robot for a leg that another rule stops.
         late = [each for each in self._interlocks if type(each).overdue is not Interlock.overdue]
         self._with_deadlines = tuple(reversed(late))
         self._own = {event: each for each in self._interlocks for event in each.takes}
@@ -138,9 +138,10 @@ class Supervisor:
         self.latch: Latch = found[Latch]
 
     def step(self, event: Event, now_ns: int, instant_ns: int | None = None) -> list[Effect]:  # noqa: PLR0912
-        """Take one event, and return its effects in order. Raises IllegalEvent, and changes nothing, if this mode does
-        not accept the event (`LEGAL`). Events with the same `instant_ns` (default: `now_ns`) were collected
-        together, in an unknown order.
+        """Take one event, and return its effects in order.
+
+        Events with the same `instant_ns` (default: `now_ns`) were collected together, in an unknown order. Raises
+        IllegalEvent, and changes nothing, if this mode does not accept the event (`LEGAL`).
         """
         kind, legs = type(event), self.legs
         own = self._own.get(kind)
@@ -151,7 +152,7 @@ class Supervisor:
         for each in self._timed:
             if each.due_ns is not None and now_ns >= each.due_ns:
                 effects += each.expire(now_ns, legs)
-        # An event takes its place between the deadlines that it is too late for and the rate slots that it may use.
+        # An event comes after deadlines, for which it is too late, and before rate slots, which it may use.
         due = legs.sends and self.due_ns is not None and now_ns >= self.due_ns
         if own is not None and self._ended and kind in _NOT_AT_THE_END:
             own = None
@@ -177,7 +178,7 @@ class Supervisor:
             effects += legs.stop_at_rest(now_ns)
         legs.plan(now_ns)
         if legs.landing is not None and legs.at_rest:
-            legs.landing = None  # people have stopped all that was on its way down
+            legs.landing = None  # clients have stopped all landing servos
         self.mode = self._mode_now()
         self.due_ns = legs.due_ns if legs.sends else None
         for each in self._timed:
@@ -209,7 +210,7 @@ class Supervisor:
 
     @property
     def stopped_outside(self) -> bool:
-        """Whether `stop-servos` is known to be at work on the same device."""
+        """Whether `stop-servos` is at work on the same device, if that is known."""
         return self.outside.closed
 
     # ---- events
@@ -227,7 +228,7 @@ class Supervisor:
                 return self._shut_down(now_ns)
             case LeaseRequest() | ButtonRequest():
                 return [RequestAnswer(Reason.STOPPING, _STOPPING)]
-            case _:  # only time has passed, or the end has come
+            case _:  # only time has passed, or the service ends
                 return []
 
     def _take_own(self, own: Interlock[Any], event: Event, now_ns: int) -> list[Effect]:
@@ -271,7 +272,7 @@ class Supervisor:
         if self.mode in _REJECTING and not (kind is Reset and self.mode is Mode.ESTOPPED):
             return _REJECTING[self.mode]
         if kind is not Command or request.moves:
-            asked = None if request.lease is None else self.lease  # a free lease objects to an old token
+            asked = None if request.lease is None else self.lease  # even a free lease objects to an old token
             for each in self._interlocks:
                 if (each.closed or each is asked) and kind in each.bars:
                     why = each.why_not(request, self.legs)
@@ -288,7 +289,7 @@ class Supervisor:
         for servo_id, op in moves:
             servo = self.legs.servos[servo_id]
             if servo.stopped_ns == self.legs.instant_ns and not servo.stopped_by <= {command.channel}:
-                # Which of the two is older is not known, and an older Start must not overtake a Stop.
+                # The order of the two is unknown, and an older Start must not overtake a Stop.
                 by = ", ".join(sorted(servo.stopped_by))
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"
             if op.op is OP_SET and servo.angle_cdeg is None and not servo.will_run:
@@ -306,9 +307,9 @@ class Supervisor:
 
     def _bus_failed(self, event: BusFailed) -> list[Effect]:
         first, self.legs.sends, self._opened = self.legs.sends or not self._opened, False, True
-        # One that restarted and does not come back is silent, which a person has to see to.
+        # A restarted controller that does not return is silent, which needs a person.
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
-        self.legs.landing = None  # the bus that opens again stops everything, and lands nothing
+        self.legs.landing = None  # once the bus opens again, all legs are stopped and none lands
         effects = self.legs.lose_bus(Reason.BUS_FAULT, _BUS_FAULT)
         if first or stays_away:
             self._fault = event.kind
@@ -333,5 +334,5 @@ class Supervisor:
 
 
 def _after_stops(effect: Effect) -> bool:
-    """Sort key that puts Stops first: no frame that moves, and no answer, precedes one."""
+    """Sort key that puts Stops before frames that move, and before answers."""
     return not (isinstance(effect, Transmit) and effect.frame.is_stop)

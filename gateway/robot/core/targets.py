@@ -1,9 +1,8 @@
-"""What a command key addresses, and what follows from it: one row for each target. Pure.
+"""The table of command keys: one row for each target. Pure.
 
-A new key needs its row here. Which rings are read again (`zenoh_io/rings.py`), what may be a Stop, what a delete and
-what lost messages mean (`intake`, `losses`), and how a payload is read follow from it. Only the emergency stop is
-known by its key elsewhere, since it has rings and threads of its own, and nothing of its payload is read
-(`zenoh_io/inbox.py`, `runtime/conductor.py`).
+A new key needs a row here. The row determines which rings are read again (`zenoh_io/rings.py`), which messages may be
+Stops, the meaning of a delete and of lost messages (`intake`, `losses`), and how a payload is read. Only the emergency
+stop's key is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, `runtime/conductor.py`).
 """
 
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 _MOVES: Final = {"start": STARTS, "set": SETS}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
 _LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
-"""They read each setpoint of a gait."""
+"""Fast validators, for the setpoints of a gait."""
 
 
 def _read_servo(servo_id: int, payload: bytes) -> Command:
@@ -51,7 +50,7 @@ def _read_reset(_: int, payload: bytes) -> Reset:
 
 
 def _targets(servo_ids: tuple[int, ...], setpoints: tuple[dict[str, Any], ...]) -> Targets:
-    """Return each servo's operation; angles to the nearest hundredth, as in `centidegrees`."""
+    """Return each servo's operation, with angles rounded to hundredths of a degree, as in `centidegrees`."""
     targets: Targets = ()
     for place, servo_id in enumerate(servo_ids):
         setpoint = setpoints[place]
@@ -77,10 +76,10 @@ def _own(servo_id: int) -> tuple[int, ...]:
 
 
 def may_contain_stop(payload: bytes) -> bool:
-    """Return whether a payload may contain a Stop, in any spelling. Has false positives, but misses none.
+    """Return whether a payload may contain a Stop, in any spelling. It has false positives, but misses none.
 
-    In JSON a word may be written with escapes, and each of them has a backslash. A payload that does not begin like a
-    JSON object (binary, a byte order mark) or has a NUL (UTF-16) cannot be searched for a word.
+    JSON's escapes in a word have a backslash. A payload that does not begin like a JSON object (binary, a byte order
+    mark) or has a NUL (UTF-16) cannot be searched for a word.
     """
     if b"stop" in payload or b"\\" in payload or b"\0" in payload:
         return True
@@ -95,25 +94,25 @@ class TargetRules(NamedTuple):
     servos: Callable[[int], tuple[int, ...]]
     """The servos that a message on the key may start, set or stop. A delete stops them, and so do lost messages."""
     follows: Callable[[int], tuple[int, ...]]
-    """The servos whose older messages, on any key, are taken before a message of this one takes effect."""
+    """The servos whose older messages, on any key, are taken before a message on this key takes effect."""
     read: Callable[[int, bytes], Command | Reset] | None
-    """Reads a payload; None: any payload will do."""
+    """Reads a payload; None: any payload is accepted."""
     may_stop: bool | None
     """Whether a message may be a Stop; None: its payload decides (`may_contain_stop`).
 
-    Such a message keeps its place before an older Start, is handled though newer ones of its key are waiting, and stops
-    its servos even if it is rejected.
+    No older Start overtakes such a message, newer messages of its key do not displace it, and it stops its servos even
+    if it is rejected.
     """
     most_fields: int
-    """Of a payload with all that it may have; each takes a colon, and `source` may have 64 more.
+    """The fields of a full payload. Each takes a colon, and `source` may have 64 more.
 
-    A payload with more colons is rejected before pydantic reads it: pydantic lists every wrong field, and a payload
-    full of them would block the loop for 1.4 ms.
+    A payload with more colons is rejected unread: pydantic lists every wrong field, and a payload full of them would
+    block the loop for 1.4 ms.
     """
     fields_around: tuple[int, int] = (0, 0)
-    """The fields that stand around setpoints: once, and for each leg."""
+    """The number of fields around setpoints: once, and for each leg."""
     explicit_only: str | None = None
-    """What a delete and a wildcard do not do, since the sender may not have meant this key; None: they do."""
+    """Set if the key must be named: how a rejected delete or wildcard continues. The sender may not have meant it."""
 
 
 _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
@@ -124,7 +123,7 @@ TARGETS: Final[dict[Target, TargetRules]] = {
     Target.LEG: TargetRules(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
     Target.SERVO: TargetRules(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
     Target.ESTOP: TargetRules(_all, _all, None, True, 0),
-    # What was sent while the emergency stop was engaged is rejected, also where the reset after it is seen first.
+    # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
     Target.RESET: TargetRules(
         _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),

@@ -1,4 +1,4 @@
-"""Plain values that pass between the parts, made for each message."""
+"""Plain values that are made for each message."""
 
 from dataclasses import dataclass
 from typing import TypeVar, dataclass_transform

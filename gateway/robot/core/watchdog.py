@@ -1,11 +1,11 @@
-"""Silence stops a leg; if a landing is configured, the robot lands first. Pure.
+"""Stops a leg without commands; if a landing is configured, the robot lands first. Pure.
 
-A leg that runs, or waits to be started, is stopped when no accepted command starts or sets one of its servos for the
-timeout. A Stop for one servo does not keep the others of its leg running.
+A leg that runs or waits to be started is stopped if no accepted command starts or sets one of its servos within the
+timeout. A Stop for one servo does not keep the others running.
 
-Once a leg or a button falls silent, or the body is tilted, the whole robot lands, with the legs still commanded: with
-one limp leg it would fall. Nothing makes the landing longer: neither a link that comes back (commands are rejected) nor
-a second leg's silence (its own Stop would come later than this one).
+If a leg or a button falls silent, or the body is tilted, the whole robot lands on all legs: with one limp leg it would
+fall. Nothing prolongs a landing: commands are rejected even if the link returns, and another silent leg's own Stop
+would be due later than the landing's end.
 """
 
 from typing import Any, Final, Never
@@ -23,14 +23,14 @@ _LANDING: Final = "the robot lands; start it once all legs are stopped"
 
 
 class Watchdog(Interlock[Never]):
-    """The legs' deadlines, and a landing under way: then it is `closed`."""
+    """The legs' deadlines, and the landing in progress: then it is `closed`."""
 
     bars = (Command, Calibrate)
 
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.expirations = 0
-        """How many legs were silent for the timeout, since the start."""
+        """How often a leg was silent for the timeout since the start."""
 
     def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
         return Reason.LANDING, _LANDING

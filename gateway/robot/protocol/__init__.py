@@ -1,8 +1,8 @@
-"""What the service needs of any wire to a controller.
+"""The contract of a wire to a controller.
 
-A step of the supervisor decides what servos do (`model.frames`). A wire sends it: `spi.bus.Bus` in the
-frames of HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in frames of 80 bytes, with a UART. The wires are independent
-of each other. The supervisor only knows whether the robot starts and stops as a whole (`Rules.starts_whole`).
+The supervisor decides what servos do (`model.frames`), and a wire sends that: `spi.bus.Bus` in frames of
+HexapodProtocol v1.0.0, `spi.cyclic.CyclicBus` in frames of 80 bytes, with a UART. The supervisor only knows whether the
+robot starts and stops as a whole (`Rules.starts_whole`).
 """
 
 from abc import abstractmethod
@@ -28,7 +28,7 @@ class Sent:
     call_ns: int
     """The duration of its call."""
     received: bool
-    """False: it counts as failed, since the zeros before it did."""
+    """False if the frame counts as failed, since the zeros before it failed."""
 
 
 @dataclass(slots=True)
@@ -39,10 +39,10 @@ class BatchReport:
     fault: SpiError | None = None
     """The first failure."""
     rejection: str | None = None
-    """Why each transfer is a separate call from this batch on; None: it is not."""
+    """Why each transfer is a separate call from this batch on, or None."""
     meddled: str | None = None
-    """What another program had set on the device. It was put right before this batch was written. Handle it as a fault,
-    since earlier frames may have arrived damaged."""
+    """Another program's changes to the device, undone before this batch. Handle them as a fault, since earlier frames
+    may have arrived damaged."""
 
 
 class Wire(Protocol):
@@ -58,18 +58,18 @@ class Wire(Protocol):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the device anew. Raises SpiError if that fails."""
+        """Open the device again. Raises SpiError if that fails."""
 
     @abstractmethod
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
-        """Write frames that all stop, or that all move. `preamble`: these Stops are a repeated run. Returns faults."""
+        """Write frames that all stop, or that all move. `preamble` marks Stops of a repeated run. Return any fault."""
 
     @abstractmethod
     def close(self) -> None:
         """Release the device. Never raises; closing twice is harmless."""
 
     def release(self) -> None:
-        """Release the part at fault, so that `open` opens it anew. Never raises."""
+        """Release the part at fault, so that `open` opens it again. Never raises."""
         self.close()
 
     @abstractmethod
@@ -91,5 +91,5 @@ class Wire(Protocol):
         return None
 
     def silent(self, now_ns: int) -> ControllerSilentError | None:  # noqa: ARG002
-        """Return why the controller counts as silent from now on, a fault like a lost bus; None: nothing new."""
+        """Return why the controller counts as silent from now on, which is a bus fault; None: no change."""
         return None

@@ -1,9 +1,9 @@
 """The next frame and message of elkapod-2025, and the controller's signs of life. Pure, time as an argument.
 
 Each frame has all eighteen angles, and a UART message starts or shuts down all servos. Only the order prevents motion
-without a command: a shutdown comes before the first frame, and a start only after START_CYCLES frames with the
-commanded angles. While all are shut down, frames continue with each servo's last commanded angle, so that a servo whose
-shutdown was lost does not move.
+without a command: a shutdown precedes the first frame, and START_CYCLES frames with the commanded angles precede a
+start. While all are shut down, frames repeat each servo's last commanded angle, so that a servo whose shutdown was lost
+does not move.
 """
 
 from collections import deque
@@ -17,30 +17,30 @@ from gateway.model.frames import OP_START, OP_STOP, Frame
 from schemas.robot import SERVO_IDS
 
 START_CYCLES: Final = 2
-"""Frames with a start's angles ahead of the UART's start: the controller may still work on the one before."""
+"""Frames with a start's angles ahead of the UART's start, since the controller may still process an earlier frame."""
 FROZEN_NS: Final = 500 * NS_PER_MS
-"""A controller is frozen if values that never rested keep still for this long: a gyroscope's noise always changes."""
+"""A controller is frozen if values that never rested stay equal for this long: a gyroscope's noise always changes."""
 _BEATS: Final = 9
-"""Heartbeats that give their period: one of them seen a cycle late changes it by an eighth of a cycle."""
+"""Heartbeats from which their period is computed: one that is a cycle late changes it by an eighth of a cycle."""
 _PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
 
 
 class Commanded:
     """The commanded state, and the next frame and UART message.
 
-    Where a power board feeds each servo by itself (`fed_singly`), that is a servo's start and its Stop. The UART starts
-    the controller with the first of them, and shuts it down with the last.
+    If a power board powers each servo alone (`fed_singly`), its power starts and stops a servo. The UART starts the
+    controller with the first servo, and shuts it down with the last.
     """
 
     def __init__(self, *, fed_singly: bool = False) -> None:
         self._fed_singly = fed_singly
         self._angles_cdeg = [elkapod.MIDDLE_CDEG] * len(SERVO_IDS)
         self._to_start: dict[int, int] = {}
-        """Servos with a start that is not carried out yet, and how many frames with its angle have left."""
+        """Servos with a pending start, and how many frames with its angle have left."""
         self._carried: set[int] = set()
-        """Those whose start's angle is in the frame that `frame` made last."""
+        """Those of them whose angle is in the latest frame."""
         self.ready: frozenset[int] = frozenset()
-        """Servos that may be fed: their angles were on the wire, and then the UART sent start."""
+        """Servos that may be powered: their angles were on the wire, and then the UART sent start."""
 
     def shut_down(self) -> bytes:
         """Stop all servos, and drop waiting starts. Return the UART message to send."""
@@ -62,15 +62,15 @@ class Commanded:
         for frame in frames:
             for servo_id, op in frame.servos:
                 if op.op is OP_STOP:
-                    continue  # it does not run, and keeps its angle
+                    continue  # a servo that does not run keeps its angle
                 self._angles_cdeg[_PLACES[servo_id]] = op.angle_cdeg
                 if op.op is OP_START and not (self._fed_singly and servo_id in self.ready):
                     self._to_start[servo_id] = 0
                     self._carried.discard(servo_id)
 
     def prepare(self, to_feed: Mapping[int, int | None]) -> frozenset[int]:
-        """Take the servos that a power board is to feed, with the angle at which supply starts each (hundredths of a
-        degree; None: it runs). Return those that may be fed by now; the others' starts are forgotten."""
+        """Prepare servos for power. `to_feed` has the angle at which supply starts each (hundredths of a degree; None:
+        it runs). Return those that may be powered now. Starts of servos that are not in `to_feed` are forgotten."""
         self.ready &= to_feed.keys()
         for servo_id in self._to_start.keys() - to_feed.keys():
             del self._to_start[servo_id]
@@ -104,9 +104,8 @@ class Commanded:
 class Changes:
     """Which values of the answers change, and whether the answers are frozen.
 
-    A sensor that is missing never changes its values, and a quiet battery or foot keeps still for long. So only values
-    that have changed before, and never rested while the controller was alive, are evidence: those of a sensor that is
-    never without noise.
+    A missing sensor's values never change, and those of a battery or a foot may rest. So only values that have changed
+    before, and never rested while the controller was alive, are evidence: a noisy sensor's.
     """
 
     def __init__(self, begun_ns: int) -> None:
@@ -139,9 +138,9 @@ class Changes:
 class Beats:
     """Heartbeats, and whether two in a row are missing.
 
-    A heartbeat waits in the kernel until somebody looks, so a late look finds it all the same. It may have been lost if
-    the whole machine stood still. So a look counts for at most an eighth of `silent_ns`, and no gap below a third of
-    that is one: a busy machine may keep heartbeats back for this long.
+    A heartbeat waits in the kernel, so a late poll still finds it; only if the whole machine was suspended it may be
+    lost. So a poll counts for an eighth of `silent_ns` at most, and a gap below a third of `silent_ns` does not count,
+    since a busy machine may delay heartbeats for this long.
     """
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
@@ -151,7 +150,7 @@ class Beats:
         self._came_ns: deque[int] = deque(maxlen=_BEATS)
         self._quiet_ns = 0
         self.missing = False
-        """Whether none came for two and a half of their periods, once these were known."""
+        """Whether none was received for two and a half of their periods, once the period is known."""
 
     @property
     def newest_ns(self) -> int | None:
@@ -169,16 +168,16 @@ class Beats:
         if not count:
             return
         self._quiet_ns = 0
-        if since_ns > self._look_ns:  # when these came, nobody knows
+        if since_ns > self._look_ns:  # their times are not known
             self._came_ns.clear()
             count = 1
         self._came_ns.extend([now_ns] * count)
 
 
 class SignsOfLife:
-    """Whether the controller is alive: both its answers and its heartbeats have to come, from `begun_ns` on.
+    """Whether the controller is alive: it has to send both answers and heartbeats, from `begun_ns` on.
 
-    And whether it may have restarted: behind good ones, an answer was malformed or two heartbeats are missing.
+    Also whether it may have restarted: after good ones, an answer was malformed or two heartbeats are missing.
     """
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
@@ -188,9 +187,9 @@ class SignsOfLife:
         self.changes = Changes(begun_ns)
         self._why = "none has come"
         self.answered_ns: int | None = None
-        """When the last well-formed answer came."""
+        """When the last well-formed answer was received."""
         self.restarted = ""
-        """Why it counts as restarted; "": it does not. `anew` has the signs of its next life."""
+        """Why the controller counts as restarted, or "". Then continue with `anew`."""
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take the bytes that the UART has received."""
@@ -214,12 +213,12 @@ class SignsOfLife:
         return found
 
     def anew(self) -> "SignsOfLife":
-        """Return the signs of the restarted controller: its next signs are due when these would have been."""
+        """Return the signs of the restarted controller, due at the times of the present ones."""
         newest = [ns for ns in (self.answered_ns, self._beats.newest_ns) if ns is not None]
         return SignsOfLife(self._silent_ns, min(newest, default=self._begun_ns))
 
     def alive(self, now_ns: int) -> bool:
-        """Return whether answers and heartbeats have come and neither is overdue."""
+        """Return whether answers and heartbeats were received and neither is overdue."""
         return self.answered_ns is not None and self._beats.newest_ns is not None and self.silent(now_ns) is None
 
     def silent(self, now_ns: int) -> str | None:

@@ -1,6 +1,6 @@
 """Latencies: percentiles of the last ones, a histogram of all, and the worst.
 
-Apart from the other metrics: `stop-servos` uses it too, and must load fast.
+They are apart from the other metrics, since `stop-servos` uses them and must load fast.
 """
 
 from bisect import bisect_left
@@ -12,7 +12,7 @@ from typing import Final
 KEPT: Final = 1000
 """Latencies kept for the percentiles: the last thousand."""
 BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000)
-"""Upper ends of the histogram's buckets: from one transfer (45 µs) to a delay that is seen at the robot."""
+"""Upper ends of the histogram's buckets, from one transfer (45 µs) to a delay that is visible on the robot."""
 
 
 def percentile(ordered: Sequence[float], share: float) -> float:
