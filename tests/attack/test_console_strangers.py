@@ -15,7 +15,7 @@ import pytest
 
 from gateway import certs
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES
-from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN
+from gateway.people.console.server.listener import MAX_CONNECTIONS
 from tests.attack.strangers import strangers
 from tests.benchmarks.processes import fds, rss_kb, threads
 from tests.support.console_process import Console, Page, sign_in
@@ -92,6 +92,6 @@ def test_stop_all_beside_strangers(stand: Stand, kind: str, count: int) -> None:
         descriptors, at_once, memory_kb = fds(pid), threads(pid), rss_kb(pid)
     print(f"{kind}: p50 {statistics.median(took_ms):.0f} ms, worst {max(took_ms):.0f} ms")
     assert statistics.median(took_ms) < max(USUAL_MS, TIMES * statistics.median(rest_ms))
-    assert descriptors <= MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN
+    assert descriptors <= MAX_CONNECTIONS + MAX_PAGES + MAX_CLOSING + OWN
     assert at_once < THREADS
     assert memory_kb < MEMORY_MB * 1024

@@ -168,6 +168,7 @@ JUDGES: Final = {
         f"{_UNIT}test_supply.py",
     ),
     "gateway/robot/core/body_limits.py": (f"{_UNIT}test_body_limits.py",),
+    "gateway/nonces.py": ("tests/unit/people/test_lease_checker.py",),
     "gateway/robot/zenoh_io/proofs.py": ("tests/unit/people/test_lease_checker.py",),
     "gateway/model/angle_limits.py": (*_CALIBRATION, f"{_UNIT}test_supervisor_speed.py"),
     "gateway/robot/core/calibrating.py": _CALIBRATION,

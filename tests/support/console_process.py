@@ -16,9 +16,8 @@ from typing import Any, Final, NamedTuple
 import httpx
 from websockets.exceptions import InvalidMessage
 from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
 
-from gateway.people.console.server.auth import PROOF_PREFIX, SUBPROTOCOL, proof
+from gateway.people.console.server.auth import proof
 from gateway.people.console.server.sessions import Sessions
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -84,12 +83,12 @@ class SignedIn(NamedTuple):
     cookie: str
     key: str
 
-    def subprotocols(self, url: str, verify: ssl.SSLContext | None = None) -> list[Subprotocol]:
-        """What its WebSocket offers, once the console has answered; without a session something else."""
+    def shown(self, url: str, verify: ssl.SSLContext | None = None) -> str:
+        """What its WebSocket's address carries, once the console has answered; without a session something else."""
         answer = httpx.get(f"{url}/session?nonce=mine", headers=self.headers, verify=verify or True)
         found = answer.json() if answer.status_code == 200 else {"nonce": ""}
         nonce, key_sha256 = found["nonce"], hashlib.sha256(self.key.encode()).hexdigest()
-        return [Subprotocol(SUBPROTOCOL), Subprotocol(f"{PROOF_PREFIX}{nonce}.{proof(key_sha256, f'page {nonce}')}")]
+        return f"nonce={nonce}&proof={proof(key_sha256, f'page {nonce}')}"
 
     @property
     def headers(self) -> dict[str, str]:
@@ -105,9 +104,8 @@ def _opened(url: str, session: SignedIn, origin: str, verify: ssl.SSLContext | N
 
     def dial() -> ClientConnection:
         return connect(
-            url.replace("http", "ws", 1) + "/ws",
+            f"{url.replace('http', 'ws', 1)}/ws?{session.shown(url, verify)}",
             additional_headers={"Cookie": session.cookie, "Origin": origin or url},
-            subprotocols=session.subprotocols(url, verify),
             ssl=verify,
             compression=None,
             max_size=2**20,

@@ -12,7 +12,7 @@ GATEWAY = Path(__file__).parents[2] / "gateway"
 
 ROOMS: Final = (
     ("text",),
-    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "own_command", "wire"),
+    ("allowance", "durable", "endpoints", "errors", "limits", "nesting", "nonces", "own_command", "wire"),
     ("model", "geometry"),
     ("host", "certs"),
     ("zenoh_config",),
@@ -44,7 +44,7 @@ PURE_FILES: Final = frozenset(
     )
 )  # fmt: skip
 """In rooms that also do I/O."""
-ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "text", "wire", *WINGS})
+ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "nonces", "text", "wire", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
 NOT_PURE: Final = frozenset(
     {"zenoh", "spidev", "asyncio", "time", "logging", "socket", "threading", "subprocess", "os"}

@@ -148,6 +148,10 @@ class Live:
         for loop in (self._open_at_last, self._ask_when_quiet, self._look_when_silent):
             threading.Thread(target=loop, name=f"live {loop.__name__}", daemon=True).start()
 
+    def is_silent(self, now_ns: int) -> bool:
+        """Return whether the newest state is so old that the gateway counts as silent."""
+        return self._silence.is_long(now_ns)
+
     def close(self) -> None:
         """Close the session, or give up after `CLOSE_S`."""
         self._ended.set()

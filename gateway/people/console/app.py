@@ -12,8 +12,8 @@ from gateway.people.console.pages.page_messages import Hello
 from gateway.people.console.pages.page_tasks import EndError
 from gateway.people.console.pages.pages import Page, Pages, Shared
 from gateway.people.console.server.auth import SignedIn
+from gateway.people.console.server.listener import WebSocket
 from gateway.people.console.server.sessions import Sessions
-from gateway.people.console.server.websocket import ClosedError, WebSocket
 from gateway.people.walking import Robot
 from gateway.people.walking.planning import lying_deg
 
@@ -48,7 +48,7 @@ class Console:
         websocket = WebSocket()
         self._open.add(websocket)
         try:
-            await websocket.begin(request)
+            await websocket.prepare(request)
             if len(self._pages) >= MAX_PAGES:
                 await websocket.end(WSCloseCode.TRY_AGAIN_LATER, f"{MAX_PAGES} pages are open; close one")
             else:
@@ -85,7 +85,7 @@ class Console:
             await websocket.put(hello.model_dump_json())
             page.go_on()
             await self._exchange(websocket, page, session)
-        except (ClosedError, TimeoutError):  # TimeoutError: it does not read, so it gets no reason
+        except (ConnectionError, TimeoutError):  # TimeoutError: it does not read, so it gets no reason
             why = ""
         except EndError as end:
             why = str(end)
@@ -96,7 +96,7 @@ class Console:
             await websocket.end(WSCloseCode.POLICY_VIOLATION, why)
 
     async def _exchange(self, websocket: WebSocket, page: Page, session: SignedIn) -> None:
-        """Until the page is closed. Raises ClosedError, EndError, and TimeoutError where it does not read."""
+        """Until the page is closed. Raises ConnectionError, EndError, and TimeoutError where it does not read."""
         tasks = [
             asyncio.create_task(each)
             for each in (self._receive(websocket, page), self._send(websocket, page), self._check(session))

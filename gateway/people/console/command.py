@@ -11,8 +11,15 @@ from gateway.errors import ConfigError, UnreachedError
 from gateway.people.console.options import Options
 from gateway.people.console.server import sessions
 from gateway.people.console.server.sessions import Sessions
-from gateway.people.console.server.site import CONSOLE_PORT, DEFAULT_ADDRESS, address_of, free_address, site
-from gateway.people.console.server.sockets import address_in, inherited
+from gateway.people.console.server.site import (
+    CONSOLE_PORT,
+    DEFAULT_ADDRESS,
+    address_in,
+    address_of,
+    free_address,
+    inherited,
+    site,
+)
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("aiohttp", "segno")
@@ -69,17 +76,17 @@ def link(listen: str | None, card: str = "") -> int:
 
 
 def _answering() -> tuple[str, int] | None:
-    for port, url in sessions.begun(sessions.folder()):
-        for address in (DEFAULT_ADDRESS, urlsplit(url).hostname):
+    for each in sessions.kept(sessions.folder()):
+        for address in (DEFAULT_ADDRESS, urlsplit(each.url).hostname) if each.url else ():
             with suppress(OSError):
-                socket.create_connection((address, port), ANSWERS_S).close()
-                return address or DEFAULT_ADDRESS, port
+                socket.create_connection((address, each.port), ANSWERS_S).close()
+                return address or DEFAULT_ADDRESS, each.port
     return None
 
 
 def sign_out() -> int:
     """End all sessions of this user's consoles (root: the service's). Raises GatewayError."""
-    ended = sessions.revoke_all(sessions.folder())
+    ended = sum(each.revoke() for each in sessions.kept(sessions.folder()))
     say(f"{ended} session{'' if ended == 1 else 's'} ended; no printed link works any more")
     return 0
 

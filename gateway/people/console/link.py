@@ -133,7 +133,6 @@ class GatewayLink(Receiver):
 
     def opened(self) -> None:
         self._opened.set()
-        self._presence.opened(time.monotonic_ns())
 
     def not_opened(self, error: Exception) -> None:
         if isinstance(error, UnreachedError):
@@ -151,7 +150,7 @@ class GatewayLink(Receiver):
         self._announce()
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        self._presence.received_state(received_ns)
+        self._presence.received_state()
         self._receiver.received_state(state, received_ns)
         self._announce()
 
@@ -165,7 +164,7 @@ class GatewayLink(Receiver):
         self._receiver.received_event(event, left_out)
 
     def _watch(self) -> None:
-        if self._presence.is_silent(time.monotonic_ns()):
+        if self._live.is_silent(time.monotonic_ns()):
             self._presence.fell_silent(linked=self.client().connected)
             self._announce()
 

@@ -13,13 +13,14 @@ from typing import Final
 
 from aiohttp import web
 from multidict import MultiMapping
+from yarl import URL
 
 from gateway.certs import CONSOLE_DAYS, authority
 from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 from gateway.people.commands.certs import DEFAULT_FOLDER
 from gateway.people.console.options import Options
-from gateway.people.console.server.auth import CONTENT_POLICY, HEADERS, read_files
+from gateway.people.console.server.auth import HEADERS, read_files
 from gateway.people.console.server.sessions import write_private
 from gateway.people.console.server.site import LOCALHOST, Site, address_of, free_address
 
@@ -61,13 +62,11 @@ class Door:
         files = read_files()
         self._files = {path: files[name] for path, name in _FILES.items()}
 
-    def answer(self, method: str, target: str, _headers: MultiMapping[str]) -> web.Response:
+    def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response:
         """Return the page or one of its files, else 404."""
-        file = self._files.get(target.partition("?")[0]) if method == "GET" else None
-        found = web.Response(status=404) if file is None else web.Response(body=file.content)
-        found.headers.update(HEADERS, **{"content-security-policy": CONTENT_POLICY.format(socket="")})
-        if file is not None:
-            found.headers["Content-Type"] = file.kind
+        file = self._files.get(url.path)
+        found = web.Response(status=404) if file is None else file.response(headers)
+        found.headers.update(HEADERS)
         found.force_close()
         return found
 

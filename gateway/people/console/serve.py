@@ -29,16 +29,15 @@ from gateway.people.console.pages.page_stops import Stops, send_stopping
 from gateway.people.console.pages.pages import Pages, Shared
 from gateway.people.console.server import sessions
 from gateway.people.console.server.auth import Auth
-from gateway.people.console.server.listener import MAX_SIGNED_IN, MAX_UNKNOWN, HttpListener, report, server_context
+from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, report
 from gateway.people.console.server.sessions import LINK_S, Sessions
-from gateway.people.console.server.site import LOCALHOST, Site
-from gateway.people.console.server.sockets import listening
+from gateway.people.console.server.site import LOCALHOST, Site, listening
 from gateway.people.terminal import hint, on_end_signals, say
 from gateway.zenoh_config import client_config, get
 
 OWN_DESCRIPTORS: Final = 96
 """For the Zenoh session, four more of them for STOP ALL and four for other Stops, the spare ones, and files."""
-DESCRIPTORS: Final = MAX_UNKNOWN + MAX_SIGNED_IN + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
+DESCRIPTORS: Final = MAX_CONNECTIONS + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
 """More than the places for connections, so no flood of connections takes them all."""
 
 
@@ -100,9 +99,8 @@ async def _run(
         Shared(owner.person, gateway, stops, geometry, "adapt" if options.adapt else "level", found.new_link),
     )
     auth = Auth(site, found, owner.role)
-    context = server_context(site.certificate, site.key) if site.certificate and site.key else None
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter
-    serving = asyncio.create_task(HttpListener(sockets[0], context, auth.answer, console.serve).serve())
+    serving = asyncio.create_task(HttpListener(sockets[0], site.tls, auth.answer, console.serve).serve())
     explaining = asyncio.create_task(HttpListener(sockets[1], None, phone.Door().answer, console.serve).serve())
     watching = asyncio.create_task(gateway.run())
     for each in (serving, watching):

@@ -14,6 +14,7 @@ import zenoh
 
 from gateway import certs
 from gateway.allowance import Allowance
+from gateway.nonces import Nonces
 from gateway.zenoh_config import get
 from schemas.lease import Proof
 
@@ -27,32 +28,11 @@ CHECKS_PER_S: Final = 20
 
 NONCE_NS: Final = 5_000_000_000
 """docs/interface.md, Behaviour *Lease*. A laptop signs within milliseconds; a slow network adds a second."""
-MOST_NONCES: Final = 256
-"""At a time; one more replaces the oldest. So a flood of challenges hurts only clients that are slow to use theirs."""
 
 
 def fresh_token() -> str:
     """Return 128 random bits as hex."""
     return secrets.token_hex(16)
-
-
-class Nonces:
-    """Issued nonces that are not used yet. Each is valid once, for NONCE_NS. Pure."""
-
-    def __init__(self) -> None:
-        self._until_ns: dict[str, int] = {}
-
-    def issue(self, nonce: str, now_ns: int) -> str:
-        """Issue this nonce (128 random bits) and return it."""
-        if len(self._until_ns) >= MOST_NONCES:
-            del self._until_ns[next(iter(self._until_ns))]
-        self._until_ns[nonce] = now_ns + NONCE_NS
-        return nonce
-
-    def spend(self, nonce: str, now_ns: int) -> bool:
-        """Return whether this nonce is valid, and invalidate it."""
-        until_ns = self._until_ns.pop(nonce, None)
-        return until_ns is not None and now_ns < until_ns
 
 
 class Proofs:
@@ -71,7 +51,7 @@ class Proofs:
         self._wall_clock = wall_clock
         self.fresh = fresh
         self._watching = watching
-        self._nonces = Nonces()
+        self._nonces = Nonces(NONCE_NS)
         self._checks = Allowance(CHECKS_PER_S, CHECKS_PER_S)
 
     @property

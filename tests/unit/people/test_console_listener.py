@@ -13,10 +13,9 @@ from aiohttp import web
 
 from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth, SignedIn, proof
-from gateway.people.console.server.listener import MAX_UNKNOWN, READS, HttpListener
+from gateway.people.console.server.listener import MAX_CONNECTIONS, READ_BYTES, UNKNOWN_BYTES, HttpListener, WebSocket
 from gateway.people.console.server.sessions import Sessions, SignIn
 from gateway.people.console.server.site import Site
-from gateway.people.console.server.websocket import ClosedError, WebSocket
 
 pytestmark = pytest.mark.full
 
@@ -44,9 +43,9 @@ class Stand:
     async def serve_page(self, request: web.BaseRequest, session: SignedIn) -> web.StreamResponse:
         """As the console does."""
         websocket = WebSocket()
-        await websocket.begin(request)
+        await websocket.prepare(request)
         self.admitted.put_nowait(session)
-        with suppress(ClosedError):
+        with suppress(ConnectionError):
             await websocket.take()
         return websocket
 
@@ -58,7 +57,7 @@ class Stand:
         )
         nonce = json.loads(answer.partition(b"\r\n\r\n")[2])["nonce"]
         made = proof(hashlib.sha256(key.encode()).hexdigest(), f"page {nonce}")
-        return f"Sec-WebSocket-Protocol: hexapod-console, proof.{nonce}.{made}\r\n"
+        return f"nonce={nonce}&proof={made}"
 
     async def ask(self, request: str) -> bytes:
         """The whole answer, until the connection ends."""
@@ -117,13 +116,13 @@ async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text
 async def test_bytes_that_come_one_by_one_are_bounded(stand: Stand) -> None:
     reader, writer = await asyncio.open_connection(*stand.address[:2])
     ended = asyncio.create_task(reader.read())
-    sent = 0
-    while not ended.done() and sent < 10 * READS:
+    sent, reads = 0, UNKNOWN_BYTES // READ_BYTES
+    while not ended.done() and sent < 10 * reads:
         writer.write(b"G")
         sent += 1
         await asyncio.sleep(0.001)
     await asyncio.gather(ended, return_exceptions=True)
-    assert sent < 10 * READS
+    assert sent < 10 * reads
     writer.close()
 
 
@@ -133,7 +132,7 @@ async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.Monkey
 
 
 async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
-    silent = [await asyncio.open_connection(*stand.address[:2]) for _ in range(MAX_UNKNOWN)]
+    silent = [await asyncio.open_connection(*stand.address[:2]) for _ in range(MAX_CONNECTIONS)]
     assert (await stand.ask("GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n")).startswith(b"HTTP/1.1 403 ")
     assert await silent[0][0].read() == b""
     assert not silent[1][0].at_eof()
@@ -142,10 +141,10 @@ async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
 
 
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
-    offered = await stand.proved(stand.session.key)
+    shown = await stand.proved(stand.session.key)
     reader, writer = await asyncio.open_connection(*stand.address[:2])
     cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
-    writer.write(f"GET /ws HTTP/1.1\r\n{UPGRADE}{cookie}{offered}\r\n".encode())
+    writer.write(f"GET /ws?{shown} HTTP/1.1\r\n{UPGRADE}{cookie}\r\n".encode())
     async with asyncio.timeout(10):
         assert await stand.admitted.get() == SignedIn(stand.session.entry, "operator")
         assert b"101 Switching" in await reader.readuntil(b"\r\n\r\n")

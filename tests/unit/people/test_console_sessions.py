@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.server.sessions import LINK_S, SESSION_S, Now, Sessions, SignIn, begun, revoke_all
+from gateway.people.console.server.sessions import LINK_S, SESSION_S, Now, Sessions, SignIn, kept
 
 URL = "http://127.0.0.1:8080"
 
@@ -170,7 +170,8 @@ def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock)
         os.utime(tmp_path / f"console-{port}.json", (written_s, written_s))
     (tmp_path / "console-7.json").write_text("{}")
     (tmp_path / "console-x.json").write_text("{}")
-    assert begun(tmp_path) == [(port, f"https://robot.local:{port}") for port in (8443, 9000, 8080)]
+    begun = [(each.port, each.url) for each in kept(tmp_path) if each.url]
+    assert begun == [(port, f"https://robot.local:{port}") for port in (8443, 9000, 8080)]
 
 
 def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(
@@ -191,5 +192,6 @@ def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_com
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
     assert sessions.still_valid(before.entry)
-    revoke_all(sessions.path.parent)
+    for each in kept(sessions.path.parent):
+        each.revoke()
     assert not sessions.still_valid(before.entry)

@@ -1,5 +1,6 @@
 """Which Host and Origin headers are the console's own, and where it may listen."""
 
+import ssl
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from gateway.people.console.server.site import STATE_DIRECTORY, Site, address_of
 from tests.support.command import parse
 
 HERE = Site("127.0.0.1", 8080, ("127.0.0.1", "localhost"))
-TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), Path("c.pem"), Path("c.key"))  # noqa: S104
+TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER))  # noqa: S104
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.people.console.server.site import site
-from gateway.people.console.server.sockets import DEAD_MS, address_in, inherited, listening
+from gateway.people.console.server.site import DEAD_MS, address_in, inherited, listening, site
 from tests.support.gateway_process import free_port
 
 PID = str(os.getpid())
@@ -60,12 +59,6 @@ def test_without_sockets_of_its_own_it_binds_by_itself(stack: ExitStack, pid: st
         assert [each.getsockname()[0] for each in used] == ["127.0.0.1"]
 
 
-@pytest.mark.parametrize("number", ["", "0", "-1", "3", "1000000", "one", " 1", "1e0"])
-def test_another_number_is_rejected(stack: ExitStack, number: str) -> None:
-    with pytest.raises(ConfigError, match=f"LISTEN_FDS={number}: "):
-        taken(server(stack), number)
-
-
 @pytest.mark.parametrize(
     ("family", "kind", "listens"),
     [
@@ -98,6 +91,7 @@ def test_another_address_in_the_options_is_rejected(stack: ExitStack, listen: st
         address_in([passed], listen.format(passed.getsockname()[1]))
 
 
-def test_two_addresses_that_are_not_localhosts_are_rejected(stack: ExitStack) -> None:
-    with pytest.raises(ConfigError, match="has two addresses"):
-        address_in([server(stack), server(stack)], None)
+@pytest.mark.parametrize("number", [2, 3])
+def test_more_addresses_than_localhosts_are_rejected(stack: ExitStack, number: int) -> None:
+    with pytest.raises(ConfigError, match=f"has {number} addresses"):
+        address_in([server(stack) for _ in range(number)], None)

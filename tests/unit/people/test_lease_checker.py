@@ -16,12 +16,13 @@ from cryptography.x509.oid import NameOID
 from gateway.certs import authority
 from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose
 from gateway.host.settings_table import ButtonSettings
+from gateway.nonces import Nonces
 from gateway.people.client.requests import Identity
 from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
-from gateway.robot.zenoh_io.proofs import CHECKS_PER_S, NONCE_NS, Nonces
+from gateway.robot.zenoh_io.proofs import CHECKS_PER_S, NONCE_NS
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 from tests.support.certs_folder import with_one_bit_changed
@@ -208,7 +209,7 @@ def test_of_a_certificate_with_one_bit_changed_only_what_the_ca_signed_is_taken(
 
 
 def test_a_nonce_serves_once_and_for_five_seconds() -> None:
-    nonces = Nonces()
+    nonces = Nonces(NONCE_NS)
     nonces.issue("a", 0)
     nonces.issue("b", 0)
     assert nonces.spend("a", 4_999_999_999)
@@ -218,7 +219,7 @@ def test_a_nonce_serves_once_and_for_five_seconds() -> None:
 
 
 def test_few_nonces_are_remembered_the_newest() -> None:
-    nonces = Nonces()
+    nonces = Nonces(NONCE_NS)
     for number in range(256 + 1):
         nonces.issue(str(number), number)
     assert not nonces.spend("0", 300)

@@ -60,9 +60,8 @@ CONNECTED = LinkMessage(status="connected")
 
 def live() -> GatewayPresence:
     presence = GatewayPresence()
-    presence.opened(0)
     presence.received_token(True)
-    presence.received_state(0)
+    presence.received_state()
     assert presence.link == CONNECTED
     return presence
 
@@ -75,24 +74,20 @@ def test_until_the_first_state_nobody_is_there() -> None:
     presence.looked(["its port is closed", "it is off"])
     presence.not_opened("nobody listens")
     assert presence.link == LinkMessage(status="gone", detail="its port is closed\nit is off"), "which says more"
-    presence.opened(0)
-    presence.received_state(MS)
+    presence.received_state()
     assert presence.link == CONNECTED
 
 
 @pytest.mark.parametrize("linked", [True, False])
 def test_a_gateway_that_hangs_is_silent_and_a_link_that_is_cut_is_gone(linked: bool) -> None:
     presence = live()
-    assert not presence.is_silent(1000 * MS)
-    assert presence.is_silent(1001 * MS)
     presence.fell_silent(linked=linked)
     assert presence.link.status == ("silent" if linked else "gone")
     presence.looked(["its journal says why"])
     presence.fell_silent(linked=linked)
     assert presence.link.detail == "its journal says why", "what was found goes on being shown"
-    presence.received_state(5000 * MS)
+    presence.received_state()
     assert presence.link == CONNECTED
-    assert not presence.is_silent(6000 * MS), "a second begins anew with each state"
 
 
 def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_back() -> None:
@@ -100,11 +95,11 @@ def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_b
     presence.received_token(False)
     ended = presence.link
     assert ended.status == "gone"
-    presence.received_state(100 * MS)  # which was under way
+    presence.received_state()  # which was under way
     presence.fell_silent(linked=True)  # to a router
     assert presence.link == ended
     presence.received_token(True)
-    presence.received_state(2000 * MS)
+    presence.received_state()
     assert presence.link == CONNECTED
 
 

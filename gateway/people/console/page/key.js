@@ -9,8 +9,6 @@
 
 const NAME = "hexapod-console-key";
 const TAB = "hexapod-console-tab";
-const PREFIX = "proof.";
-const SUBPROTOCOL = "hexapod-console";
 const FORBIDDEN = 403;
 const bytes = new TextEncoder();
 
@@ -20,17 +18,17 @@ export function keep(key) {
 }
 
 /**
- * The subprotocols that a WebSocket offers, once the console has proved that it knows the key. Throws an Error with the
+ * What a WebSocket's address carries, once the console has proved that it knows the key. Throws an Error with the
  * reason, and its cause (`words.js`), if it has not.
  * @param {number} timeoutMs
  */
-export async function subprotocols(timeoutMs) {
+export async function proved(timeoutMs) {
   const mine = hex(crypto.getRandomValues(new Uint8Array(16)));
   const answer = await asked(`session?nonce=${mine}`, timeoutMs);
   if (answer.proof !== (await proof(`console ${mine} ${answer.nonce}`))) {
     throw new Error("What answers does not know this page's key, so another program may listen here", { cause: "signed_out" });
   }
-  return [SUBPROTOCOL, `${PREFIX}${answer.nonce}.${await proof(`page ${answer.nonce}`)}`];
+  return { nonce: answer.nonce ?? "", proof: await proof(`page ${answer.nonce}`) };
 }
 
 /** The name of this tab. It stays after a reload, so the console knows which tab drove. */

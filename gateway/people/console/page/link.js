@@ -1,7 +1,7 @@
 // @ts-check
 /** The WebSocket to the console: receives and sends messages, and connects again whenever it ends. */
 
-import { subprotocols, tab } from "./key.js";
+import { proved, tab } from "./key.js";
 
 const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 2000;
@@ -74,9 +74,9 @@ export class Link {
 
   async #connect() {
     this.receivedMs = performance.now();
-    let offered;
+    let shown;
     try {
-      offered = await subprotocols(DEAF_MS);
+      shown = await proved(DEAF_MS);
     } catch (error) {
       const { message, cause } = /** @type {Error} */ (error);
       this.callbacks.closed({ cause: /** @type {import("./words.js").Cause} */ (cause ?? "lost"), detail: message });
@@ -86,8 +86,8 @@ export class Link {
     this.receivedMs = performance.now();
     const address = new URL("ws", location.href);
     address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
-    address.searchParams.set("tab", tab());
-    const socket = new WebSocket(address, offered);
+    address.search = new URLSearchParams({ tab: tab(), ...shown }).toString();
+    const socket = new WebSocket(address);
     this.socket = socket;
     socket.addEventListener("open", () => {
       if (this.socket !== socket) return;

@@ -29,10 +29,8 @@ class Outgoing:
         self._there = asyncio.Event()
         self._stops: dict[int, Stopping] = {}
         self._answers: deque[Report] = deque(maxlen=KEPT_MESSAGES)
-        self._newest: dict[type[Report], Report] = {}
-        self._state: Callable[[], str] | None = None
-        self._events: deque[EventMessage] = deque(maxlen=KEPT_MESSAGES)
-        self._events_lost = 0
+        self._newest: dict[type[Report] | None, Callable[[], str]] = {}
+        self._events: deque[EventMessage] = deque()
 
     def put(self, message: Report) -> None:
         """Queue a message to the page. Never waits."""
@@ -42,34 +40,28 @@ class Outgoing:
                 if len(self._stops) > KEPT_MESSAGES:
                     del self._stops[next(iter(self._stops))]
             case LinkMessage() | WalkMessage() | BodyMessage() | TelemetryMessage():
-                self._newest[type(message)] = message
+                self._newest[type(message)] = message.model_dump_json
             case EventMessage():
-                if len(self._events) == KEPT_MESSAGES:
-                    self._events_lost += 1 + self._events[0].left_out
                 self._events.append(message)
+                if len(self._events) > KEPT_MESSAGES:
+                    left_out = self._events.popleft().left_out + 1 + self._events[0].left_out
+                    self._events[0] = self._events[0].model_copy(update={"left_out": left_out})
             case _:
                 self._answers.append(message)
         self._there.set()
 
     def put_state(self, text: Callable[[], str]) -> None:
         """Queue a state; `text` makes the message when it is sent, with the state's age at that time."""
-        self._state = text
+        self._newest[None] = text
         self._there.set()
 
     async def wait(self) -> list[str]:
         """The texts to send now, in this order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
-        messages: list[Report] = [*self._stops.values(), *self._answers, *self._newest.values()]
-        texts = [message.model_dump_json() for message in messages]
-        if self._state is not None:
-            texts.append(self._state())
-        if self._events_lost:
-            left_out = self._events[0].left_out + self._events_lost
-            self._events[0] = self._events[0].model_copy(update={"left_out": left_out})
-            self._events_lost = 0
+        texts = [message.model_dump_json() for message in (*self._stops.values(), *self._answers)]
+        texts += [newest() for newest in self._newest.values()]
         texts += [event.model_dump_json() for event in self._events]
         for sent in (self._stops, self._answers, self._newest, self._events):
             sent.clear()
-        self._state = None
         return texts

@@ -1,8 +1,7 @@
-"""The status of the link to the gateway, as pages show it. Pure: `now_ns` is monotonic."""
+"""The status of the link to the gateway, as pages show it. Pure."""
 
 from collections.abc import Sequence
 
-from gateway.people.client.silence import Silence
 from gateway.people.console.pages.page_messages import LinkMessage
 
 
@@ -11,13 +10,8 @@ class GatewayPresence:
 
     def __init__(self) -> None:
         self.link = LinkMessage(status="gone")
-        self._silence = Silence()
         self._ended = False
         """Whether its liveliness token is gone."""
-
-    def opened(self, now_ns: int) -> None:
-        """Record that a session is open: the gateway has one second to send a state."""
-        self._silence.opened(now_ns)
 
     def not_opened(self, why: str) -> None:
         """Record why no session could be opened yet."""
@@ -34,20 +28,14 @@ class GatewayPresence:
         if not alive:
             self.link = LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")
 
-    def received_state(self, now_ns: int) -> None:
+    def received_state(self) -> None:
         """Record a state. After the token has gone, a late state does not reconnect the link."""
-        self._silence.received(now_ns)
         if not self._ended:
             self.link = LinkMessage(status="connected")
 
-    def is_silent(self, now_ns: int) -> bool:
-        """Return whether the newest state is old enough for `fell_silent`."""
-        return self._silence.is_long(now_ns)
-
     def fell_silent(self, *, linked: bool) -> None:
-        """Record the silence. `linked`: connected to the gateway or to a router in front of it."""
+        """Record a long silence. `linked`: connected to the gateway or to a router in front of it."""
         if not linked:
             self.link = LinkMessage(status="gone", detail=self.link.detail or "the link to the gateway is lost")
         elif not self._ended:
-            detail = self.link.detail or "the gateway is silent; it may hang"
-            self.link = LinkMessage(status="silent", detail=detail)
+            self.link = LinkMessage(status="silent", detail=self.link.detail or "the gateway is silent; it may hang")

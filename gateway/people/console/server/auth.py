@@ -20,37 +20,31 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Final
-from urllib.parse import parse_qs
 
 from aiohttp import web
 from multidict import MultiMapping
+from yarl import URL
 
+from gateway.allowance import NS_PER_S
+from gateway.nonces import Nonces
 from gateway.people.console.pages.page_messages import Role, least
 from gateway.people.console.server.sessions import Entry, Sessions
 from gateway.people.console.server.site import Site
 
 PAGE: Final = Path(__file__).parents[1] / "page"
 WEBSOCKET: Final = "/ws"
-SUBPROTOCOL: Final = "hexapod-console"
-PROOF_PREFIX: Final = "proof."
-"""A page offers it with the console's nonce and its HMAC as a second subprotocol: a script can set no other header of a
-WebSocket's request."""
-NONCE_S: Final = 10.0
-"""How long a nonce may be used, once: a page opens its WebSocket as soon as it receives it."""
+NONCE_NS: Final = 10 * NS_PER_S
+"""A page opens its WebSocket as soon as it receives the nonce."""
 COOKIE_S: Final = 30 * 24 * 3600
 """Of a browser's cookie, by the browser's wall clock, which may be set, too; the session itself ends earlier."""
 PACKED: Final = ".gz"
-MAX_NONCES: Final = 256
-"""As many as the bound on connections allows in five seconds; beyond these the oldest are dropped."""
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
 """The first three move the key of a new session from the address into the browser's storage."""
-
-CONTENT_POLICY: Final = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self' {socket}; "
-    "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-)
-NEW_LINK: Final = "A link that works once is printed, on the console's machine, by:"
 HEADERS: Final = {
+    "content-security-policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+        "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
     "referrer-policy": "no-referrer",
@@ -61,6 +55,7 @@ HEADERS: Final = {
     "vary": "Accept-Encoding",
     "server": "hexapod-gateway",
 }
+NEW_LINK: Final = "A link that works once is printed, on the console's machine, by:"
 _PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
 
 
@@ -76,119 +71,25 @@ class SignedIn:
 
 @dataclass(frozen=True)
 class PageFile:
+    """A file of the page, and the same by gzip, in memory: no request waits for a disk or takes a descriptor."""
+
     content: bytes
     packed: bytes
-    """By gzip."""
     kind: str
     tag: str
 
-
-class Auth:
-    """Answer requests with the page's files, and check sessions. For one thread."""
-
-    def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
-        """`role`: what a page may do at most."""
-        self._site = site
-        self._sessions = sessions
-        self._role = role
-        self._files = read_files()
-        self._nonces: dict[str, float] = {}
-        """Issued and not used, and until when each is valid, monotonic."""
-
-    def answer(self, method: str, target: str, headers: MultiMapping[str]) -> web.Response | SignedIn:
-        """Return the response, or the session whose WebSocket is admitted.
-
-        A response to a request without a session closes its connection.
-        """
-        path, _, query = target.partition("?")
-        public = self._public(method, path, query, headers)
-        if public is not None:
-            public.force_close()
-        found = self._for_session(headers, path, query) if public is None else public
-        if isinstance(found, web.Response):
-            host = _one(headers, "Host") or ""
-            socket = f"{'wss' if self._site.certificate else 'ws'}://{host}" if self._site.knows_host(host) else ""
-            found.headers.update(HEADERS, **{"content-security-policy": CONTENT_POLICY.format(socket=socket)})
-        return found
-
-    def _public(self, method: str, path: str, query: str, headers: MultiMapping[str]) -> web.Response | None:
-        """The answer to a request that no page of ours sends, and to one that needs no session."""
-        host, origin = _one(headers, "Host"), _one(headers, "Origin")
-        if method != "GET":
-            return _text(405, "only GET")
-        if not self._site.knows_host(host):
-            return _text(403, f"this console is at {self._site.url}, and not at the address that you gave")
-        if (path == WEBSOCKET or "Origin" in headers) and not self._site.knows_origin(origin, host):
-            return _text(403, "only the console's own page may come here")
-        if path == "/" and (token := _given(query, "token")) is not None:
-            return self._enter(token, _given(query, "card") or "")
-        return self._file(path, headers) if path in PUBLIC else None
-
-    def _for_session(self, headers: MultiMapping[str], path: str, query: str) -> web.Response | SignedIn:
-        entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
-        if entry is None or (path == WEBSOCKET and not self._is_proved(entry, *_offered_proof(headers))):
-            refused = _text(403, f"You are not signed in. {NEW_LINK} {self._site.link_command}")
-            found = self._refused("You are not signed in.") if path in _PAGES else refused
-            found.force_close()
-            return found
-        if path == WEBSOCKET:
-            tab = _given(query, "tab") or ""
-            return SignedIn(entry, least(entry.role, self._role), tab if tab.isalnum() else "")
-        if path == "/session":
-            nonce = self._new_nonce()
-            made = proof(entry.key_sha256, f"console {_given(query, 'nonce')} {nonce}")
-            return web.json_response({"nonce": nonce, "proof": made})
-        return self._file(_PAGES.get(path, path), headers)
-
-    def _new_nonce(self) -> str:
-        now_s = time.monotonic()
-        while self._nonces and (len(self._nonces) >= MAX_NONCES or now_s >= self._nonces[next(iter(self._nonces))]):
-            del self._nonces[next(iter(self._nonces))]
-        nonce = secrets.token_hex(16)
-        self._nonces[nonce] = now_s + NONCE_S
-        return nonce
-
-    def _is_proved(self, entry: Entry, nonce: str, made: str) -> bool:
-        """Whether the page knows the session's key; uses up the nonce."""
-        is_valid = time.monotonic() < self._nonces.pop(nonce, 0.0) and bool(entry.key_sha256)
-        return is_valid and hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}"), made)
-
-    def _enter(self, token: str, card: str) -> web.Response:
-        found = self._sessions.exchange(token)
-        if found is None:
-            return self._refused("This link was used already, or is too old.")
-        card = f"?{card}" if card.isascii() and card.isalpha() else ""
-        response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{found.key}"})
-        secure = self._site.certificate is not None
-        response.set_cookie(
-            self._site.cookie, found.cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure
-        )
-        return response
-
-    def _refused(self, why: str) -> web.Response:
-        """A page that explains how to sign in, on a phone and at the console's machine."""
-        page = self._files["/refused.html"].content.decode()
-        page = page.replace("WHY", escape(why)).replace("COMMAND", escape(self._site.link_command))
-        return web.Response(status=403, text=page, content_type="text/html")
-
-    def _file(self, path: str, headers: MultiMapping[str]) -> web.Response:
-        file = self._files.get(path)
-        if file is None:
-            return _text(404, "there is nothing here")
-        if _one(headers, "If-None-Match") == file.tag:
-            return web.Response(status=304, headers={"ETag": file.tag})
-        response = web.Response(body=file.content, headers={"ETag": file.tag, "Content-Type": file.kind})
-        if "gzip" in (_one(headers, "Accept-Encoding") or "") and len(file.packed) < len(file.content):
-            response.body = file.packed
-            response.headers["Content-Encoding"] = "gzip"
-        return response
+    def response(self, headers: MultiMapping[str]) -> web.Response:
+        """Return the file, packed where that is smaller, or 304 to a browser that has it."""
+        if headers.get("If-None-Match") == self.tag:
+            return web.Response(status=304, headers={"ETag": self.tag})
+        is_packed = "gzip" in headers.get("Accept-Encoding", "") and len(self.packed) < len(self.content)
+        coding = {"Content-Encoding": "gzip"} if is_packed else {}
+        named = {"ETag": self.tag, "Content-Type": self.kind, **coding}
+        return web.Response(body=self.packed if is_packed else self.content, headers=named)
 
 
 def read_files() -> Mapping[str, PageFile]:
-    """Return the page's files by path, 1 MB in memory: no request waits for a disk or takes a descriptor.
-
-    A built package has them compressed; those of a repository are compressed here.
-    """
+    """Return the page's files by path. A built package has them packed; those of a repository are packed here."""
     found = {}
     for path in PAGE.rglob("*"):
         if path.is_file() and path.suffix != PACKED:
@@ -201,27 +102,83 @@ def read_files() -> Mapping[str, PageFile]:
     return found
 
 
-def _text(status: int, text: str) -> web.Response:
-    return web.Response(status=status, text=f"{text}\n")
+class Auth:
+    """Answer requests with the page's files, and check sessions. For one thread."""
 
+    def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
+        """`role`: what a page may do at most."""
+        self._site = site
+        self._sessions = sessions
+        self._role = role
+        self._files = read_files()
+        self._nonces = Nonces(NONCE_NS)
 
-def _one(headers: MultiMapping[str], name: str) -> str | None:
-    """The header's value; None if it is missing or repeated."""
-    found = headers.getall(name, [])
-    return found[0] if len(found) == 1 else None
+    def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | SignedIn:
+        """Return the response, or the session whose WebSocket is admitted.
 
+        A response to a request without a session closes its connection.
+        """
+        public = self._public(url, headers)
+        if public is not None:
+            public.force_close()
+        found = self._for_session(url, headers) if public is None else public
+        if isinstance(found, web.Response):
+            found.headers.update(HEADERS)
+        return found
 
-def _given(query: str, name: str) -> str | None:
-    """A parameter of an address, such as a link's token."""
-    try:
-        return parse_qs(query, keep_blank_values=True, max_num_fields=4).get(name, [None])[0]
-    except ValueError:
-        return None
+    def _public(self, url: URL, headers: MultiMapping[str]) -> web.Response | None:
+        """The answer to a request that no page of ours sends, and to one that needs no session."""
+        host, origin = headers.get("Host"), headers.get("Origin")
+        if not self._site.knows_host(host):
+            return _text(403, f"this console is at {self._site.url}, and not at the address that you gave")
+        if (url.path == WEBSOCKET or origin is not None) and not self._site.knows_origin(origin, host):
+            return _text(403, "only the console's own page may come here")
+        if url.path == "/" and "token" in url.query:
+            return self._enter(url.query["token"], url.query.get("card", ""))
+        return self._files[url.path].response(headers) if url.path in PUBLIC else None
 
+    def _for_session(self, url: URL, headers: MultiMapping[str]) -> web.Response | SignedIn:
+        path, query = _PAGES.get(url.path, url.path), url.query
+        entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
+        if entry is None or (path == WEBSOCKET and not self._is_proved(entry, query.get("nonce"), query.get("proof"))):
+            why = "You are not signed in."
+            found = (
+                self._refused(why) if url.path in _PAGES else _text(403, f"{why} {NEW_LINK} {self._site.link_command}")
+            )
+            found.force_close()
+            return found
+        if path == WEBSOCKET:
+            tab = query.get("tab", "")
+            return SignedIn(entry, least(entry.role, self._role), tab if tab.isalnum() else "")
+        if path == "/session":
+            nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
+            made = proof(entry.key_sha256, f"console {query.get('nonce')} {nonce}")
+            return web.json_response({"nonce": nonce, "proof": made})
+        return self._files[path].response(headers) if path in self._files else _text(404, "there is nothing here")
 
-def _cookie(headers: MultiMapping[str], name: str) -> str | None:
-    given = (part.strip().partition("=") for header in headers.getall("Cookie", []) for part in header.split(";"))
-    return next((value for found, _, value in given if found == name), None)
+    def _is_proved(self, entry: Entry, nonce: str | None, made: str | None) -> bool:
+        """Whether the page knows the session's key; uses up the nonce."""
+        if not nonce or not made or not self._nonces.spend(nonce, time.monotonic_ns()):
+            return False
+        return hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}").encode(), made.encode())
+
+    def _enter(self, token: str, card: str) -> web.Response:
+        found = self._sessions.exchange(token)
+        if found is None:
+            return self._refused("This link was used already, or is too old.")
+        card = f"?{card}" if card.isascii() and card.isalpha() else ""
+        response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{found.key}"})
+        secure = self._site.tls is not None
+        response.set_cookie(
+            self._site.cookie, found.cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure
+        )
+        return response
+
+    def _refused(self, why: str) -> web.Response:
+        """A page that explains how to sign in, on a phone and at the console's machine."""
+        page = self._files["/refused.html"].content.decode()
+        page = page.replace("WHY", escape(why)).replace("COMMAND", escape(self._site.link_command))
+        return web.Response(status=403, text=page, content_type="text/html")
 
 
 def proof(key_sha256: str, text: str) -> str:
@@ -229,11 +186,10 @@ def proof(key_sha256: str, text: str) -> str:
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
 
 
-def _offered_proof(headers: MultiMapping[str]) -> tuple[str, str]:
-    """The console's nonce and the page's proof; empty if none is offered."""
-    for header in headers.getall("Sec-WebSocket-Protocol", []):
-        for offered in map(str.strip, header.split(",")):
-            if offered.startswith(PROOF_PREFIX) and offered.isascii():
-                nonce, _, made = offered.removeprefix(PROOF_PREFIX).partition(".")
-                return nonce, made
-    return "", ""
+def _text(status: int, text: str) -> web.Response:
+    return web.Response(status=status, text=f"{text}\n")
+
+
+def _cookie(headers: MultiMapping[str], name: str) -> str | None:
+    given = (part.strip().partition("=") for header in headers.getall("Cookie", []) for part in header.split(";"))
+    return next((value for found, _, value in given if found == name), None)

@@ -1,4 +1,4 @@
-"""Takes connections, TLS and HTTP requests, and answers them: aiohttp, within bounds.
+"""Takes connections, TLS, HTTP requests and pages' WebSockets: aiohttp, within bounds.
 
 It runs on the loop that serves the pages, so what somebody without a session costs is bounded:
 
@@ -14,31 +14,32 @@ import ssl
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
-from pathlib import Path
+from contextlib import suppress
+from functools import partial
 from typing import Any, Final, Literal, cast
 
-from aiohttp import web
+from aiohttp import WSMsgType, web
 from multidict import MultiMapping
+from yarl import URL
 
 from gateway.allowance import NS_PER_S, Allowance
+from gateway.people.console.pages.page_messages import MAX_MESSAGE_BYTES
+from gateway.people.console.pages.page_tasks import EndError
 from gateway.people.console.server.auth import SignedIn
+from gateway.people.console.server.site import UNSENT_BYTES
 
-MAX_UNKNOWN: Final = 64
-"""Connections without a session; each takes one descriptor, and some 100 kB with TLS."""
-MAX_SIGNED_IN: Final = 32
-"""Connections with a session, which load the page's files: a browser opens six."""
+MAX_CONNECTIONS: Final = 96
+"""But for WebSockets. Each takes one descriptor, and some 100 kB with TLS; a browser opens six for the page's files."""
 CONNECTIONS_A_SECOND: Final = 50
 """With TLS each takes some 2 ms of the loop, so a flood takes a tenth of a processor."""
 CONNECTIONS_AT_ONCE: Final = 16
 """Without a pause: two browsers that open a page."""
-READS: Final = 40
-"""Of one connection without a session: a handshake and a request take five, on a bad network some more."""
-REQUEST_BYTES: Final = 32_768
-"""Of one: a request has 1 to 8 kB, since on loopback all consoles' cookies come with it."""
-BYTES_A_SECOND: Final = 131_072
-"""Of one with a session; a page that drives each leg by a message of its own sends 40 000."""
-UNSENT_BYTES: Final = 4096
-"""That wait for one page, in this process and as much in the kernel: some five states."""
+UNKNOWN_BYTES: Final = 65_536
+"""Of one without a session: a request has 1 to 8 kB, since on loopback all consoles' cookies come with it."""
+READ_BYTES: Final = 1024
+"""What each read counts besides its bytes: a handshake and a request take five, on a bad network some more."""
+BYTES_A_SECOND: Final = 262_144
+"""Of one with a session; a page that drives each leg by a message of its own sends 40 000, in 120 reads."""
 UNKNOWN_S: Final = 5.0
 """For the handshake, the request and its answer."""
 SIGNED_IN_S: Final = 30.0
@@ -47,19 +48,28 @@ CLOSING_S: Final = 1.0
 """The longest wait for the peer to confirm that a connection is closed."""
 ACCEPT_AGAIN_S: Final = 1.0
 """After a connection could not be accepted, for want of descriptors or memory: meanwhile Stops have them."""
+FRAMES_A_SECOND: Final = 300
+"""From one page, control frames too. A page that drives each leg by a message of its own sends 120 setpoints."""
+FRAMES_AT_ONCE: Final = 150
+"""A page whose network stalled for a second sends at once what waited."""
+PING_S: Final = 20.0
+"""A page that has sent nothing for this long is pinged, and closed after half as long again."""
+SEND_S: Final = 5.0
+"""A page that does not read for this long, while its socket is full, is closed."""
+REASON_BYTES: Final = 123
+"""The room for it in a close frame."""
 
 _log: Final = logging.getLogger(__name__)
 _silent: Final = logging.getLogger("gateway.people.console.aiohttp")
 """aiohttp's log: a traceback for each malformed request."""
-_silent.setLevel(logging.CRITICAL + 1)
-_silent.propagate = False
+_silent.disabled = True
 
 
 class Connection(web.RequestHandler):
     """One connection: aiohttp's protocol with bounds on what it receives, and a deadline."""
 
-    def __init__(self, server: web.Server, accepted: socket.socket, address: str, ended: Callable[[Any], None]) -> None:
-        """`ended` is called with this connection when it has ended."""
+    def __init__(self, server: web.Server, tls: ssl.SSLContext | None, others: "dict[Connection, None]") -> None:
+        """`others`: it stands among them while it is open, the oldest first."""
         self._own_loop = asyncio.get_running_loop()
         super().__init__(
             server,
@@ -71,50 +81,31 @@ class Connection(web.RequestHandler):
             lingering_time=0.0,
             auto_decompress=False,  # nobody reads a body
         )
-        self.address = address
-        self.serves: Serves = "nobody"
-        self._accepted = accepted
-        self._ended = ended
+        self.serves: Literal["nobody", "files", "page"] = "nobody"
+        """Somebody without a session, or with one what is bounded apart."""
+        self.address = ""
+        self._tls = tls
+        self._others = others
         self._raw: asyncio.Transport | None = None
-        self._reads = self._received = 0
-        self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
+        self._handshake: asyncio.Task[None] | None = None
+        self._bytes = Allowance(1, UNKNOWN_BYTES)
         self._deadline = self._own_loop.call_later(UNKNOWN_S, self.abort)
 
-    async def open(self, context: ssl.SSLContext | None) -> None:
-        """Begin with TLS and HTTP."""
-        try:
-            raw, _ = await self._own_loop.connect_accepted_socket(_Paused, self._accepted)
-            self._raw = raw
-            raw.set_write_buffer_limits(high=UNSENT_BYTES)
-            transport: asyncio.Transport | None = raw
-            if context is None:
-                raw.set_protocol(self)
-            else:
-                transport = await self._own_loop.start_tls(
-                    raw,
-                    self,
-                    context,
-                    server_side=True,
-                    ssl_handshake_timeout=UNKNOWN_S,
-                    ssl_shutdown_timeout=CLOSING_S,
-                )
-            if transport is None or raw.is_closing():
-                self.abort()
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport = cast("asyncio.Transport", transport)
+        transport.set_write_buffer_limits(high=UNSENT_BYTES)
+        if self._raw is None:
+            self._raw = transport
+            self._others[self] = None
+            self.address = str((transport.get_extra_info("peername") or [""])[0])
+            if self._tls is not None:
+                transport.pause_reading()
+                self._handshake = self._own_loop.create_task(self._begin_tls(transport, self._tls))
                 return
-            transport.set_write_buffer_limits(high=UNSENT_BYTES)
-            self.connection_made(transport)
-            transport.resume_reading()
-        except OSError:  # also ssl.SSLError: no handshake
-            self.abort()
+        super().connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
-        self._reads += 1
-        self._received += len(data)
-        if self.serves == "nobody":
-            allowed = self._reads <= READS and self._received <= REQUEST_BYTES
-        else:
-            allowed = self._bytes.take(time.monotonic_ns(), len(data))
-        if allowed:
+        if self._bytes.take(time.monotonic_ns(), READ_BYTES + len(data)):
             super().data_received(data)
         else:
             self.abort()
@@ -123,8 +114,10 @@ class Connection(web.RequestHandler):
         super().connection_lost(exc)
         self._end()
 
-    def begin(self, serves: "Serves", until_s: float | None) -> None:
+    def begin(self, serves: Literal["files", "page"], until_s: float | None) -> None:
         """Serve a request that has a session, and abort after `until_s` (None: never)."""
+        if self.serves == "nobody":
+            self._bytes = Allowance(BYTES_A_SECOND, BYTES_A_SECOND)
         self.serves = serves
         self._deadline.cancel()
         if until_s is not None:
@@ -132,26 +125,22 @@ class Connection(web.RequestHandler):
 
     def abort(self) -> None:
         """Close the connection at once, without sending what waits."""
-        if self._raw is None:
-            self._accepted.close()
-        else:
+        if self._raw is not None:
             self._raw.abort()
         self._end()
 
+    async def _begin_tls(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
+        start = partial(self._own_loop.start_tls, ssl_handshake_timeout=UNKNOWN_S, ssl_shutdown_timeout=CLOSING_S)
+        with suppress(OSError):  # also ssl.SSLError: no handshake
+            transport = await start(raw, self, context, server_side=True)
+            if transport is not None and not raw.is_closing():
+                self.connection_made(transport)
+                return
+        self.abort()
+
     def _end(self) -> None:
         self._deadline.cancel()
-        self._ended(self)
-
-
-Serves = Literal["nobody", "files", "page"]
-"""Whom a connection serves: somebody without a session, or with one what is bounded apart."""
-
-
-class _Paused(asyncio.Protocol):
-    """Reads nothing, until another protocol takes its place."""
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        cast("asyncio.Transport", transport).pause_reading()
+        self._others.pop(self, None)
 
 
 class HttpListener:
@@ -160,18 +149,17 @@ class HttpListener:
     def __init__(
         self,
         listening: Sequence[socket.socket],
-        context: ssl.SSLContext | None,
-        answer: Callable[[str, str, MultiMapping[str]], web.Response | SignedIn],
+        tls: ssl.SSLContext | None,
+        answer: Callable[[URL, MultiMapping[str]], web.Response | SignedIn],
         serve_page: Callable[[web.BaseRequest, SignedIn], Awaitable[web.StreamResponse]],
     ) -> None:
         """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and returns once that has ended."""
         self._listening = listening
-        self._context = context
+        self._tls = tls
         self._find = answer
         self._serve_page = serve_page
         self._server = web.Server(self._answer)
-        self._open: dict[Connection, asyncio.Task[None]] = {}
-        """The oldest first."""
+        self._open: dict[Connection, None] = {}
         self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
 
     async def serve(self) -> None:
@@ -184,34 +172,30 @@ class HttpListener:
         while True:
             await asyncio.sleep(self._allowance.wait_ns(time.monotonic_ns()) / NS_PER_S)
             try:
-                accepted, address = await loop.sock_accept(listening)
+                accepted, _ = await loop.sock_accept(listening)
                 self._allowance.take(time.monotonic_ns())
-                self._make_room("nobody", MAX_UNKNOWN)
-                connection = Connection(self._server, accepted, str(address[0]), self._discard)
-                self._open[connection] = loop.create_task(connection.open(self._context))
+                self._make_room()
+                await loop.connect_accepted_socket(lambda: Connection(self._server, self._tls, self._open), accepted)
             except Exception as error:  # for want of descriptors or memory
                 _log.warning("a connection could not be accepted: %s; all without a session are ended", error)
                 for each in self._who("nobody"):
                     each.abort()
                 await asyncio.sleep(ACCEPT_AGAIN_S)
 
-    def _who(self, serves: Serves) -> list[Connection]:
-        return [each for each in self._open if each.serves == serves]
+    def _who(self, *serves: str) -> list[Connection]:
+        return [each for each in self._open if each.serves in serves]
 
-    def _make_room(self, serves: Serves, most: int) -> None:
-        """Where there are so many, end the oldest of the address that has most of them."""
-        rivals = self._who(serves)
-        if len(rivals) >= most:
+    def _make_room(self) -> None:
+        """Where no place is left, end the oldest of the address that has most of them, first without a session."""
+        if len(self._who("nobody", "files")) >= MAX_CONNECTIONS:
+            rivals = self._who("nobody") or self._who("files")
             have = Counter(each.address for each in rivals)
             next(each for each in rivals if have[each.address] == max(have.values())).abort()
-
-    def _discard(self, connection: Connection) -> None:
-        self._open.pop(connection, None)
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         connection = cast("Connection", request.protocol)
         try:
-            found = self._find(request.method, request.raw_path, request.headers)
+            found = self._find(request.rel_url, request.headers)
             if isinstance(found, SignedIn):
                 connection.begin("page", None)
                 try:
@@ -222,22 +206,56 @@ class HttpListener:
             _log.exception("a request could not be answered")
             raise
         if found.keep_alive is None:
-            if connection.serves != "files":
-                self._make_room("files", MAX_SIGNED_IN)
             connection.begin("files", SIGNED_IN_S)
         return found
+
+
+class WebSocket(web.WebSocketResponse):
+    """One page's, until it is closed by either side.
+
+    It buffers little for a page that reads slowly, since the newest state waits behind what is buffered.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(
+            timeout=CLOSING_S,
+            autoping=False,  # so that pings are counted
+            heartbeat=PING_S,
+            compress=False,
+            max_msg_size=MAX_MESSAGE_BYTES,
+            writer_limit=0,  # each message waits until there is room for it
+        )
+        self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
+
+    async def take(self) -> str:
+        """The next text message. Raises ConnectionError once it is closed, and EndError for what no page sends."""
+        while True:
+            message = await self.receive()
+            await asyncio.sleep(0)  # lets the other pages go first
+            if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY, WSMsgType.PING, WSMsgType.PONG):
+                raise ConnectionResetError
+            if not self._frames.take(time.monotonic_ns()):
+                raise EndError(f"more than {FRAMES_A_SECOND} messages a second")
+            if message.type is WSMsgType.BINARY:
+                raise EndError("a page sends text")
+            if message.type is WSMsgType.TEXT:
+                return str(message.data)
+            if message.type is WSMsgType.PING:
+                await self.pong(message.data)
+
+    async def put(self, text: str) -> None:
+        """Send a message, and wait for room for the next one. Raises ConnectionError, TimeoutError."""
+        async with asyncio.timeout(SEND_S):
+            await self.send_str(text)
+
+    async def end(self, code: int, reason: str) -> None:
+        """Close it with this reason, cut to what fits; a page that does not read gets none."""
+        with suppress(TimeoutError, ConnectionError):
+            async with asyncio.timeout(CLOSING_S):
+                await self.close(code=code, message=reason.encode()[:REASON_BYTES].decode(errors="ignore").encode())
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Log one line as asyncio's exception handler; its own would render a traceback on the loop."""
     del loop
     _log.error("%s: %r", context.get("message"), context.get("exception"))
-
-
-def server_context(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Return a context for TLS 1.2 or newer. Raises OSError or ssl.SSLError if a file cannot be read or is invalid."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    context.options |= ssl.OP_NO_RENEGOTIATION  # in TLS 1.2 a client could demand handshakes without end
-    context.load_cert_chain(certificate, key)
-    return context

@@ -4,8 +4,8 @@ They are kept in a file, so a console that is started again knows its pages, and
 the one that runs. The file holds only the SHA-256 of each random token; that of a session's key serves to check a
 page's proof, and opens nothing without the cookie.
 
-Ages are by the time since the boot, so a wall clock that is set (a Raspberry Pi has no battery for it) signs nobody
-out, and STOP ALL stays in reach. Only across a reboot an age is by the wall clock, where that has not gone back.
+They end by the time since the boot, so a wall clock that is set (a Raspberry Pi has no battery for it) signs nobody
+out, and STOP ALL stays in reach. Only how long a reboot took is by the wall clock, where that has not gone back.
 """
 
 import hashlib
@@ -15,11 +15,11 @@ import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from gateway import durable
 from gateway.errors import ConfigError
@@ -33,23 +33,28 @@ MAX_ENTRIES: Final = 256
 """Of sessions, and of links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
 _LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
-_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
 
 class Now(NamedTuple):
-    """The boot's id ("": the system has none), the time since it, which nobody sets, and the wall clock."""
+    """The boot's id, the time since it, which nobody sets, and the wall clock."""
 
-    boot: str
-    boot_s: float
-    wall_s: float
+    boot: str = ""
+    boot_s: float = 0.0
+    wall_s: float = 0.0
 
 
 def clocks() -> Now:
-    """Return the present times; outside Linux without the boot's."""
-    try:
-        return Now(_BOOT_ID.read_text().strip(), time.clock_gettime(time.CLOCK_BOOTTIME), time.time())
-    except (OSError, AttributeError):  # not on Linux
-        return Now("", 0.0, time.time())
+    """Return the present times. Outside Linux no boot has an id, and the wall clock counts as the time since it."""
+    wall_s = time.time()
+    return Now(_boot(), time.clock_gettime(time.CLOCK_BOOTTIME) if _boot() else wall_s, wall_s)
+
+
+@cache
+def _boot() -> str:
+    """Read once: later a flood of connections may have taken the last descriptor."""
+    with suppress(OSError):
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    return ""
 
 
 class Entry(BaseModel, frozen=True):
@@ -58,24 +63,12 @@ class Entry(BaseModel, frozen=True):
     sha256: str
     key_sha256: str = ""
     role: Role
-    created_s: float
-    """By the wall clock."""
-    boot: str = ""
-    boot_s: float = 0.0
-    """In which boot it was created, and when."""
-    lives_s: float
+    until_s: float
+    """By the time since the boot in which it was written."""
 
-    def is_of(self, now: Now) -> bool:
-        """Return whether the entry was created in this boot."""
-        return bool(now.boot) and self.boot == now.boot
-
-    def age_s(self, now: Now) -> float:
-        """Return the age in seconds; 0 if the wall clock has gone back since."""
-        return now.boot_s - self.boot_s if self.is_of(now) else max(0.0, now.wall_s - self.created_s)
-
-    def is_valid(self, now: Now) -> bool:
-        """Return whether the entry has begun and not ended."""
-        return 0 <= self.age_s(now) < self.lives_s
+    def later(self, seconds: float) -> Self:
+        """Return the entry with a later end."""
+        return self.model_copy(update={"until_s": self.until_s + seconds})
 
 
 class SignIn(NamedTuple):
@@ -94,26 +87,26 @@ class _Entries(BaseModel, frozen=True):
     role: Role = "observer"
     common_name: str = ""
     """Of its certificate; empty: it had none."""
+    written: Now = Now()
     links: tuple[Entry, ...] = ()
     sessions: tuple[Entry, ...] = ()
 
-    def valid(self, now: Now) -> Self:
-        """With what has not ended. No link is of an earlier boot; a session of one counts from now on by this boot."""
-        links = tuple(each for each in self.links if each.is_valid(now) and (each.is_of(now) or not now.boot))
-        sessions = tuple(
-            each
-            if each.is_of(now)
-            else each.model_copy(update={"boot": now.boot, "boot_s": now.boot_s - each.age_s(now)})
-            for each in self.sessions
-            if each.is_valid(now)
-        )
-        return self.model_copy(update={"links": links, "sessions": sessions})
+    def at(self, now: Now) -> Self:
+        """With what has not ended. A reboot ends all links, and sessions go on by the time since that boot."""
+        links, sessions = self.links, self.sessions
+        if now.boot != self.written.boot:
+            passed_s = max(0.0, now.wall_s - self.written.wall_s)
+            later_s = now.boot_s - self.written.boot_s - passed_s
+            links, sessions = (), tuple(each.later(later_s) for each in sessions)
+        links, sessions = (tuple(each for each in kind if now.boot_s < each.until_s) for kind in (links, sessions))
+        return self.model_copy(update={"written": now, "links": links, "sessions": sessions})
 
 
 class Sessions:
     """The links and sessions of the console at one port. For any thread and process."""
 
     def __init__(self, folder: Path, port: int, now: Callable[[], Now] = clocks) -> None:
+        self.port = port
         self.path = folder / f"console-{port}.json"
         """The file that holds them."""
         self._now = now
@@ -126,12 +119,9 @@ class Sessions:
         Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
         connected, and its sessions must not reach the robot by the certificate that replaces it.
         """
-
-        def begun(now: _Entries) -> _Entries:
-            sessions = now.sessions if now.common_name == common_name else ()
-            return _Entries(url=url, door=door, role=role, common_name=common_name, sessions=sessions)
-
-        self._change(begun)
+        made = {"url": url, "role": role, "common_name": common_name, "door": door, "links": ()}
+        other = {"sessions": ()}
+        self._change(lambda now: now.model_copy(update=made if now.common_name == common_name else made | other))
 
     @property
     def url(self) -> str:
@@ -148,7 +138,7 @@ class Sessions:
         token = secrets.token_urlsafe(32)
 
         def add(now: _Entries) -> _Entries:
-            entry = self._entry(token, now.role, LINK_S)
+            entry = Entry(sha256=_sha256(token), role=now.role, until_s=now.written.boot_s + LINK_S)
             return now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]})
 
         made = self._change(add)
@@ -158,36 +148,33 @@ class Sessions:
 
     def exchange(self, token: str) -> SignIn | None:
         """Exchange a link's token for a new session and void the link; None if no valid link has the token."""
-        found = _find(self._read().valid(self._now()).links, token)
-        if found is None:
+        now = self._now()
+        link = _find(self._read().at(now).links, token)
+        if link is None:
             return None
         cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
-        entry = self._entry(cookie, found.role, SESSION_S, key)
+        until_s = now.boot_s + SESSION_S
+        entry = Entry(sha256=_sha256(cookie), key_sha256=_sha256(key), role=link.role, until_s=until_s)
 
         def enter(now: _Entries) -> _Entries:
-            links = tuple(link for link in now.links if link != found)
-            sessions = now.sessions if found not in now.links else (*now.sessions, entry)[-MAX_ENTRIES:]
+            if link not in now.links:  # another process has exchanged it meanwhile
+                return now
+            links, sessions = tuple(each for each in now.links if each != link), (*now.sessions, entry)[-MAX_ENTRIES:]
             return now.model_copy(update={"links": links, "sessions": sessions})
 
-        # Another process may have exchanged it meanwhile.
-        return SignIn(cookie, key, entry) if found in self._change(enter).links else None
+        return SignIn(cookie, key, entry) if link in self._change(enter).links else None
 
     def cookie(self, cookie: str | None) -> Entry | None:
         """The valid session of this cookie. It gives access to the page's files; the WebSocket requires the key too."""
-        return None if cookie is None else _find(self._read().valid(self._now()).sessions, cookie)
+        return None if cookie is None else _find(self._read().at(self._now()).sessions, cookie)
 
     def still_valid(self, session: Entry) -> bool:
         """Return whether the session has neither ended nor been revoked."""
-        return session.is_valid(self._now()) and session in self._read().sessions
+        return session in self._read().at(self._now()).sessions
 
     def revoke(self) -> int:
         """End all sessions and links; returns how many sessions there were."""
         return len(self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()})).sessions)
-
-    def _entry(self, token: str, role: Role, lives_s: float, key: str = "") -> Entry:
-        boot, boot_s, created_s = self._now()
-        known = {"sha256": _sha256(token), "key_sha256": key and _sha256(key), "role": role, "lives_s": lives_s}
-        return Entry.model_validate({**known, "created_s": created_s, "boot": boot, "boot_s": boot_s})
 
     def _read(self) -> _Entries:
         """The file's content; a missing or faulty file has no entries, so it signs nobody in.
@@ -195,22 +182,17 @@ class Sessions:
         If the file exists and cannot be opened (a flood of connections has taken the last descriptor), its last known
         content counts: a person who is signed in must be able to press STOP ALL just then.
         """
-        seen, entries = self._known
-        try:
-            found = self.path.stat()
-            now = (found.st_ino, found.st_mtime_ns, found.st_size)
-            if now != seen:
-                self._known = now, (entries := self._load())
-        except FileNotFoundError:
-            self._known = None, (entries := _Entries())
-        except OSError:
-            pass
-        return entries
+        with suppress(OSError):
+            found = self.path.stat() if self.path.exists() else None
+            seen = found and (found.st_ino, found.st_mtime_ns, found.st_size)
+            if seen != self._known[0]:
+                self._known = seen, self._load()
+        return self._known[1]
 
     def _load(self) -> _Entries:
-        """Raises OSError, also if there is no file."""
-        with self.path.open("rb") as file, suppress(ValidationError):
-            return _Entries.model_validate_json(file.read(MAX_SESSIONS_BYTES))
+        """Raises OSError."""
+        with suppress(ValueError):  # no file, or a faulty one
+            return _Entries.model_validate_json(durable.read(self.path, MAX_SESSIONS_BYTES) or b"")
         return _Entries()
 
     def _change(self, change: Callable[[_Entries], _Entries]) -> _Entries:
@@ -223,7 +205,7 @@ class Sessions:
             with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
                 durable.like_the_folder(self.path, lock.fileno())
                 _lock(lock.fileno())
-                before = (self._load() if self.path.exists() else _Entries()).valid(self._now())
+                before = self._load().at(self._now())
                 write_private(self.path, change(before).model_dump_json())
         except OSError as error:
             raise ConfigError(
@@ -262,19 +244,10 @@ def folder() -> Path:
     return (Path(home) if home else Path.home() / ".local" / "state") / "hexapod-gateway"
 
 
-def begun(folder: Path) -> list[tuple[int, str]]:
-    """Port and URL of the consoles with a file in this folder, the newest file first."""
-    return [(port, url) for port in _ports(folder) if (url := Sessions(folder, port).url)]
-
-
-def revoke_all(folder: Path) -> int:
-    """End the sessions of all consoles with a file in this folder; returns how many there were."""
-    return sum(Sessions(folder, port).revoke() for port in _ports(folder))
-
-
-def _ports(folder: Path) -> list[int]:
+def kept(folder: Path) -> list[Sessions]:
+    """Those of all consoles that began with this folder, the latest first."""
     paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
-    return [int(number) for path in paths if (number := path.stem.removeprefix("console-")).isdigit()]
+    return [Sessions(folder, int(port)) for path in paths if (port := path.stem.removeprefix("console-")).isdigit()]
 
 
 def _find(entries: tuple[Entry, ...], token: str) -> Entry | None:

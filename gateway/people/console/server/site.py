@@ -1,15 +1,20 @@
-"""The console's address, and the Host and Origin headers that belong to it.
+"""The console's address: the Host and Origin headers that belong to it, and the sockets that listen there.
 
 Neither a page of another origin nor a foreign name that points at this machine (DNS rebinding) may reach the robot with
 the cookie of a session. So both headers are compared with the console's own address.
+
+While a console with its own socket is started again, its port is free, and any user of the machine may take it. A
+socket unit keeps the port, and passes the sockets as file descriptors from 3 on (sd_listen_fds(3)).
 """
 
+import errno
 import ipaddress
 import os
 import shlex
 import socket
 import ssl
-from contextlib import suppress
+from collections.abc import Iterator, MutableMapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -17,7 +22,7 @@ from urllib.parse import urlsplit
 
 from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
-from gateway.errors import ConfigError
+from gateway.errors import AddressTakenError, ConfigError
 from gateway.own_command import this_command
 
 CONSOLE_PORT: Final = 8080
@@ -26,9 +31,19 @@ STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
 DEFAULT_ADDRESS: Final = "127.0.0.1"
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
+SOCKET_UNIT: Final = "hexapod-console.socket"
 _NEXT_PORTS: Final = range(CONSOLE_PORT + 1, CONSOLE_PORT + 20)
 """Tried if no address is given and another program has the default port."""
 _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
+
+BACKLOG: Final = 64
+"""Connections that the kernel queues; it drops further ones."""
+DEAD_MS: Final = 15_000
+"""A connection that acknowledges nothing for this long is closed: its page is frozen, or its machine is gone."""
+UNSENT_BYTES: Final = 4096
+"""That wait for one page, in this process and as much in the kernel: some five states."""
+RECEIVED_BYTES: Final = 8192
+"""That the kernel keeps of each connection, until this process reads them."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +53,12 @@ class Site:
     address: str
     port: int
     hosts: tuple[str, ...]
-    certificate: Path | None = None
-    key: Path | None = None
+    tls: ssl.SSLContext | None = None
 
     @property
     def scheme(self) -> str:
         """`https` with a certificate, else `http`."""
-        return "http" if self.certificate is None else "https"
+        return "https" if self.tls else "http"
 
     @property
     def url(self) -> str:
@@ -57,7 +71,7 @@ class Site:
 
         With TLS no other host can set it (`__Host-`).
         """
-        return f"{'__Host-' if self.certificate else ''}hexapod-console-{self.port}"
+        return f"{'__Host-' if self.tls else ''}hexapod-console-{self.port}"
 
     @property
     def link_command(self) -> str:
@@ -67,14 +81,12 @@ class Site:
 
     def knows_host(self, host: str | None) -> bool:
         """Return whether a Host header names this site."""
-        return host is not None and host.lower() in self._authorities()
+        own = [name for each in self.hosts for name in (self._authority(each), with_port(each, self.port))]
+        return host is not None and host.lower() in own
 
     def knows_origin(self, origin: str | None, host: str | None) -> bool:
         """Return whether an Origin header is this site's own, reached by that Host."""
-        return origin is not None and host is not None and self.knows_host(host) and origin == f"{self.scheme}://{host}"
-
-    def _authorities(self) -> set[str]:
-        return {self._authority(host) for host in self.hosts} | {with_port(host, self.port) for host in self.hosts}
+        return self.knows_host(host) and origin == f"{self.scheme}://{host}"
 
     def _authority(self, host: str) -> str:
         full = with_port(host, self.port)
@@ -101,9 +113,8 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
             f"{certificate} names no host, so no browser accepts it: "
             "make one with hexapod-gateway certs issue web --role console --host NAME --dir DIR"
         )
-    _check_pair(certificate, key)
     own = (address,) if address.lower() in names else ()
-    return Site(address, port, tuple(dict.fromkeys((*own, *names))), certificate, key)
+    return Site(address, port, tuple(dict.fromkeys((*own, *names))), _tls(certificate, key))
 
 
 def address_of(listen: str) -> tuple[str, int]:
@@ -125,23 +136,100 @@ def with_port(host: str, port: int) -> str:
 
 def free_address(address: str = DEFAULT_ADDRESS) -> str:
     """Return `HOST:PORT` with the first free port, or with the default port if none is free."""
-    ports = (port for port in (CONSOLE_PORT, *_NEXT_PORTS) if _is_free(address, port))
-    return with_port(address, next(ports, CONSOLE_PORT))
+    for port in (CONSOLE_PORT, *_NEXT_PORTS):
+        with suppress(OSError), _bound(address, port):
+            return with_port(address, port)
+    return with_port(address, CONSOLE_PORT)
 
 
-def _is_free(address: str, port: int) -> bool:
-    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe, suppress(OSError):
-        share_no_port(probe)  # as the console itself
-        probe.bind((address, port))
-        probe.listen()
-        return True
-    return False
+def inherited(environment: MutableMapping[str, str] = os.environ, first: int = 3) -> list[socket.socket]:
+    """The listening TCP sockets that systemd has passed to this process. Raises ConfigError for other descriptors.
+
+    The variables are removed, so no child process uses the sockets.
+    """
+    process, number, _ = (environment.pop(f"LISTEN_{name}", "") for name in ("PID", "FDS", "FDNAMES"))
+    if process != str(os.getpid()):
+        return []  # passed to a parent process
+    return [_checked(first + each) for each in range(int(number))]
 
 
-def share_no_port(own: socket.socket) -> None:
-    """Bind at once after an earlier console, but never beside one: SO_REUSEADDR would allow that on Windows."""
-    exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
-    own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR if exclusive is None else exclusive, 1)
+def address_in(passed: Sequence[socket.socket], listen: str | None) -> str:
+    """HOST:PORT of systemd's sockets. Raises ConfigError if `listen` (--listen) is another address.
+
+    Only the unit states the address: if the console listened elsewhere, nobody would serve the unit's port.
+    """
+    hosts, ports = ({each.getsockname()[part] for each in passed} for part in (0, 1))
+    if len(passed) > 1 and (hosts != set(LOCALHOST) or len(ports) > 1):
+        raise ConfigError(
+            f"{SOCKET_UNIT} has {len(passed)} addresses; only 127.0.0.1 and [::1] with one port may be two"
+        )
+    host, port = "localhost" if len(hosts) > 1 else hosts.pop(), ports.pop()
+    if listen is not None and address_of(listen) != (host, port):
+        raise ConfigError(
+            f"--listen {listen} is not where {SOCKET_UNIT} listens ({with_port(host, port)}): remove --listen from "
+            f"/etc/hexapod-console/console.conf, and name the address there: sudo systemctl edit {SOCKET_UNIT}"
+        )
+    return with_port(host, port)
+
+
+@contextmanager
+def listening(site: Site, passed: Sequence[socket.socket] = ()) -> Iterator[Sequence[socket.socket]]:
+    """`passed`, or sockets bound here; for `localhost` on all of its addresses, so no other program has one of them.
+
+    Raises ConfigError, AddressTakenError.
+    """
+    with ExitStack() as stack:
+        found = [stack.enter_context(each) for each in passed]
+        for host in () if passed else LOCALHOST if site.address == "localhost" else (site.address,):
+            try:
+                found.append(stack.enter_context(_bound(host, site.port)))
+            except OSError as error:
+                if site.address != "localhost" or error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
+                    raise _not_bound(with_port(host, site.port), error) from error
+        if not found:
+            raise ConfigError(f"--listen {with_port(site.address, site.port)}: this machine has no such address")
+        for each in found:
+            _limit(each)
+        yield found
+
+
+def _bound(address: str, port: int) -> socket.socket:
+    """Raises OSError, also beside another program that listens there."""
+    family, _, _, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+    both = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
+    return socket.create_server(place[:2], family=family, backlog=BACKLOG, dualstack_ipv6=both)
+
+
+def _not_bound(where: str, error: OSError) -> ConfigError | AddressTakenError:
+    if error.errno == errno.EADDRINUSE:
+        return AddressTakenError(
+            f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
+        )
+    return ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine")
+
+
+def _limit(listening: socket.socket) -> None:
+    """Set what its connections inherit, as far as this system has it."""
+    for level, option, value in (
+        ("SOL_SOCKET", "SO_RCVBUF", RECEIVED_BYTES),
+        ("IPPROTO_TCP", "TCP_USER_TIMEOUT", DEAD_MS),
+        ("IPPROTO_TCP", "TCP_NOTSENT_LOWAT", UNSENT_BYTES),
+    ):
+        if hasattr(socket, option):
+            listening.setsockopt(getattr(socket, level), getattr(socket, option), value)
+
+
+def _checked(descriptor: int) -> socket.socket:
+    with suppress(OSError):
+        os.set_inheritable(descriptor, False)
+        found = socket.socket(fileno=descriptor)
+        listens = found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+        if listens and found.family in (socket.AF_INET, socket.AF_INET6):
+            return found
+        found.detach()
+    raise ConfigError(
+        f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
+    )
 
 
 def _is_loopback(address: str) -> bool:
@@ -150,12 +238,17 @@ def _is_loopback(address: str) -> bool:
     return False
 
 
-def _check_pair(certificate: Path, key: Path) -> None:
+def _tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    """TLS 1.2 or newer. Raises ConfigError."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.options |= ssl.OP_NO_RENEGOTIATION  # in TLS 1.2 a client could demand handshakes without end
     try:
-        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password=_no_password)
+        context.load_cert_chain(certificate, key, password=_no_password)
     except (OSError, ssl.SSLError, ValueError) as error:
         why = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"{certificate} and {key} cannot be used together: {why}") from error
+    return context
 
 
 def _no_password() -> str:
