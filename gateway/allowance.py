@@ -12,7 +12,7 @@ class Allowance:
 
     __slots__ = ("_all_ns", "_each_ns", "_full_ns")
 
-    def __init__(self, a_second: float, at_once: int) -> None:
+    def __init__(self, a_second: float, at_once: int) -> None:  # mutants accepted (Step): a clock begins at 0
         """Allow at most `at_once` + T * `a_second` tokens in any T seconds. `a_second` may be a fraction."""
         self._each_ns = ceil(NS_PER_S / a_second)
         self._all_ns = at_once * self._each_ns

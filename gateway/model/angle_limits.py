@@ -62,6 +62,7 @@ class AngleLimits:
             angle += f" are its own {wire_cdeg / 100:g}, with its calibration"
         return f"{angle}; angles on the wire from {low / 100:g} up to {high / 100:g} {_WHY_AVOIDED}"
 
+    # mutants accepted (Lt_LtE): no way begins at an angle that is never sent
     def crosses(self, servo_id: int, from_cdeg: int, to_cdeg: int) -> bool:
         """Return whether angles that are never sent lie between these two allowed ones."""
         if self._avoid_cdeg is None:
@@ -69,6 +70,7 @@ class AngleLimits:
         servo, low_cdeg = self.calibration.of(servo_id), self._avoid_cdeg[0]
         return (servo.wire_cdeg(from_cdeg) < low_cdeg) is not (servo.wire_cdeg(to_cdeg) < low_cdeg)
 
+    # mutants accepted (Lt_LtE): as in crosses
     def near_side(self, servo_id: int, from_cdeg: int, angle_cdeg: int) -> int:
         """Return the angle to send for a motion from `from_cdeg` that is at `angle_cdeg` now: `angle_cdeg` if it is
         allowed, else the last angle before the gap."""

@@ -67,7 +67,7 @@ class Measured(NamedTuple):
     """Forces of legs 1 to 6, in an undocumented unit."""
 
     @property
-    def tilt_deg(self) -> float | None:
+    def tilt_deg(self) -> float | None:  # mutants accepted (LtE_Lt): either answer is as good
         """The angle between the body's up and the world's, 0 to 180; None if the orientation is invalid."""
         w, x, y, z = self.orientation_wxyz
         norm = w * w + x * x + y * y + z * z

@@ -59,7 +59,7 @@ OP_SET: Final = Op.SET
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
-class ServoOp:
+class ServoOp:  # mutants accepted (FalseWithTrue, LeaveOut): it follows from the other fields
     """One servo's operation and angle, in hundredths of a degree, 0 to 18000 (0 for STOP)."""
 
     op: Final[Op]
@@ -98,7 +98,7 @@ SETS: Final = _Moves(OP_SET)
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
-class OneServo:
+class OneServo:  # mutants accepted (FalseWithTrue, LeaveOut): they follow from the other fields
     """ONE SERVO: one operation for one servo."""
 
     servo_id: Final[int]
@@ -134,7 +134,7 @@ class OneServo:
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
-class OneLeg:
+class OneLeg:  # mutants accepted (FalseWithTrue, LeaveOut): they follow from the other fields
     """ONE LEG: one operation for each of a leg's joints 1, 2 and 3."""
 
     leg: Final[int]
@@ -192,7 +192,7 @@ def centidegrees(angle_deg: float) -> int:
 _STOPS: Final = {leg: OneLeg(leg, (STOP, STOP, STOP)) for leg in LEGS}
 
 
-def stop_leg(leg: int) -> OneLeg:
+def stop_leg(leg: int) -> OneLeg:  # mutants accepted (LeaveOut): OneLeg rejects the leg first
     """Return the frame that de-energises all servos of a leg. Raises FrameError for a leg other than 1 to 6."""
     return _STOPS[leg] if leg in _STOPS else OneLeg(leg, (STOP, STOP, STOP))
 

@@ -182,7 +182,7 @@ def _error(data: bytes) -> BoardError | NoError:
     return BoardError(data[0], mask) if readable else BoardError(UNREADABLE)
 
 
-def explained(error: BoardError) -> tuple[str, int]:
+def explained(error: BoardError) -> tuple[str, int]:  # mutants accepted (Step): no error has a sixth bit
     """Return an error in words, and the outputs that have no supply until it is deleted."""
     if error.code == SERVO_OVERCURRENT:
         return "overcurrent: the power board has switched these servos off", error.mask

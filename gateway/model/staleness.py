@@ -81,7 +81,7 @@ class _Clock:
 class Staleness:
     """Judges the age of commands, by monotonic times only."""
 
-    def __init__(self, max_age_ms: float) -> None:
+    def __init__(self, max_age_ms: float) -> None:  # mutants accepted (Forget, Step): the first pause sets it
         self._max_age_ms = max_age_ms
         self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
         self._sources: dict[str | None, tuple[list[_Clock], list[float]]] = {}
@@ -97,6 +97,7 @@ class Staleness:
             self._woke_ms, self._paused_ms = now_ms, now_ms - self._turned_ms
         self._turned_ms = now_ms
 
+    # mutants accepted (Gt_GtE, Lt_LtE, Step): equal values; a list of one
     def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:
         """Return why a command is, or may be, older than allowed (one sentence), or None if it is accepted.
 
@@ -150,6 +151,7 @@ class Staleness:
             f"for {self._max_age_ms:g} ms only those are accepted whose sent_ms shows that they are fresh"
         )
 
+    # mutants accepted (Step): a list of one
     def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
         """Return the known clocks of a source, as of this instant, or None if there is no place for a new source."""
         if name in self._sources:

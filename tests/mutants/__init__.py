@@ -1,15 +1,15 @@
 """Small faults in the files that keep the robot safe, one at a time: a test has to fail for each (`make mutants`).
 
 cosmic-ray makes them (operators.py). mutmut, the other tool that is kept up, mutates functions only: no constant of a
-module, no field of a class, no table, no property. Its mutants are numbered within a function, so that an accepted
-survivor is another one after each edit, and it takes no operators of one's own. cosmic-ray has operators by name and
-an interface for more; what parso, its parser, does not know is `match`, so that patterns stay as they are.
+module, no field of a class, no table, no property, and it takes no operators of one's own. cosmic-ray has operators by
+name and an interface for more; what parso, its parser, does not know is `match`, so that patterns stay as they are.
 
 Only its operators are used. Its own runner writes each mutant into the working tree and starts pytest anew: seconds for
 each, and a robot's program with a fault in it where somebody ends the run. Here a process is forked for each, with the
 tests loaded, and no file is written (judging.py, exchange.py).
 
-judges.py: which tests judge which file. accepted.toml: who may survive, and why. by_hand.py: what no operator can make.
-(A file and not comments in the code: a reason often covers mutants of several lines, and a name keeps to its function.)
-Scores are left in build/mutants, and are judged by one floor (__main__.py).
+judges.py: which tests judge which file. by_hand.py: what no operator can make. Scores are left in build/mutants, and
+are judged by one floor (__main__.py). A mutant that no test need notice is accepted by a comment with its operator's
+name and the reason, at its line or at the first line of its function or class:
+`# mutants accepted (Step, Gt_GtE): equal times`. All are judged all the same; what survives there does not count.
 """

@@ -11,20 +11,20 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
 from tests.mutants.by_hand import made_by_hand
-from tests.mutants.generated import accepted, mutants_of
+from tests.mutants.generated import Accepted, Mutant, accepted, mutants_of
 from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, TestsFailError, verdicts
 
 ROOT: Final = Path(__file__).parents[2]
 SCORES: Final = ROOT / "build" / "mutants" / "scores.json"
 FLOOR: Final = 0.97
-"""The share of a room's mutants that some test has to notice, without those that accepted.toml explains."""
+"""The share of a room's mutants that some test has to notice, without those that a comment accepts."""
 FLOORED: Final = ("gateway/model", "gateway/robot/core", "gateway/robot/spi", "gateway/robot/power")
 """The rooms that keep the robot safe."""
 
@@ -71,30 +71,29 @@ def judge(file: str, sample: int | None) -> Counter[str]:
     """Judge a file's mutants, print what became of them and keep the score. `right`: its tests pass without one."""
     begun_s = time.monotonic()
     source = (ROOT / file).read_text(encoding="utf-8")
-    mutants = {str(mutant.name): mutant.source for mutant in (*mutants_of(source), *made_by_hand(file, source))}
-    forgiven = accepted(file)
-    wrong = [f"accepted, but no mutant any more: {name}" for name in forgiven.keys() - mutants.keys()]
-    todo = [name for name in mutants if name not in forgiven]
-    if sample is not None:
-        todo = sorted(todo, key=lambda name: sha256(name.encode()).digest())[:sample]
+    todo = sorted((*mutants_of(source), *made_by_hand(file, source)), key=_by_its_text)[:sample]
     found: Counter[Outcome] = Counter()
+    survivors: list[Mutant] = []
     try:
-        for number, verdict in verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutants[name] for name in todo))):
+        for number, verdict in verdicts(Subject(ROOT, file, JUDGES[file], tuple(mutant.source for mutant in todo))):
             found[verdict.outcome] += 1
             if verdict.outcome is Outcome.SURVIVED:
-                wrong.append(f"survived: {todo[number]}")
+                survivors.append(todo[number])
     except TestsFailError as error:
         print(f"{file}: its tests fail without a mutant, so they can judge nothing: {error}", flush=True)
         return Counter(right=False)
+    comments = accepted(source)
+    bad = [mutant for mutant in survivors if not any(comment.takes(mutant) for comment in comments)]
+    wrong = [f"survived: {mutant}" for mutant in bad]
     killed = found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
     score = Counter(
         killed=killed,
         by_time=found[Outcome.TIMED_OUT],
-        wanted=killed + found[Outcome.SURVIVED],
-        accepted=len(forgiven.keys() & mutants.keys()),
-        generated=len(mutants),
+        wanted=killed + len(bad),
+        accepted=len(survivors) - len(bad),
     )
     if sample is None:
+        wrong += [f"accepts what no mutant needs: {unused}" for unused in sorted(_unused(comments, survivors))]
         keep(file, score, wrong)
     share = killed / max(1, score["wanted"])
     took_s = time.monotonic() - begun_s
@@ -102,6 +101,18 @@ def judge(file: str, sample: int | None) -> Counter[str]:
     print("".join(f"  {line}\n" for line in wrong), end="", flush=True)
     score["right"] = True
     return score
+
+
+def _by_its_text(mutant: Mutant) -> bytes:
+    """So that a sample stays the same as long as the text does, wherever it stands."""
+    return sha256(f"{mutant.operator} {mutant.was} {mutant.becomes}".encode()).digest()
+
+
+def _unused(comments: Iterable[Accepted], survivors: Iterable[Mutant]) -> Iterator[str]:
+    """The operators of comments, with their lines, whose mutants are all noticed by now."""
+    used = {(comment, each.operator) for comment in comments for each in survivors if comment.takes(each)}
+    for comment in comments:
+        yield from (f"{comment.first}: {name}" for name in comment.operators if (comment, name) not in used)
 
 
 def changed() -> set[str]:

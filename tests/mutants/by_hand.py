@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final, NamedTuple
 
-from tests.mutants.generated import Mutant, Name
+from tests.mutants.generated import Mutant
 
 
 class ByHand(NamedTuple):
@@ -223,6 +223,6 @@ def made_by_hand(file: str, source: str) -> list[Mutant]:
     for why, old, new in MADE.get(file, ()):
         if source.count(old) != 1:
             raise ValueError(f"{file}: stands {source.count(old)} times in it, and must once: {old!r}")
-        name = Name("by hand", why, " ".join(old.split()), " ".join(new.split()))
-        mutants.append(Mutant(name, source.replace(old, new)))
+        line = source[: source.index(old)].count("\n") + 1
+        mutants.append(Mutant(line, "by hand", why, " ".join(new.split()), source.replace(old, new)))
     return mutants

@@ -1,15 +1,12 @@
-"""Makes the mutants of a file, and names each so that it keeps its name when lines move."""
+"""Makes the mutants of a file, and reads which of them its comments accept."""
 
 import ast
 import re
-import tomllib
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import takewhile
-from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import parso
 from cosmic_ray.ast import ast_nodes
@@ -17,53 +14,65 @@ from parso.tree import BaseNode, Leaf, NodeOrLeaf
 
 from tests.mutants.operators import operators
 
-ACCEPTED: Final = Path(__file__).with_name("accepted.toml")
-MODULE_LEVEL: Final = "module"
-"""In the place of a function's name."""
-
-
-@dataclass(frozen=True, slots=True)
-class Name:
-    """Which mutant of a file this is: what was changed in which function, not in which line."""
-
-    function: str
-    operator: str
-    was: str
-    becomes: str
-    nth: int = 1
-    """Which one, where a function has several lines alike."""
-
-    def __str__(self) -> str:
-        again = f" #{self.nth}" if self.nth > 1 else ""
-        operator = self.operator.removeprefix("Replace").split("Operator_")[-1]
-        return f"{self.function} · {operator} · {self.was} → {self.becomes}{again}"
+_ACCEPTED: Final = re.compile(r"#\s*mutants accepted \(([\w, ]+)\): \S")
 
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """A file with one fault in it."""
+    """A file with one fault in it: what an operator made of which line."""
 
-    name: Name
+    line: int
+    operator: str
+    was: str
+    becomes: str
     source: str
 
+    def __str__(self) -> str:
+        return f"{self.line}: {self.operator}: {self.was} → {self.becomes}"
 
-def accepted(file: str) -> dict[str, str]:
-    """Those mutants of a file, by name, that no test need notice, and why."""
-    groups = tomllib.loads(ACCEPTED.read_text(encoding="utf-8")).get(file, [])
-    return {name: group["why"] for group in groups for name in group["mutants"]}
+
+class Accepted(NamedTuple):
+    """A comment: mutants that no test need notice, by operator, and from which line to which."""
+
+    first: int
+    last: int
+    operators: frozenset[str]
+
+    def takes(self, mutant: Mutant) -> bool:
+        """Whether it accepts this one."""
+        return self.first <= mutant.line <= self.last and mutant.operator in self.operators
+
+
+def accepted(source: str) -> list[Accepted]:
+    """What the comments of a file accept. One speaks of the line that it stands at, or above; at the first line of a
+    function or class, of all of it."""
+    wholes = dict(each for node in ast.walk(ast.parse(source)) for each in _wholes(node))
+    found: list[Accepted] = []
+    for number, line in enumerate(source.splitlines(), start=1):
+        if names := _ACCEPTED.search(line):
+            place = number + line.lstrip().startswith("#")
+            found.append(Accepted(*wholes.get(place, (place, place)), frozenset(names[1].split(", "))))
+    return found
+
+
+def _wholes(node: ast.AST) -> Iterator[tuple[int, tuple[int, int]]]:
+    """Lines at which a comment on a function, class or assignment may stand, and from where to where that goes."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        heads = [*(decorator.lineno for decorator in node.decorator_list), node.lineno]
+        yield from ((line, (heads[0], node.end_lineno or 0)) for line in heads)
+    elif isinstance(node, ast.Assign | ast.AnnAssign):
+        yield node.lineno, (node.lineno, node.end_lineno or 0)
 
 
 def mutants_of(source: str) -> list[Mutant]:
     """All of a file's, each fault once.
 
     Left out is what would be no fault of the program's: another annotation, or how arguments are passed, which mypy
-    judges; another promise of a dataclass about itself (`frozen`, `slots`); and what means the same as the original, or
-    as a mutant before it.
+    judges; another promise of a dataclass about itself (`frozen`, `slots`); what mypy alone reads; and what means the
+    same as the original, or as a mutant before it.
     """
     seen = {_meaning(source)}
-    counted: Counter[Name] = Counter()
     found: list[Mutant] = []
-    functions = ast.parse(source)
     for operator, mutated in mutations(source):
         try:
             meaning = _meaning(mutated)
@@ -71,9 +80,7 @@ def mutants_of(source: str) -> list[Mutant]:
             continue
         if meaning not in seen:
             seen.add(meaning)
-            name = _name(functions, source, mutated, operator)
-            counted[name] += 1
-            found.append(Mutant(replace(name, nth=counted[name]), mutated))
+            found.append(_mutant(source, mutated, operator))
     return found
 
 
@@ -116,12 +123,12 @@ def _exchanged(tree: BaseNode, node: NodeOrLeaf, mutated: NodeOrLeaf | None) -> 
     return source
 
 
-def _name(functions: ast.Module, source: str, mutated: str, operator: str) -> Name:
+def _mutant(source: str, mutated: str, operator: str) -> Mutant:
     lines, others = source.splitlines(), mutated.splitlines()
     first = _alike(lines, others)
     last = _alike(lines[first:][::-1], others[first:][::-1])
     was, becomes = (_in_a_line(text[first : len(text) - last]) for text in (lines, others))
-    return Name(_function_at(functions, first + 1), operator, was, becomes)
+    return Mutant(first + 1, operator.removeprefix("Replace").split("Operator_")[-1], was, becomes, mutated)
 
 
 def _in_a_line(lines: list[str]) -> str:
@@ -137,26 +144,6 @@ def _in_a_line(lines: list[str]) -> str:
 def _alike(lines: list[str], others: list[str]) -> int:
     """How many lines at the beginning are the same."""
     return len(list(takewhile(lambda pair: pair[0] == pair[1], zip(lines, others, strict=False))))
-
-
-def _function_at(tree: ast.AST, line: int) -> str:
-    """The qualified name of the class or function that this line stands in."""
-    parts: list[str] = []
-    inside: ast.AST | None = tree
-    while inside is not None:
-        inside = next(
-            (
-                node
-                for node in ast.iter_child_nodes(inside)
-                if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)
-                and min([node.lineno, *(decorator.lineno for decorator in node.decorator_list)]) <= line
-                and line <= (node.end_lineno or 0)
-            ),
-            None,
-        )
-        if inside is not None:
-            parts.append(inside.name)
-    return ".".join(parts) or MODULE_LEVEL
 
 
 _OPPOSITE: Final[Mapping[type[ast.cmpop], type[ast.cmpop]]] = {
@@ -177,6 +164,7 @@ def _meaning(source: str) -> str:
             node.annotation = ast.Constant(None)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             node.returns = None
+            node.decorator_list = _judged(node.decorator_list)
         elif isinstance(node, ast.arguments):
             node.args = node.posonlyargs + node.args + node.kwonlyargs
             node.defaults += [default for default in node.kw_defaults if default is not None]
@@ -184,9 +172,7 @@ def _meaning(source: str) -> str:
         elif isinstance(node, ast.Call):
             node.keywords = [each for each in node.keywords if each.arg not in _NOT_JUDGED]
         elif isinstance(node, ast.ClassDef):
-            for decorator in node.decorator_list:
-                if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) == "dataclass":
-                    decorator.keywords.clear()
+            node.decorator_list = _judged(node.decorator_list)
         for field, value in ast.iter_fields(node):
             if isinstance(value, ast.AST):
                 setattr(node, field, _affirmed(value))
@@ -195,7 +181,19 @@ def _meaning(source: str) -> str:
     return ast.dump(tree)
 
 
+def _judged(decorators: list[ast.expr]) -> list[ast.expr]:
+    """Without those for mypy, and without what a dataclass promises about itself."""
+    kept = [each for each in decorators if not isinstance(each, ast.Name) or each.id not in ("final", "abstractmethod")]
+    for each in kept:
+        if isinstance(each, ast.Call) and ast.unparse(each.func) == "dataclass":
+            each.keywords.clear()
+    return kept
+
+
 def _affirmed(node: ast.AST) -> ast.AST:
+    for_mypy = isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id == "Callable"
+    if for_mypy or (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)):
+        return ast.Constant(None)
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
         negated = node.operand
         if isinstance(negated, ast.Compare) and len(negated.ops) == 1:

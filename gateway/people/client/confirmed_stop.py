@@ -58,7 +58,7 @@ class StopRequest(Generic[W]):
 class ConfirmedStop(Generic[P, W]):
     """All pages' presses of one Stop. Its shell calls `begin` after each change, and again at `due_ns`."""
 
-    def __init__(self, lasts_ns: int | None = None) -> None:
+    def __init__(self, lasts_ns: int | None = None) -> None:  # mutants accepted (Forget, Step): set before it is read
         """`lasts_ns`: how long after a press a request may begin for it; None: until it is confirmed."""
         self._lasts_ns = lasts_ns
         self._presses = 0

@@ -46,6 +46,7 @@ class Query(Generic[A]):
     """The first answer from a program that was not dialled."""
 
 
+# mutants accepted (Forget, RemoveDecorator): without slots and equality it behaves alike; the first query sets the time
 class Patience(Generic[A]):
     """The state of one question; `A` is its answer."""
 

@@ -46,7 +46,7 @@ class Renewal:
     'LOST'
     """
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # mutants accepted (Delete_USub, Forget, Step): set before it is read
         self.holds = Holds.NOT_YET
         self.ttl_ms = 0.0
         self.lost: LeaseLostError | None = None

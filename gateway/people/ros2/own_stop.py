@@ -15,7 +15,7 @@ SAME_RUN_S: Final = 1.0
 class OwnStop:
     """What is not certain counts as somebody else's: then a person leaves the emergency stop, at the robot."""
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # mutants accepted (Forget, Step): set before it is read
         self._latest: int | None = None
         """The emergency stop's number before the bridge's own; None: unknown."""
         self._number: int | None = None

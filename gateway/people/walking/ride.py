@@ -111,6 +111,7 @@ class RideStep(NamedTuple):
 class Ride:
     """Not for several threads at once; times are seconds of one monotonic clock."""
 
+    # mutants accepted (Forget, Step): the first look sets it; no press is below 0
     def __init__(
         self,
         robot: Robot,
@@ -248,7 +249,7 @@ class Ride:
         self._ours = True
         return RideStep(RideTask.SEND, pose)
 
-    def look(self, now_s: float) -> None:
+    def look(self, now_s: float) -> None:  # mutants accepted (Step): 1 s later
         """Apply the silences. If the ride ends, its running legs are to be stopped."""
         if self._found and now_s - self._started_s > self.robot.limp_s > 0:
             self._run_if_started()

@@ -124,7 +124,7 @@ _NEAR: Final = 0.0005
 class Distance:
     """A distance or a turn, which begins with the first call of `next`."""
 
-    def __init__(self, amount: float, *, turns: bool) -> None:
+    def __init__(self, amount: float, *, turns: bool) -> None:  # mutants accepted (Step): the first tick sets it
         """Metres, forward above 0; `turns`: radians, counter-clockwise above 0. Raises WalkError above 20 m or 4π."""
         name, most, meant = ("radians", MOST_RAD, "degrees") if turns else ("metres", MOST_M, "millimetres")
         if isinstance(amount, bool) or not isinstance(amount, int | float) or not math.isfinite(amount):

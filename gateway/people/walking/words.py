@@ -28,6 +28,7 @@ _POSTURES: Final = {
 }
 
 
+# mutants accepted (Step): without a state there is no age
 def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | None = None) -> str:
     """Return what the robot does, in one sentence without its full stop.
 
@@ -62,11 +63,11 @@ def ground_now(walk: WalkState) -> str:
 class Newest:
     """The gateway's newest state, published or as an answer."""
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # mutants accepted (Step): set before it is read
         self._newest: tuple[GatewayState | None, float] = (None, 0.0)
         """The state and when it was received: one object, since reports arrive on another thread."""
 
-    def take(self, state: GatewayState, now_s: float) -> None:
+    def take(self, state: GatewayState, now_s: float) -> None:  # mutants accepted (Step): an age of 1 s is as good as 0
         """Take a state. Reports and answers may overtake each other: an older state comes less than `NEWS_S` later."""
         newest, _ = self._newest
         late_s = 0.0 if newest is None else newest.uptime_s - state.uptime_s

@@ -23,7 +23,7 @@ from gateway.robot.core.legs import Legs
 from gateway.robot.core.pacing import BUCKET
 from schemas.telemetry import Reason
 
-START_WAIT_NS: Final = 15 * NS_PER_MS
+START_WAIT_NS: Final = 15 * NS_PER_MS  # mutants accepted (Step): room on both sides
 """The frame of a lone start leaves within a rate slot of 50 Hz, with 5 ms for a timer that is late."""
 
 
@@ -60,6 +60,7 @@ class Backlog:
             return None
         return (Reason.STALE, _why(command.key)) if self._starting(command) else None
 
+    # mutants accepted (Forget): without a waiting start both do nothing
     def hold(self, command: Command, now_ns: int) -> None:
         """Delay the legs that an accepted command starts without `sent_ms`. With `sent_ms`, end their delay."""
         if not self._rules.start_wait_ns:

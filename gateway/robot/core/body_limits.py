@@ -40,7 +40,7 @@ class BodyLimits(Interlock[BodyMeasured]):
         """Since when the body is tilted beyond the limit, or None."""
 
     @property
-    def fell_ns(self) -> int:
+    def fell_ns(self) -> int:  # mutants accepted (Step): a fallen body has been tilted since a time
         """When the tilt has lasted for `tilt_ns` (ns, monotonic)."""
         return (self.beyond_ns or 0) + self._rules.tilt_ns
 

@@ -35,7 +35,7 @@ MOST_OF_ONE: Final = 4
 """Registrations of a certificate: a person's phone, tablet and laptop. One more replaces the oldest one not alive."""
 MOST_UNPROVED: Final = 16
 """Registrations without a certificate: twice as many as can be required."""
-DRIFT_PPM: Final = 200
+DRIFT_PPM: Final = 200  # mutants accepted (Step): a rounded bound
 """How much slower than the gateway's a button's clock may run: twice the error of a bad crystal (as in `staleness`)."""
 RISE: Final = 4
 """A button's clock may fall behind by the timeout divided by this, at most, since an attacker who delays check-ins ever
@@ -44,7 +44,7 @@ _ALL: Final = tuple(LEGS)
 
 
 @dataclass(slots=True)
-class Registration:
+class Registration:  # mutants accepted (Step): set before it is read; a nanosecond
     """One registered button, and the clock of its messages."""
 
     name: str

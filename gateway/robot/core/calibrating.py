@@ -134,7 +134,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
             f"{self.fault}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
         )
 
-    def _kept(self, event: CalibrationSaved) -> list[Effect]:
+    def _kept(self, event: CalibrationSaved) -> list[Effect]:  # mutants accepted (Forget): only time is lost
         """Put the saved change in force, or reject it and keep the old calibration if the disk failed."""
         if self._on_its_way is None:
             return []

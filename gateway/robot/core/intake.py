@@ -183,7 +183,7 @@ def given_twice(name: str) -> Rejection:
     return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; which one counts is not clear")
 
 
-def explain(error: ValidationError) -> Rejection:
+def explain(error: ValidationError) -> Rejection:  # mutants accepted (FalseWithTrue, LeaveOut): only time is lost
     """Return the rejection of an invalid payload, in a sentence that names the field and what it must be."""
     faults = error.errors(include_url=False)
     first = faults[0]

@@ -66,6 +66,7 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
         detail = "emergency stop left; nothing moves until it is started again"
         return [Announce(Kind.ESTOP_RESET, detail, reset.source, reset.key), Completed(reset)]
 
+    # mutants accepted (Lt_LtE): equal numbers were answered before
     def _why_not_left(self, names: int | None, instant_ns: int) -> str | None:
         """Return why a reset does not leave the emergency stop, or None if it does or none is engaged.
 

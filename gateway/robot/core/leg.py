@@ -92,7 +92,7 @@ class Rules:
 
 
 @dataclass(slots=True)
-class Servo:
+class Servo:  # mutants accepted (Step): set before it is read
     """One servo as last written; `angle_cdeg` is None while it does not run, since its angle is then unknown."""
 
     servo_id: int
@@ -141,7 +141,7 @@ class Servo:
 
 
 @dataclass(slots=True)
-class Leg:
+class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before it is read
     """One leg: its servos, its rate slots, and when an accepted command last started or set one of its servos."""
 
     number: int

@@ -33,6 +33,7 @@ _MIXED: Final = "this robot only stops as a whole: a Stop in this command stoppe
 class Legs:
     """The six legs, and the pending commands of each."""
 
+    # mutants accepted (FalseWithTrue, Forget, Step, TrueWithFalse): set before it is read
     def __init__(self, rules: Rules, limits: AngleLimits) -> None:
         self._rules = rules
         self._limits = limits
@@ -84,7 +85,7 @@ class Legs:
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
         self.stopping, self._first_stops, self._silent = set(), set(), False
 
-    def plan(self, now_ns: int) -> None:
+    def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
         """End a step: compute what is due next, and whether anything runs, for the legs that changed."""
         for leg in self._all if self._changed is None else self._changed:
             repeat_ns = NEVER
@@ -127,7 +128,7 @@ class Legs:
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
 
-    def _slot_ns(self, leg: Leg) -> int:
+    def _slot_ns(self, leg: Leg) -> int:  # mutants accepted (Step): all servos are in one state
         """Return when the leg's next frame may leave.
 
         A robot that starts as a whole waits for the last leg's rate slot. Between two frames of its start, only some
@@ -205,7 +206,7 @@ class Legs:
 
     # ---- commands
 
-    def apply(self, command: Command, now_ns: int) -> list[Effect]:
+    def apply(self, command: Command, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): only time is lost
         """Carry out an accepted command, and return its effects."""
         changed: list[Leg] = []
         effects: list[Effect] = []
@@ -252,6 +253,7 @@ class Legs:
         rejected.request.stopped = tuple(servo_id for servo_id, _ in command.stops)
         return [*effects, rejected]
 
+    # mutants accepted (Step): all servos are in one state
     def why_not_whole(self, command: Command) -> tuple[Reason, str] | None:
         """Return why a robot that only starts as a whole rejects these starts, or None.
 
@@ -313,6 +315,7 @@ class Legs:
                 effects += self._target_done(command)
         return effects
 
+    # mutants accepted (Step): a list of one
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Return the frame for this leg's waiting targets, if it may leave now."""
         held = None if self._fed is None else self._held(leg)

@@ -56,7 +56,7 @@ class Messages(Protocol):
         """Return the other received messages, in the order in which they apply."""
 
 
-class NoMessages:
+class NoMessages:  # mutants accepted (FalseWithTrue): nothing is taken before the inbox is connected
     """No messages: stands in before the inbox is connected."""
 
     instant_open = False

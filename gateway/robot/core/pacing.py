@@ -16,7 +16,7 @@ from typing import Final
 from gateway.allowance import NS_PER_S
 from gateway.model.frames import OP_SET, OP_START, STARTS, ServoOp
 
-NEVER: Final = 2**63
+NEVER: Final = 2**63  # mutants accepted (Step): later than any time
 """Later than any time."""
 
 BUCKET: Final = 3
@@ -34,7 +34,7 @@ def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
 
 
 @dataclass(slots=True)
-class RateSlots:
+class RateSlots:  # mutants accepted (Gt_GtE, Step): equal times; a clock begins at 0
     """The rate slots of one leg. Before the first frame, the bucket is full."""
 
     period_ns: int
@@ -59,7 +59,7 @@ class RateSlots:
 
 
 @dataclass(slots=True)
-class StartQueue:
+class StartQueue:  # mutants accepted (Step): a clock begins at 0
     """Legs that wait to be energised, in order, at least `pause_ns` apart (0: all at once).
 
     The starting current of eighteen servos at once can overload the supply.

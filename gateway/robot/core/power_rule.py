@@ -42,6 +42,7 @@ class PowerRule(Interlock[PowerSeen]):
     def halts(self, event: PowerSeen) -> Halt | None:
         return Halt(Cause.WATCHDOG, Reason.NO_POWER, event.doubt) if event.doubt else None
 
+    # mutants accepted (Forget): only time is lost
     def take(self, event: PowerSeen, now_ns: int, legs: Legs) -> list[Effect]:
         self.alive, self._refused = event.alive, dict(event.refused)
         self.closed = not event.alive or bool(event.refused)

@@ -14,7 +14,7 @@ from schemas.telemetry import Cause
 class RestStops:
     """The next round or run of Stops, and how many runs are left."""
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: Rules) -> None:  # mutants accepted (Forget, Step): the first Stop sets both
         self._round_ns = rules.rest_ns
         self._run_ns = rules.rest_run_ns
         self._settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
@@ -26,6 +26,7 @@ class RestStops:
         self.due_ns: int | None = None
         """When legs at rest get their next Stop, or None."""
 
+    # mutants accepted (Gt_GtE, Step): equal times; the next Stop sets the runs anew
     def plan(self, now_ns: int, *, at_rest: bool, stopped: bool) -> None:
         """Set the next time at the end of a step. `at_rest`: nothing runs; `stopped`: a servo got a first Stop.
 

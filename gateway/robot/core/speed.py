@@ -21,6 +21,7 @@ class Step(NamedTuple):
     since_ns: int
 
 
+# mutants accepted (Gt_GtE, Step): either sign gives the same angle
 def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns: int, period_ns: int) -> Step:
     """Return a step towards an angle: at most speed times the time since `since_ns`, and speed times a rate slot.
 
@@ -74,6 +75,7 @@ class LimitedSpeeds:
             return own
         return takeover if own is None else min(own, takeover)
 
+    # mutants accepted (Forget): only time is lost
     def in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """Return each servo's operation in the frame that leaves now: with a speed limit, a step towards its target."""
         said: list[tuple[Servo, ServoOp]] = []

@@ -296,6 +296,7 @@ class Supervisor:
                 return Reason.SERVO_STOPPED, f"servo {servo_id} does not run; start it before you set it"
         return self.legs.why_not_whole(command) if self._rules.starts_whole else None
 
+    # mutants accepted (TrueWithFalse): nobody opens a bus that is open
     def _bus_opened(self, now_ns: int) -> list[Effect]:
         recovered, self._opened, self.legs.sends = self._opened, True, True
         effects = self._stop_all(Halt(Cause.STARTUP, Reason.BUS_FAULT, _BUS_FAULT), now_ns)
@@ -305,7 +306,7 @@ class Supervisor:
             effects.append(Announce(kind, f"the {who} answers again; all servos are stopped"))
         return effects
 
-    def _bus_failed(self, event: BusFailed) -> list[Effect]:
+    def _bus_failed(self, event: BusFailed) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
         first, self.legs.sends, self._opened = self.legs.sends or not self._opened, False, True
         # A restarted controller that does not return is silent, which needs a person.
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
@@ -325,7 +326,7 @@ class Supervisor:
         announcement = Announce(Kind.STOPPING, f"the gateway ends; {stopped}")
         return [*self._stop_all(Halt(Cause.SHUTDOWN, Reason.STOPPING, _STOPPING), now_ns), announcement]
 
-    def _stop_all(self, halt: Halt, now_ns: int) -> list[Effect]:
+    def _stop_all(self, halt: Halt, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): done twice on purpose
         legs, (cause, reason, detail) = self.legs, halt
         legs.landing = None  # a Stop of all legs ends a landing
         if not legs.sends:

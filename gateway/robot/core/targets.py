@@ -75,7 +75,7 @@ def _own(servo_id: int) -> tuple[int, ...]:
     return (servo_id,)
 
 
-def may_contain_stop(payload: bytes) -> bool:
+def may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shortcut: what follows finds the same
     """Return whether a payload may contain a Stop, in any spelling. It has false positives, but misses none.
 
     JSON's escapes in a word have a backslash. A payload that does not begin like a JSON object (binary, a byte order
@@ -88,7 +88,7 @@ def may_contain_stop(payload: bytes) -> bool:
     return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
 
 
-class TargetRules(NamedTuple):
+class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand around less than a leg
     """One target. A key's `number` is the leg, the servo, or 0."""
 
     servos: Callable[[int], tuple[int, ...]]
@@ -122,7 +122,7 @@ TARGETS: Final[dict[Target, TargetRules]] = {
     Target.LEGS: TargetRules(_all, _all, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
     Target.LEG: TargetRules(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
     Target.SERVO: TargetRules(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
-    Target.ESTOP: TargetRules(_all, _all, None, True, 0),
+    Target.ESTOP: TargetRules(_all, _all, None, True, 0),  # mutants accepted (Step): nothing of its payload is read
     # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
     Target.RESET: TargetRules(
         _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"

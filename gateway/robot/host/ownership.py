@@ -59,7 +59,7 @@ class OwnersTimer:
         """Whether a callback is pending."""
         return self._due_s < math.inf
 
-    def set(self, due_s: float) -> None:
+    def set(self, due_s: float) -> None:  # mutants accepted (GtE_Gt): equal times
         """Call back at `due_s` of the loop's clock, instead of the time set before.
 
         Only an earlier time wakes the loop. For a later one, it wakes up at the old time and sets the timer again. That
@@ -87,7 +87,7 @@ class OwnersTimer:
         with self._owner:
             self._place()
 
-    def _place(self) -> None:
+    def _place(self) -> None:  # mutants accepted (Forget): a wakeup too many does nothing
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
@@ -95,7 +95,7 @@ class OwnersTimer:
         if self.armed:
             self._handle = self._loop.call_at(self._due_s, self._wake)
 
-    def _wake(self) -> None:
+    def _wake(self) -> None:  # mutants accepted (Forget, Gt_GtE): equal times; a wakeup too many
         self._handle = None
         with self._owner:
             if self._due_s > self._loop.time() + _EARLY_S:

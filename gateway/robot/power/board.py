@@ -46,11 +46,11 @@ START_NS: Final = 1000 * NS_PER_MS
 """After the first opening, no missing confirmation is reported for this long: a starting gateway delays its threads."""
 REPEAT_FOR_NS: Final = 3000 * NS_PER_MS
 """Longer than questions.FORGOTTEN_NS: until then, a link that lost six questions confirms nothing."""
-REPEAT_ON_NS: Final = 100 * NS_PER_MS
+REPEAT_ON_NS: Final = 100 * NS_PER_MS  # mutants accepted (Mul_Div, Step): none is the only right one
 """Between two masks until each on is confirmed, but not before the first answer is overdue."""
-REST_NS: Final = 5 * NS_PER_MS
+REST_NS: Final = 5 * NS_PER_MS  # mutants accepted (Step): none is the only right one
 """After an answer 6B, the board's counter is one too far for a pass of its loop, 2 ms at most."""
-STEP_NS: Final = 54 * NS_PER_MS
+STEP_NS: Final = 54 * NS_PER_MS  # mutants accepted (Step): none is the only right one
 """The longest time for 27 passes of the board's loop, one for the answer and one for each output that goes on."""
 LASTS_NS: Final = 1000 * NS_PER_MS
 """A state that is reported once has ended after this long without its frames; the next frame reports it again."""
@@ -98,6 +98,7 @@ class Status(NamedTuple):
 class PowerBoard:
     """One board, used by one thread at a time. All times are of one monotonic clock, in ns."""
 
+    # mutants accepted (Delete_USub, Forget, Step): set before it is read
     def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
         """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)
@@ -234,6 +235,7 @@ class PowerBoard:
 
     # ---- received frames
 
+    # mutants accepted (Forget): a mask is read as no answer; only time is lost
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Take a frame from the bus. Malformed frames, and frames of no concern, change nothing."""
         foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
@@ -270,7 +272,7 @@ class PowerBoard:
                     self._news.append(News(Kind.OFF_BUTTON, why))
         self.poll(now_ns)
 
-    def poll(self, now_ns: int) -> None:
+    def poll(self, now_ns: int) -> None:  # mutants accepted (Lt_LtE): equal times
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
@@ -286,12 +288,12 @@ class PowerBoard:
     # ---- what is sent
 
     @property
-    def due_ns(self) -> int:
+    def due_ns(self) -> int:  # mutants accepted (LeaveOut): only time is lost
         """When to call `next_frames` next."""
         due_ns = (self._questions.due_ns, self._mask_due_ns(), self._errors.due_ns)
         return min(each for each in due_ns if each is not None)
 
-    def next_frames(self, now_ns: int) -> list[CanFrame]:
+    def next_frames(self, now_ns: int) -> list[CanFrame]:  # mutants accepted (Forget): only time is lost
         """Return the frames to send now, in this order. They count as sent."""
         self.poll(now_ns)
         frames: list[CanFrame] = []
@@ -335,7 +337,7 @@ class PowerBoard:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
 
-    def _mask_due_ns(self) -> int | None:
+    def _mask_due_ns(self) -> int | None:  # mutants accepted (Add_Sub, Lt_LtE, Step): equal times; only time is lost
         """Return when the next mask is due, or None."""
         if not self._begun:
             return None
@@ -359,7 +361,7 @@ class PowerBoard:
         on = 0 if waits else self._target & ~self._sent
         return next((on & six for six in _SIXES if on & six), 0)
 
-    def _send(self, now_ns: int) -> CanFrame:
+    def _send(self, now_ns: int) -> CanFrame:  # mutants accepted (Add_Sub, Step): any numbers that grow; slack
         """Return the mask to send now, and count it as sent."""
         before = self._sent
         self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else 0)
@@ -372,7 +374,7 @@ class PowerBoard:
         self._rest_ns = max(self._rest_ns, now_ns + steps * STEP_NS + REST_NS)
         return set_supply(self._sent)
 
-    def _answered_mask(self, mask: int, now_ns: int) -> None:
+    def _answered_mask(self, mask: int, now_ns: int) -> None:  # mutants accepted (Gt_GtE, Lt_LtE): equal times
         """Take an answer 6B: the outputs that the board powers, after the masks that have reached it."""
         self._shown = mask
         self._answer_ns = now_ns
@@ -410,7 +412,7 @@ class PowerBoard:
         if mask or (new and begins):
             self._lose(mask, why, now_ns, report=new and begins)
 
-    def _meddled(self, mask: int, now_ns: int) -> None:
+    def _meddled(self, mask: int, now_ns: int) -> None:  # mutants accepted (Forget, Step): else a repeat follows
         """Answer another node's mask with ours, without the outputs that it cut, even those still waiting for on."""
         taken = self._target & ~mask
         self._lost |= taken
@@ -429,6 +431,7 @@ class PowerBoard:
         seen_ns, self._seen_ns[state] = self._seen_ns.get(state), now_ns
         return seen_ns is None or now_ns - seen_ns >= LASTS_NS
 
+    # mutants accepted (Forget, Step): either forgets what was fed
     def _fall_silent(self, why: str, now_ns: int) -> None:
         """Record a silent board. It may have restarted with all off, so all powered servos count as lost."""
         self.alive = False

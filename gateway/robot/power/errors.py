@@ -17,7 +17,7 @@ CLEAR_TRIES: Final = 40
 class BoardErrors:
     """The errors of one board."""
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # mutants accepted (Forget, Step): `delete` sets both
         self._errors: dict[int, BoardError] = {}
         """By code, each with all outputs that it was shown with."""
         self._reported: dict[int, int] = {}

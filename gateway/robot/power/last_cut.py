@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 REPEAT_NS: Final = 20 * NS_PER_MS
 REST_NS: Final = 5 * NS_PER_MS
 """After an answer 6B: a mask in the same pass of the board's loop takes effect 230 passes later."""
-TRY_NS: Final = 2 * NS_PER_S
+TRY_NS: Final = 2 * NS_PER_S  # mutants accepted (Step): none is the only right one
 """How long masks are sent and a failed interface is reopened, from the end of the first opening on."""
-LOAD_S: Final = 10.0
+LOAD_S: Final = 10.0  # mutants accepted (Step): none is the only right one
 """Time for the first opening, which loads python-can, perhaps from a slow card. systemd allows 20 s for everything."""
-START_S: Final = 0.02
+START_S: Final = 0.02  # mutants accepted (Step): none is the only right one
 """How long to wait for the first Stops on SPI: the imports here must not delay them, but they may hang."""
-END_S: Final = 1.0
+END_S: Final = 1.0  # mutants accepted (Step): none is the only right one
 """Further time after TRY_NS for calls that hang in python-can."""
 _RETRY_S: Final = 0.1
 _LOOK_S: Final = 0.005
-_SEND_S: Final = 0.1
+_SEND_S: Final = 0.1  # mutants accepted (Step): none is the only right one
 
 
 class LastCut:
@@ -42,11 +42,12 @@ class LastCut:
     another node's mask may be on its way.
     """
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # mutants accepted (Step): a nanosecond
         self._questions = BoardQuestions()
         self._due_ns = 0
         self.confirmed = False
 
+    # mutants accepted (GtE_Gt, Step): equal times; any number but 0
     def next_frames(self, now_ns: int) -> list[CanFrame]:
         """Return the frames to send now: the mask, a question whose answer proves its arrival, questions in turn."""
         frames: list[CanFrame] = []
@@ -138,7 +139,7 @@ def not_confirmed(why: str) -> str:
     return f"the servos' supply is NOT confirmed to be off ({why}): switch the power off by hand"
 
 
-def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:
+def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:  # mutants accepted (Lt_LtE): equal times
     """Send masks until they are confirmed, or the time is over. Return whether they are confirmed."""
     bus._is_shutdown = True  # else, as this process ends, python-can closes a channel that a gateway may use
     cut = LastCut()

@@ -31,7 +31,7 @@ FORGOTTEN_NS: Final = 2000 * NS_PER_MS
 class BoardQuestions:
     """One question every 10 ms, and one after each mask that needs a confirmation."""
 
-    def __init__(self) -> None:
+    def __init__(self) -> None:  # mutants accepted (Step): a nanosecond; a round begins elsewhere
         self.due_ns = 0
         self.reached = 0
         """The number of the newest mask that has certainly reached the board."""
@@ -59,7 +59,7 @@ class BoardQuestions:
         """Record that this question was not sent."""
         self._asked.pop(question, None)
 
-    def next(self, newest: int, now_ns: int) -> list[CanFrame]:
+    def next(self, newest: int, now_ns: int) -> list[CanFrame]:  # mutants accepted (Add_Sub): each is asked as often
         """Return the question in turn, and count it as sent: six about currents, then one about rails or errors.
 
         `newest` is the number of the newest mask.
@@ -73,6 +73,7 @@ class BoardQuestions:
             return rail
         return [ASK_CURRENTS[self._turn % len(ASK_CURRENTS)]]
 
+    # mutants accepted (Add_Sub): each is asked as often
     def due_after(self, newest: int, now_ns: int) -> list[CanFrame]:
         """Return a question whose answer proves that mask number `newest` has reached the board, if one is free."""
         if self._unanswered > LIKELY_SILENT:
@@ -102,6 +103,7 @@ class BoardQuestions:
         number, newest_ns = self._foreign.get(question, (0, 0))
         return number if now_ns - newest_ns < FORGOTTEN_NS else 0
 
+    # mutants accepted (Step): less than what has reached the board
     def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
         """Take an answer to this question about rails."""
         others, ours = self._foreign_unanswered(question, now_ns), question in self._asked

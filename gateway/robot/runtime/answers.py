@@ -47,6 +47,7 @@ class PendingCommands:
                 else:
                     request.reply(ack.model_dump_json().encode())
 
+    # mutants accepted (Forget): no caller asks where nobody waits
     def stopped(self, servo_ids: Collection[int], request: Request, ack: Ack) -> None:
         """Answer a request that has stopped these servos. With a power board, wait for its confirmation."""
         reply = request.reply

@@ -38,6 +38,7 @@ class Calibrations(RequestAnswers):
     ack = Ack
     pause_s = PAUSE_S
 
+    # mutants accepted (Forget): it is written anew
     def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
         """`keep` writes a calibration to the disk. None: changes last until the process ends."""
         super().__init__(conductor)
@@ -46,7 +47,7 @@ class Calibrations(RequestAnswers):
         self._written = b""
         self._written_of: RobotCalibration | None = None
 
-    def announce_start(self) -> None:
+    def announce_start(self) -> None:  # mutants accepted (Is_IsNot): a line in the log
         """Publish the calibration at the start. Log if it is kept in memory only."""
         if self._keep is None:
             logger.info("the calibration is kept in memory only, until this process ends (state.path)")
@@ -57,7 +58,7 @@ class Calibrations(RequestAnswers):
         self._conductor.recorder.calibration(self._in_force)
         self._conductor.events.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
 
-    def answer(self, reply: Reply) -> None:
+    def answer(self, reply: Reply) -> None:  # mutants accepted (Forget): it is written anew
         """Answer a `get` with the calibration in force."""
         if self._written_of is not self._in_force:  # cached, since clients may ask at any rate
             self._written_of = self._in_force

@@ -155,7 +155,7 @@ class Conductor:
         self._arm()
         return stop_frames >= len(LEGS) and not self._in_fault
 
-    def close(self) -> None:
+    def close(self) -> None:  # mutants accepted (LeaveOut): after the end a tick does nothing
         """Release the bus and the timers. A receiver thread that becomes owner afterwards does nothing."""
         self._closed = True
         for timer in (self._timer, self._reopen_timer, self._preamble):
@@ -172,7 +172,7 @@ class Conductor:
         """Whether the conductor is closed and writes nothing more."""
         return self._closed
 
-    def tick(self) -> None:
+    def tick(self) -> None:  # mutants accepted (FalseWithTrue, TrueWithFalse): a look too many finds nothing
         """Take the received messages and do what is due.
 
         A tick is an instant or a part of one: the order of an instant's messages is unknown.
@@ -228,7 +228,7 @@ class Conductor:
         judge = self._staleness
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
-    def look_outside(self) -> None:
+    def look_outside(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
         """Check for `stop-servos` on the same device, changed settings, and stopped servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self._clock()):
             self.power_changed()
@@ -377,6 +377,7 @@ class Conductor:
 
     # ---- the bus
 
+    # mutants accepted (AndWithOr, Step): one effect; a time that is over
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.release()
         kind = _KINDS.get(type(fault), Kind.BUS_FAULT)
@@ -397,7 +398,7 @@ class Conductor:
         if not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
             self._bus_failed(SpiError(found))
 
-    def bus_failed(self, fault: SpiError) -> None:
+    def bus_failed(self, fault: SpiError) -> None:  # mutants accepted (Forget): the timer finds nothing due
         """Handle a bus fault that was found outside a step."""
         if self._closed:
             return
@@ -405,7 +406,7 @@ class Conductor:
         self.reports.publish_mode()
         self._arm()
 
-    def _reopen(self) -> None:
+    def _reopen(self) -> None:  # mutants accepted (Forget): a line in the log
         try:
             self.bus.open()
         except SpiError as error:
@@ -421,7 +422,7 @@ class Conductor:
 
     # ---- time
 
-    def _arm(self) -> None:
+    def _arm(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
         """Set the timer to the supervisor's next deadline."""
         due_ns = self.supervisor.due_ns
         if self._preamble is not None:

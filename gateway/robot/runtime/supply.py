@@ -50,7 +50,7 @@ _ALL: Final = frozenset(SERVO_IDS)
 _NONE: Final = frozenset[int]()
 
 
-class BoardLine(Protocol):
+class BoardLine(Protocol):  # mutants accepted (RemoveDecorator): for mypy alone
     """The part of `robot.power.line` that is used here. Any thread may call `cut`; only `close` waits."""
 
     @property
@@ -68,6 +68,7 @@ class BoardLine(Protocol):
 class RobotSupply:
     """The servos' supply."""
 
+    # mutants accepted (FalseWithTrue, Step): the board's next news sets it; any numbers
     def __init__(
         self, line: BoardLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
     ) -> None:
@@ -214,7 +215,7 @@ class RobotSupply:
             return
         self.confirmations.wait(servos, asked_ns, then)
 
-    def report(self, now_ns: int) -> PowerReport:
+    def report(self, now_ns: int) -> PowerReport:  # mutants accepted (Step): a nanosecond
         """Return the power board's part of the state."""
         status = self.status
         return PowerReport(

@@ -23,7 +23,7 @@ NOTHING: Final = frozenset({0})
 ANYTHING: Final = frozenset(range(ONE_LEG_LEN + 1))
 """An earlier program may have left the controller after an announcement and any part of a preamble's zeros."""
 
-_MOST_TRANSFERS: Final = 6
+_MOST_TRANSFERS: Final = 6  # mutants accepted (Step): seven are as many as six
 """The longest resynchronisation that is searched: three Stops. Of more, one would fail and add possibilities, as a
 zero that fails does not."""
 
@@ -57,6 +57,7 @@ def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
     return frozenset(possible)
 
 
+# mutants accepted (Forget, LeaveOut, RemoveDecorator, Scale, Step): two ways of one length; only time is lost
 @lru_cache(maxsize=4096)
 def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
     """Return which of these Stops or a zero to write next, to resynchronise the controller with the fewest transfers.

@@ -83,6 +83,7 @@ STALLED_NS: Final = 900_000_000
 class Bus(Wire):
     """Opens and closes the device, and writes batches of frames. Blocks for the time of a call."""
 
+    # mutants accepted (FalseWithTrue, Step): set before it is read; a nanosecond
     def __init__(
         self,
         settings: SpiSettings,
@@ -158,6 +159,7 @@ class Bus(Wire):
         self._stops_at_once = max(1, self._most // self._size)
         self._moves_at_once = max(1, min(self._stops_at_once, most_moves))
 
+    # mutants accepted (Step): all stop, or none; nobody gives 1
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
         """Write frames that all stop, or that all move. `preamble` marks Stops of a repeated run. Return what was sent.
 
@@ -243,6 +245,7 @@ class Bus(Wire):
 
     # ---- what precedes a batch, and how it is split
 
+    # mutants accepted (Step): nobody gives 1
     def _zeros_ahead(self, now_ns: int, *, stops: bool, preamble: bool) -> int:
         """Return how many zeros have to precede the frames."""
         wanted = preamble or self._suspect or self._awaited is not NOTHING
@@ -256,6 +259,7 @@ class Bus(Wire):
 
     # ---- one call
 
+    # mutants accepted (LtE_Lt, Lt_LtE, Step, Sub_Add): equal times; longer than a stall either way
     def _call(self, report: BatchReport, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
         """Write zeros, then these frames, in one call. `first` is the first frame's place. Raises SpiError."""
         if self._guard is None:
@@ -335,6 +339,7 @@ class Bus(Wire):
             awaited = lost(self._awaited, [data for data, _ in batch])
             self._awaited = NOTHING if awaited == NOTHING else awaited
 
+    # mutants accepted (BreakWithContinue): the rest of the tries writes nothing
     def _insist(self, frames: Sequence[Frame], report: BatchReport) -> None:
         """Write each Stop in its own call until the controller has received it, or INSIST_NS are over.
 

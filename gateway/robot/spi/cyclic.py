@@ -33,6 +33,7 @@ MESSAGE_NS: Final = len(SHUTDOWN) * _UART_BITS * NS_PER_S // UART_BAUD
 class CyclicBus(Wire):
     """Sends the frames of steps. For the owner of the state, except `exchange`: for the cycle's thread, without it."""
 
+    # mutants accepted (Forget, Step): opening sets it; the service states all
     def __init__(
         self,
         open_device: Callable[[], DuplexDevice] | None,
@@ -97,6 +98,7 @@ class CyclicBus(Wire):
         if self._abandoned:
             raise SpiError("the transfer that was under way has not ended")
 
+    # mutants accepted (FalseWithTrue, Step): all stop, or none; no preamble is needed
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:  # noqa: ARG002
         """Send a Stop over the UART, or take targets for the next frame. Return what was sent."""
         report, begun_ns = BatchReport(), self._clock()

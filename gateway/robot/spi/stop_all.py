@@ -23,6 +23,7 @@ MORE_ROUNDS: Final = 10
 as a device that returns, and do not make systemd wait long."""
 
 
+# mutants accepted (BreakWithContinue, Step): the first round sets it; the rest does nothing
 def stop_servos(
     wire: WireSettings,
     spi: SpiSettings,

@@ -57,14 +57,14 @@ class ReplySender(Worker):
         self.do(query.drop)
 
 
-OTHER_DEPTH: Final = 16
+OTHER_DEPTH: Final = 16  # mutants accepted (Step): none is the only right one
 """Messages for unknown keys that wait; each is rejected on its own, so more are of no use."""
-READER_DEPTH: Final = 32
+READER_DEPTH: Final = 32  # mutants accepted (Step): none is the only right one
 """Queries on another key that wait to be read. A query that is pushed out gets no answer, and its sender notices."""
-LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
+LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)  # mutants accepted (LeaveOut): none is the only right one
 """Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
 after the other, and its thread may be interrupted in between."""
-LOOK_AFTER_FLOOD: Final = 2
+LOOK_AFTER_FLOOD: Final = 2  # mutants accepted (Step): none is the only right one
 """The first of these delays after lost wakeups: longer than a flood's next tick, which polls anyway."""
 _EARLY_S: Final = sum(LOOK_AGAIN_S)
 """How long a wakeup is expected after its message was taken."""
@@ -85,6 +85,7 @@ logger = logging.getLogger(__name__)
 class Inbox:
     """Receives all messages. An owner of the state calls `take`, and makes its callbacks."""
 
+    # mutants accepted (FalseWithTrue, Forget, Step): set before it is read; any number of equal Stops
     def __init__(
         self,
         session: zenoh.Session,
@@ -255,6 +256,7 @@ class Inbox:
 
     # ---- as owner of the state
 
+    # mutants accepted (Forget): freed a moment later
     def _on_wakeup(self, item: _Item, received_ns: int) -> float | None:
         self._note(item, received_ns)
         del item
@@ -292,7 +294,7 @@ class Inbox:
             # A client may wait for the ends of all its queries, so an emergency stop's end does not queue with others.
             (self._estop_replies if key == ESTOP else self._replies).let_go(item)
 
-    def _compare(self, taken: dict[str, int]) -> None:
+    def _compare(self, taken: dict[str, int]) -> None:  # mutants accepted (Gt_GtE): equal times
         """Poll again if there were more wakeups than messages: a message has not reached its ring yet.
 
         Wakeups are counted for each key, since another message of the key may have been taken instead.
@@ -318,7 +320,7 @@ class Inbox:
             if missed_more:
                 self._look_later(0)
 
-    def _look_later(self, attempt: int) -> None:
+    def _look_later(self, attempt: int) -> None:  # mutants accepted (Forget): only time is lost
         self._look_again.cancel()
         if self._missed or self._lost_some:
             self._attempt = attempt

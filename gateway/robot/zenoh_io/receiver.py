@@ -28,6 +28,7 @@ in between."""
 class ReceiverThread:
     """A thread that takes a ring's items one by one: receive, `note`, then handle as owner of the state."""
 
+    # mutants accepted (Forget, Step): the first look sets it
     def __init__(
         self,
         name: str,

@@ -34,7 +34,7 @@ MAX_PUT_DEPTH: Final = 1024
 """Puts of a key that are kept at most, as for 1000 Hz and a watchdog of 0.25 s; by default 58 are. More would take
 time: in a flood of 600 000 messages a second, 16 reads of a ring took 0.02 ms (p99 0.07), 64 took 0.06 ms (p99 0.4).
 And memory: while the loop is delayed, a message may keep the 64 KiB in which Zenoh received it."""
-PASSES: Final = 4
+PASSES: Final = 4  # mutants accepted (Step): none is the only right one
 """Reads of the rings for one instant, at most. Without a flood the second pass finds nothing."""
 
 Item = TypeVar("Item")
@@ -101,6 +101,7 @@ class Rings(Generic[Item, Message]):
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
 
+    # mutants accepted (BreakWithContinue, Step): what is left changes nothing
     def read(self, keys: Collection[str] = ()) -> list[tuple[str, Message | None]]:
         """Return the keys and messages in the rings of `keys` (default: all) and of the rings read again with them.
 
