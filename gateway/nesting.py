@@ -15,7 +15,7 @@ MOST_LEVELS: Final = 100
 MOST_BYTES: Final = 1_000_000
 """Far more than any Zenoh file needs: one with rules for a hundred robots had some 200 000."""
 MOST_DOTS: Final = 1000
-"""In a line of TOML; a key with so many parts takes 50 ms."""
+"""Most parts of a key in TOML; such a key takes 50 ms."""
 
 _APART: Final = re.compile(
     rb'"(?:[^"\\]|\\.?)*+(?:"|\Z)'  # text and comments, perhaps without an end: brackets in them do not count

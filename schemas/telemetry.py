@@ -310,7 +310,7 @@ class WatchdogReport(WatchdogCounts, WatchdogConfig):
 class LeaseReport(Report):
     """The lease. During a hand-over `holder` is who may acquire it, and `held_s` is null."""
 
-    holder: Annotated[str | None, Field(description="who drives; while the lease is handed over, to whom")] = None
+    holder: Annotated[str | None, Field(description="who drives; during a handover, the next driver")] = None
     verified: Annotated[bool, Field(description="whether a certificate proved that name")] = False
     held_s: Annotated[float | None, Field(description="since acquired; null: free, or handed over")] = None
     expires_in_ms: Annotated[float | None, Field(description="until it is free, unless renewed")] = None

@@ -71,7 +71,7 @@ _MARK = b"// `setup` renews the access rules of an unedited file. SHA-256 of the
 _LAPTOP = """\
 // @NAME@ as @ROLE@, made by `hexapod-gateway certs issue`.
 //   hexapod-gateway status --zenoh-config @FILE@
-// Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key beside it.
+// Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key there.
 {
   mode: "client",
   connect: { endpoints: @ENDPOINTS@, retry: { period_init_ms: 100, period_max_ms: 500, period_increase_factor: 1.5 } },

@@ -53,7 +53,7 @@ def check(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs; not with --move.")] = False,
 ) -> None:
-    """Show what this machine lacks to run the service, line by line, with the command that fixes it.
+    """Show what is missing on this machine to run the service, line by line, with the command that fixes it.
 
     With --zenoh-config or --connect it shows whether this laptop reaches the gateway, and what it may do there. If a
     simulated gateway runs here (`make run`), it checks that gateway, unless --config names a file.

@@ -1,4 +1,4 @@
-"""`hexapod-gateway check`: print what this machine lacks to run the service, and the command that fixes it.
+"""`hexapod-gateway check`: print what is missing on this machine to run the service, and the command that fixes it.
 
 It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. It only queries a power board.
 """

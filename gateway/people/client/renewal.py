@@ -104,7 +104,7 @@ class Renewal:
 
 
 class Waiting:
-    """Waits for a lease that somebody else holds: whom to ask, and when to try again."""
+    """Wait for a lease that another client holds: which holder to ask, and when to try again."""
 
     def __init__(self, end_s: float) -> None:
         self._end_s = end_s

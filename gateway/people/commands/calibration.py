@@ -24,7 +24,7 @@ from schemas.telemetry import Ack, CalibrationReport, GatewayState, Reason
 WAIT_S: Final = 60.0
 """How long to wait for the driver to hand over, or to end."""
 _MOST_BYTES: Final = 64 * 1024
-"""Of a file that is imported; a whole calibration takes 2 kB."""
+"""Limit of an imported file; a whole calibration takes 2 kB."""
 _HEAD: Final = "servo      trim  direction     lowest   highest    landing"
 
 
@@ -46,7 +46,7 @@ def set_servo(connect: Connection, servo_id: int, wanted: Mapping[str, float | b
         raise ConfigError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
     named = {name: value for name, value in wanted.items() if value is not None}
     if not named:
-        raise ConfigError("nothing is named that changes: --trim, --inverted, --as-drawn, --min or --max")
+        raise ConfigError("name what to change: --trim, --inverted, --as-drawn, --min or --max")
     try:
         change = wire.ServoChange.model_validate(named)
     except ValidationError as error:
@@ -70,7 +70,7 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
         wanted = calibration_of(found)
     except ValueError as error:  # pydantic's, and CalibrationError
         why = _faults(error) if isinstance(error, ValidationError) else error
-        raise ConfigError(f"{file} is no calibration, as `calibrate export` prints one: {why}") from error
+        raise ConfigError(f"{file} is not a calibration as `calibrate export` prints it: {why}") from error
     with connect() as client:
         state, now = client.state(), calibration_of(client.calibration())
         changed = sorted(changed_servos(now, wanted))
@@ -94,7 +94,7 @@ def _read(file: Path) -> str:
         with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
             text = stream.read(_MOST_BYTES + 1)
         if len(text) > _MOST_BYTES:
-            raise ConfigError(f"{file} is larger than {_MOST_BYTES} bytes, and so no calibration")
+            raise ConfigError(f"{file} is larger than {_MOST_BYTES} bytes: it is no calibration")
         return text.decode()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{file} cannot be read: {error}") from error
@@ -106,7 +106,7 @@ def change_of(servo: ServoMapping) -> wire.ServoChange:
 
 
 def _faults(error: ValidationError) -> str:
-    """Where and what, without the input, which may be somebody else's file."""
+    """Place and fault of each, without the input: that may be a private file."""
     faults = error.errors(include_url=False, include_context=False, include_input=False)
     return "; ".join(": ".join((*map(str, each["loc"]), each["msg"])) for each in faults)
 
@@ -124,15 +124,15 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
         state, calibration = client.state(), calibration_of(client.calibration())
         if state.calibration.fault is not None:
             say(
-                f"the robot's calibration is not to be trusted, and nothing is started: {state.calibration.fault}. "
-                "Put a good file in its place and restart the service, or go on without any trim: "
+                f"the robot's calibration cannot be used, so no servo starts: {state.calibration.fault}. "
+                "Restore a good file and restart the service, or continue without any trim: "
                 f"{command('calibrate accept-default')}"
             )
             return 1
         stand = standing(state, legs)
         if not stand:
             which = f"leg {', '.join(map(str, legs))}" if legs else "the robot"
-            say(f"no servo of {which} runs, so nobody knows where it stands: make it stand, and call this meanwhile")
+            say(f"no servo of {which} runs, so its pose is unknown: make it stand, and repeat this command meanwhile")
             return 1
         say("servo  lands now at     stands at")
         for servo_id, angle_deg in stand.items():
@@ -145,7 +145,7 @@ def landing(connect: Connection, legs: Sequence[int], *, agreed: bool) -> int:
         payload = calibration_payload(landing=stand, revision=calibration.revision)
         code = _change(client, "the landing pose is written", state, payload)
     if code == 0 and not state.watchdog.landing_ms:
-        hint("The robot lands only once watchdog.landing_ms is set in the gateway's settings; it is 0.")
+        hint("The robot does not land yet: watchdog.landing_ms is 0 in the gateway's settings.")
     return code
 
 
@@ -159,10 +159,10 @@ def accept_default(connect: Connection, *, agreed: bool) -> int:
             return 0
         say(fault)
         hint(
-            "The default has no trim, turns no servo round and has the full range: on a robot that is built otherwise, "
-            "servos go where nobody wants them. The file is replaced by it."
+            "The default has no trim, no inverted servo and the full range. On a robot that is built differently, "
+            "servos then go to wrong angles. The default replaces the file."
         )
-        if not agreed and not _agree("Is every servo of this robot as drawn, or do you calibrate it anew?"):
+        if not agreed and not _agree("Is every servo of this robot as drawn, or will you calibrate it again?"):
             return 1
         payload = calibration_payload(accept_default=True)
         return _change(client, "the default calibration is in force", state, payload)
@@ -179,8 +179,8 @@ def once_kept(client: Client, change: Callable[[], Ack]) -> Ack:
     except UnansweredError as error:
         client.state()  # raises if nobody answers
         raise NotKeptYetError(
-            "the gateway runs, and its disk has not taken the change yet: look in some seconds whether it is in force "
-            f"({command('calibrate show')}); if the disk hangs, trying again reports this"
+            "the gateway runs, but its disk has not written the change yet. See in a few seconds if it is in force "
+            f"({command('calibrate show')}). If the disk hangs, a second try reports that"
         ) from error
 
 
@@ -198,9 +198,10 @@ def standing(state: GatewayState, legs: Sequence[int] = ()) -> dict[int, float]:
 
 
 def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str, Any]) -> int:
-    """Change the calibration, at once if nobody else drives, else once the lease is free.
+    """Change the calibration, at once if nobody else drives, otherwise when the lease is free.
 
-    First without a lease: acquiring one would stop legs that somebody drives without one, and the robot would fall.
+    It first tries without a lease: to acquire one would stop legs that somebody drives without it. The robot would
+    fall.
     """
     try:
         ack = once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
@@ -212,7 +213,7 @@ def _change(client: Client, done: str, state: GatewayState, payload: Mapping[str
         return reach.rejected(ack)
     say(f"{done}: revision {client.calibration().revision}")
     if not state.calibration.kept:
-        hint("The calibration is lost at the next boot: it is in memory only (state.path), or on a file system that")
+        hint("The calibration is lost at the next boot: it is only in memory (state.path), or on a file system that")
         hint("a boot empties (docs/robot.md).")
     return 0
 
@@ -221,8 +222,8 @@ def _when_free(client: Client, payload: Mapping[str, Any]) -> Ack:
     """Change it once the driver has handed over or ended. Raises LeaseError after WAIT_S."""
     holder = client.state().lease.holder
     if holder is not None:
-        hint(f"{holder} drives, and is asked for the lease: it is written as soon as that is free, and the")
-        hint(f"servos need not run any more then. Waiting for up to {WAIT_S:g} s.")
+        hint(f"{holder} drives, and is asked for the lease. The change is written when the lease is free; the")
+        hint(f"servos may be stopped by then. Waiting for up to {WAIT_S:g} s.")
     with client.lease(wait_s=WAIT_S, source=reach.me()):
         return once_kept(client, lambda: client.ask(keys.CALIBRATION_CMD, payload))
 

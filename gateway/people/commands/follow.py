@@ -57,7 +57,7 @@ class StatusChanges:
         self._received_ns: int | None = None
         self._silent = False
         self._said: set[str] = set()
-        """The lines that were printed in the present silence."""
+        """Sentences that were printed since the gateway fell silent."""
 
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
         """Yield a line for each sentence that differs from the state before."""
@@ -81,11 +81,11 @@ class StatusChanges:
         yield from self._changed({"alarm": self._alarm.sentence}, wall)
 
     def received_token(self, alive: bool, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        """The gateway's liveliness token came, or went with its process or its link."""
+        """Take an appearance (`alive`) or a loss of the gateway's liveliness token."""
         yield from self._received(now_ns, wall) if alive else self._is_silent(wall)
 
     def look(self, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        """Notice silence; call it several times a second."""
+        """Yield a line if the gateway has fallen silent. Call several times a second."""
         if self._received_ns is not None and now_ns - self._received_ns > SILENT_AFTER_NS:
             yield from self._is_silent(wall)
 
@@ -135,7 +135,7 @@ class _Follower(Receiver):
         self.changes = StatusChanges()
 
     def say(self, lines: Iterator[NewsLine]) -> None:
-        """Show them in one piece, in the order in which they came."""
+        """Show these lines together, in order."""
         with self._lock:
             for line in lines:
                 self._show(line)

@@ -1,4 +1,4 @@
-"""Moving one servo by a few degrees, with consent: what `check --move` and `check --stops` have in common.
+"""Move one servo by a few degrees, with consent: for `check --move` and `check --stops`.
 
 People stand next to the robot. Nothing moves unless the robot is at rest, nobody else drives, and a person agrees to
 the servo and its angles. After each end, also by an error, a sentence reports whether all is stopped.
@@ -88,7 +88,7 @@ def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
     """Announce the motion. Returns whether a person agrees, now or beforehand (`agreed`)."""
     if motion.holding:
         hint(
-            "This robot starts and stops as a whole: all 18 servos will go at once to where it lies, wherever they "
+            "This robot starts and stops as a whole: all 18 servos will go at once to its lying pose, wherever they "
             "stand, and hold. Lay it flat on the ground, or hang it up."
         )
     others = ", with all others" if motion.holding else ""
@@ -98,7 +98,7 @@ def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
         "power at hand."
     )
     if state.watchdog.landing_ms:
-        hint(f"Whenever it falls silent, it goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
+        hint(f"If commands stop, the servo goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
     return agreed or ask("Type yes to move it: ") == "yes"
 
 

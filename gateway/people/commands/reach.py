@@ -1,7 +1,6 @@
-"""Reaching the gateway from a command: the step that fails if nobody answers, whether the robot is at rest, and the
-lease of commands that drive.
+"""How commands reach the gateway: the failing step if nobody answers, whether the robot is at rest, and the lease.
 
-A program's own `Client` raises at once without an answer. A command ends then, so it has time to find the cause.
+Without an answer a program's `Client` raises at once. A command then ends, so it has time to find the cause.
 """
 
 import getpass
@@ -97,7 +96,7 @@ def drives(client: Client, hold_s: float, *, moves: bool) -> Iterator[None]:
         if error.reason == Reason.LEASE_HELD:
             raise
         if error.reason == Reason.LEASE_DENIED:  # an older gateway does not know the request
-            hint(f"It is sent without the lease: {error.detail}")
+            hint(f"The command is sent without the lease: {error.detail}")
     try:
         yield
     finally:
@@ -109,9 +108,9 @@ def rejected(error: LeaseError | Ack) -> int:
     say(f"rejected: {error.reason}: {error.detail}")
     if error.reason in (Reason.NOT_HOLDER, Reason.LEASE_HELD):
         hint(
-            f"Wait until it is free (`{command('status --follow')}`), or ask for it or take it on the console's "
-            "page. Stops work for everybody."
+            f"Wait until the lease is free (`{command('status --follow')}`), or request or take it in the console. "
+            "Everybody may stop the robot."
         )
     elif error.reason == Reason.NO_LEASE:
-        hint(f"This robot wants to know who drives: `{command('send … --hold S')}` holds the lease meanwhile.")
+        hint(f"This robot obeys only the holder of the lease: `{command('send … --hold S')}` acquires it.")
     return 1

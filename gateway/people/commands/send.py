@@ -27,7 +27,7 @@ _OTHERS_S = 0.2
 """How long a command waits for programs that have neither replied nor declined."""
 
 _MOST_PERSON: Final = 40
-"""Of the 64 characters that a source may have."""
+"""Most characters of the person's name; a source may have 64."""
 
 
 def connection(
@@ -116,7 +116,7 @@ def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bo
         timeout = f"{watchdog.timeout_ms:g} ms"
         lands = f", once the robot has landed in {watchdog.landing_ms:g} ms" if watchdog.landing_ms else ""
         hint(
-            f"Held for {hold_s:g} s; nothing more is sent now, and the watchdog stops it after {timeout}{lands}."
+            f"Held for {hold_s:g} s. The watchdog stops it after {timeout}{lands}."
             if hold_s
             else f"The watchdog stops it {timeout} after a command{lands}; --hold S repeats it for S seconds."
         )
@@ -124,7 +124,7 @@ def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bo
 
 
 def _set_instead_of_start(payload: Any) -> Any:
-    """What keeps running what a command started: a start, sent again, would undo somebody else's Stop."""
+    """The payload with sets for its starts: a repeated start would undo somebody else's Stop."""
     if isinstance(payload, list):
         return [_set_instead_of_start(each) for each in payload]
     if isinstance(payload, dict):
@@ -170,7 +170,7 @@ def _alarm(ack: Ack, look: Callable[[], GatewayState]) -> str:
 
 
 def reset(connect: Connection) -> int:
-    """Leave the latest emergency stop. Returns the exit code."""
+    """End the latest emergency stop. Returns the exit code."""
     with connect() as client:
         ack = client.ask(keys.RESET, {"estop": client.state().estop})
         code = command_report(ack, "reset; nothing moves until it is started again", client.state)

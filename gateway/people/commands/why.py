@@ -1,4 +1,4 @@
-"""Finds why the gateway is not reached or does not answer, after a command has failed and for `check`."""
+"""Find why the gateway is not reached or does not answer, after a failed command and for `check`."""
 
 import time
 from pathlib import Path
@@ -27,7 +27,7 @@ def unreached(connect: str | None, zenoh_config: Path | None) -> list[str]:
     """Return why each endpoint is not reached, a line each, after 1 s at most."""
     try:
         return diagnosis.why(client_config(connect, zenoh_config), _DIAGNOSIS_S)
-    except ConfigError as error:  # the certificate has expired meanwhile
+    except ConfigError as error:  # such as an expired certificate
         return str(error).splitlines()
 
 
@@ -85,11 +85,11 @@ def _nobody(role: str, *, ended: bool) -> Finding:
             "the connection was open, and the robot ended it: your certificate is revoked, or its places are taken"
         )
         fix = (
-            "where ca.key is, hexapod-gateway certs list --dir DIR shows whether it is revoked, and "
-            "hexapod-gateway certs issue NAME --role operator --dir DIR makes another; bring its files here"
+            "where ca.key is, hexapod-gateway certs list --dir DIR shows whether it is revoked; "
+            "hexapod-gateway certs issue NAME --role operator --dir DIR makes another. Copy its files here"
         )
         return Finding(Stage.ROLE, sentence, fix)
-    fix = "does it run behind this router, and with this namespace? See its journal (journalctl -u hexapod-gateway)"
+    fix = "does it run behind this router, and with this namespace? Its journal: journalctl -u hexapod-gateway"
     return Finding(Stage.GATEWAY, "the connection is open, but no gateway answers there", fix)
 
 

@@ -1,8 +1,8 @@
-"""Reads a ring that may be written to meanwhile, cut off, damaged or made by somebody else: it trusts nothing.
+"""Reads a ring that may be in use, cut off, damaged or foreign: it trusts nothing.
 
-It holds a copy of the file, never more than `header.file_bytes(MAX_SLOTS)`: a mapping would end the reader with
-SIGBUS where somebody makes the file shorter. Besides, it holds some 26 bytes for each record: all of them as objects
-would take eight times the file's size, beside a gateway that runs (docs/recordings.md).
+It holds a copy of the file, never more than `header.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the
+file would end the reader with SIGBUS. It also holds about 26 bytes for each record. All records as objects would take
+eight times the file's size, on the computer of a running gateway (docs/recordings.md).
 """
 
 import json
@@ -150,7 +150,7 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
 
 
 def _copies(path: Path) -> Iterator["_Slots"]:
-    """The copies beside a ring, oldest first, without those that are cut off or somebody else's."""
+    """The copies in a ring's folder, oldest first, without those that are cut off or another user's."""
     try:
         found = copies_of(path.resolve())
     except OSError:

@@ -30,7 +30,7 @@ MARGIN_S: Final = 0.25
 LONGEST_SIT_S: Final = 30.0
 STARTS_WHOLE: Final = "this robot starts as a whole: what starts it has to name all 18 joints"
 REPLACED: Final = "a newer trajectory has replaced it"
-DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, has it stand up"
+DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, makes it stand up"
 
 
 class Motion(Protocol):

@@ -13,9 +13,9 @@ JOINT_STATES_HZ: Final = (1.0, 50.0)
 DIAGNOSTICS_HZ: Final = (0.1, 10.0)
 _FRAME: Final = re.compile(r"[A-Za-z_][\w./-]{0,63}", re.ASCII)
 DESCRIPTIONS: Final = {
-    "joint_states_hz": "at most so many joint states a second, 1 to 50",
-    "diagnostics_hz": "at least so many diagnostics a second, 0.1 to 10",
-    "base_frame": "the body's frame: of the URDF, of /tf, and of what the robot measures",
+    "joint_states_hz": "most joint states a second, 1 to 50",
+    "diagnostics_hz": "fewest diagnostics a second, 0.1 to 10",
+    "base_frame": "the body's frame in the URDF, /tf and measurements",
     "imu_frame": "the frame of imu/data; empty: that of the body",
     "uncommanded_deg": "where joint_states has servos that were never commanded, 0 to 180; NaN: they are left out",
 }

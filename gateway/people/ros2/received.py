@@ -1,7 +1,7 @@
-"""What is received from ROS 2's graph: by whom, whether its sender is still there, and which of several is followed.
+"""What is received from ROS 2: the sender, whether it still exists, and which of several senders is followed.
 
-Two nodes that both send, a joystick's and a planner's, would have the robot do what neither wants: half of each. So the
-first is followed until it is silent. Priorities between them are twist_mux's, in front of the bridge.
+If a joystick's and a planner's node both send, the robot would do half of each. So the first is followed until it is
+silent. For priorities between them, put twist_mux in front of the bridge.
 """
 
 import logging
@@ -15,7 +15,7 @@ _log: Final = logging.getLogger(__name__)
 
 
 class Arrived(NamedTuple):
-    """When and by whom a message was sent."""
+    """Sender and time of a message."""
 
     sender: bytes
     """The publisher's GID, 16 bytes; empty if ROS 2 does not report it."""

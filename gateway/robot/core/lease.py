@@ -202,4 +202,4 @@ def _announced(kind: Kind, detail: str, source: str | None, token: str | None = 
     return [Announce(kind, detail, source, keys.LEASE)], RequestAnswer(token=token)
 
 
-_ENDED: Final = "this is not the token of the lease as it is now"
+_ENDED: Final = "this is not the token of the current lease"

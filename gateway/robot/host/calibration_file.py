@@ -80,7 +80,7 @@ def load(path: Path) -> tuple[RobotCalibration, str | None]:
             return replace(found, revision=max(found.revision, newest)), None
         if not earlier:
             return RobotCalibration(), None
-        fault = f"{path}: is missing, and {earlier[0].name} stands beside it"
+        fault = f"{path}: is missing, but {earlier[0].name} is in its folder"
     return RobotCalibration(1 + _number(path, earlier[0]) if earlier else 0), fault
 
 

@@ -57,9 +57,9 @@ class Slcan(slcanBus):
             poll.register(fd, select.POLLOUT)
             written = os.write(fd, line) if poll.poll(timeout and timeout * 1000) else 0
         except OSError as error:
-            raise CanOperationError(f"the adapter takes nothing: {error.strerror or error}") from error
+            raise CanOperationError(f"the adapter accepts nothing: {error.strerror or error}") from error
         if written != len(line):
-            raise CanOperationError(f"the adapter takes nothing: {written} of {len(line)} bytes were written")
+            raise CanOperationError(f"the adapter accepts nothing: {written} of {len(line)} bytes were written")
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         if not self._frames and (polled := self._readable.poll(timeout and timeout * 1000)):

@@ -70,7 +70,9 @@ class Numbers(Collector):
         yield _counter(
             "log_lines_dropped", "Lines of the log that were not written, since nobody read it", logs.dropped()
         )
-        holder = InfoMetricFamily(f"{_PREFIX}_lease", "Who holds the lease, or to whom it is handed over")
+        holder = InfoMetricFamily(
+            f"{_PREFIX}_lease", "The holder of the lease, or the client that it is handed over to"
+        )
         name = lease.holder  # read once: this thread does not own the state
         if name is not None:
             holder.add_metric([], {"holder": name, "verified": str(lease.verified).lower()})

@@ -82,7 +82,7 @@ class Revocations(RequestAnswers):
             reply(self.accepted(number=known.number, revoked=known.pem.decode()))
 
     def change(self, found: "RevocationList", reply: Reply) -> None:
-        """Write the list if it is newer, then restart; reject an older one. The list in force is accepted as it is."""
+        """Write the list if it is newer, then restart; reject an older one. The list in force is accepted again."""
         kept = self._kept
         known = None if kept is None else kept.known
         if known is not None and found.pem == known.pem:

@@ -332,7 +332,7 @@ def test_an_adapter_that_reads_nothing_is_an_error_and_hangs_nobody(adapter: Ada
         for _ in range(10_000):
             bus.send(message, timeout=0.01)
 
-    with pytest.raises(can.CanOperationError, match="takes nothing"):
+    with pytest.raises(can.CanOperationError, match="accepts nothing"):
         fill()
     adapter.go_on()
     bus.shutdown()

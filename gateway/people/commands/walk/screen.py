@@ -45,7 +45,7 @@ SMALL_ROWS: Final = 4
 """In a terminal with fewer rows, a Stop that is not confirmed replaces everything else."""
 STOP_KEYS: Final = frozenset(" eExX")
 _READ: Final = 4096
-"""All that a terminal keeps: keys that were pressed while this program could not run count as one reading."""
+"""The size of a terminal's buffer: keys pressed while this program could not run are one reading."""
 PRESSED_S: Final = 0.7
 """How long a key counts when it is pressed: until the terminal repeats it, which takes up to 0.66 s (X11's default)."""
 REPEATED_S: Final = 0.2
@@ -157,13 +157,13 @@ class WalkScreen:
         """Whether `_stop` knows of the newest press."""
         self._ended = threading.Event()
         self._wake = -1
-        # The terminal's own size: what a shell has exported of it is not that of a window that was made smaller since.
+        # The terminal's own size: exported COLUMNS and LINES do not follow a change of the window.
         environ = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
         self._console = Console(_environ=environ)
         self._live = Live(console=self._console, screen=True, auto_refresh=False, redirect_stderr=False)
 
     def run(self) -> int:
-        """Until q (it sits down first), Ctrl-C or a signal (it is stopped at once). Returns the exit code."""
+        """Drive until q (the robot sits down first), Ctrl-C or a signal (it stops at once). Return the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
         taken = {wire.STATE: self._client.states.reads(self._take_state), wire.EVENT: reports(Event, self._take_event)}
@@ -192,7 +192,7 @@ class WalkScreen:
 
     @contextmanager
     def _changes(self) -> Iterator[None]:
-        """What is shown changes: with the lock, and drawn soon."""
+        """Hold the lock for a change of what is shown, and have it drawn soon."""
         with self._lock:
             yield
         self._changed.set()
@@ -224,7 +224,7 @@ class WalkScreen:
             self._changed.set()
 
     def _act_on(self, keys: list[str]) -> bool:
-        """Act on one reading; whether to go on. Where a key requests the emergency stop, the others do nothing."""
+        """Act on one reading. Return whether to go on. If a key requests the emergency stop, the others do nothing."""
         if STOP_KEYS.isdisjoint(keys):
             return all(map(self._press, keys))
         self._request_stop()
@@ -242,9 +242,9 @@ class WalkScreen:
         return True
 
     def _request_stop(self) -> None:
-        """Request it at once and without waiting, and again until it is confirmed."""
+        """Request the emergency stop without waiting, and repeat the request until it is confirmed."""
         self._noted.clear()
-        self._stops.press()  # first: not even the lock stands between the key and the wire
+        self._stops.press()  # first: the request must not wait for the lock
         with self._changes():
             self._stop.press(time.monotonic_ns())
         self._noted.set()
@@ -252,7 +252,7 @@ class WalkScreen:
         self._message = ""
 
     def _stop_answered(self, outcome: Ack | Exception) -> bool:
-        """What became of a request; whether the Stop is still wanted. On a thread that requests Stops."""
+        """Record the answer to a request. Return whether to go on. Runs on a thread that requests Stops."""
         self._noted.wait()
         with self._changes():
             if not isinstance(outcome, Ack):
@@ -268,7 +268,7 @@ class WalkScreen:
         elif key == "c":
             self._todo.put(walk.sit)
         elif key == "g":
-            with self._changes():  # here, in the order of the keys: not a Stop that is pressed after it
+            with self._changes():  # here, in the order of the keys: must not take back a later Stop
                 self._stops.take_back()
                 self._stop.reset()
             self._todo.put(self._go_on)
@@ -321,7 +321,7 @@ class WalkScreen:
                     self._ended.wait(LEAST_FRAME_S)
                     self._changed.wait(FRAME_S - LEAST_FRAME_S)
         except Exception as error:
-            why = f"this terminal cannot be drawn on ({error}); it needs UTF-8, such as LC_ALL=C.UTF-8"
+            why = f"cannot draw on this terminal ({error}); it needs UTF-8, such as LC_ALL=C.UTF-8"
             self._failures.append(why)
             os.write(self._wake, b".")
             self._ended.wait()
@@ -386,7 +386,7 @@ def _shown(velocity: Velocity) -> str:
 def drive(connect: Connection, gait: str, geometry: Path | None, terrain: str, height_m: float | None) -> int:
     """Drive until q. Returns the exit code. Raises GatewayError."""
     if importlib.util.find_spec("termios") is None:
-        raise GatewayError("walk from the keyboard needs a Unix terminal; on Windows, run it in WSL, or give --seconds")
+        raise GatewayError("walk from the keyboard needs a Unix terminal; on Windows, run it in WSL, or use --seconds")
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise GatewayError("walk from the keyboard needs a terminal; without one: --forward 0.1 --seconds 5")
     with connect() as client:

@@ -40,7 +40,7 @@ class EndRequests:
         self.asked = True
 
     def stops(self) -> None:
-        """The Stops are being sent: from now on nothing interrupts them."""
+        """Stops are being sent: from now on nothing interrupts them."""
         self._may_cut = False
 
 
@@ -71,7 +71,7 @@ def walk(
             return 1
         except AtOnce as cut:
             failed = getattr(cut, "__notes__", [])  # its Stops were not confirmed
-            say("; ".join(failed) or "stopped at once: its servos are slack, wherever its legs were")
+            say("; ".join(failed) or "stopped at once: its servos are slack")
             return _ENDED_EARLY
     return 0 if whole else _ENDED_EARLY
 
@@ -104,7 +104,7 @@ def go(
             robot.go(*velocity)
             state = robot.state
             if state.limit:
-                remark(f"it is slower than that: {state.limit}")
+                remark(f"it walks slower than that: {state.limit}")
             if clock() - shown_s >= _REDRAW_S:
                 shown_s = clock()
                 show_line(f"walks {elapsed_s:.1f} of {seconds:g} s: {went(state)}")
@@ -124,7 +124,7 @@ def go(
 
 
 def went(state: WalkState) -> str:
-    """`0.48 m ahead, 0.00 m to the left, turned by 0°`, since it stood up."""
+    """Return the odometry since it stood up: `0.48 m ahead, 0.00 m to the left, turned by 0°`."""
     x_m, y_m, heading_rad = state.odometry
     return f"{x_m:.2f} m ahead, {y_m:.2f} m to the left, turned by {math.degrees(heading_rad):.0f}°".replace(
         "-0.00", "0.00"

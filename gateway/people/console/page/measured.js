@@ -32,7 +32,7 @@ export class Feet {
 }
 
 /**
- * The horizon as it is seen from behind: turned to the right by so many degrees, and raised by so many.
+ * The horizon as seen from behind, in degrees: how far it is turned to the right, and raised.
  * @param {number[]} orientation w, x, y, z @returns {{turned: number, raised: number} | null} null: it is no orientation
  */
 export function horizon(orientation) {

@@ -21,7 +21,7 @@ export const SILENT_MS = 1000;
 const MOST_EVENTS = 40;
 const MOST_SOURCES = 50;
 const RATE_MS = 2000;
-/** So much older than the newest state is an event that is still news. */
+/** Most that an event may be older than the newest state and still be news. */
 const NEW_MS = 2000;
 /** The window whose quickest state gives the difference between the gateway's clock and this page's. */
 const WINDOW_MS = 30_000;

@@ -3,7 +3,7 @@
 
 /** @typedef {import("./types.js").Vector} Vector */
 
-/** A foot at most so high above the lowest one stands, in metres. */
+/** A foot up to this height above the lowest one stands, in metres. */
 const ON_GROUND_M = 0.008;
 /** A foot that moved further between two states was set down elsewhere, in metres. */
 const FARTHEST_M = 0.08;

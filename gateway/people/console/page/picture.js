@@ -10,7 +10,7 @@ import { Odometry } from "./odometry.js";
 
 /** A picture that takes longer delays the messages that are sent 20 times a second. */
 const SLOW_MS = 60;
-/** After so many of them in a row it is drawn from above. */
+/** After this number of them in a row it is drawn from above. */
 const MOST_SLOW = 2;
 
 export class Picture {

@@ -20,7 +20,7 @@ const LINES = 7;
 const COURSE_M = 0.06;
 const TURN_PER_PIXEL = 0.008;
 const TURN_PER_KEY = Math.PI / 24;
-/** A foot whose force is measured is drawn so much larger: filled if it carries, else so transparent. */
+/** The factor by which a foot with a force sensor is drawn larger, and the opacity of one that carries nothing. */
 const CARRIES = 2.2;
 const HANGS = 1.6;
 const HANGS_OPACITY = 0.3;

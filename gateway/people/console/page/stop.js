@@ -13,7 +13,7 @@ const SAME_TAP_MS = 1000;
 const DEAF_MS = 1000;
 
 /**
- * What the band beside STOP ALL shows: what is the case, and the one thing to do next; `reason` is shown by a tap.
+ * What the band next to STOP ALL shows: the situation, and the one thing to do next; `reason` is shown by a tap.
  * @param {{looks: boolean, touch: boolean, cut: import("./words.js").End | null, askedMsAgo: number | null, answer: StopMessage | null,
  *          mode: string, by: string | null, since: string | null, now: string, unconfirmed: string}} known
  *          `by`: who engaged STOP ALL, and `since` when; `now`: what the robot does, by the console; `unconfirmed`: its

@@ -46,7 +46,7 @@ class Guide:
         self.servo_id = None
 
     def jog(self, by_cdeg: int) -> None:
-        """Move by so much by the draft, or past the angles that are never sent.
+        """Move by this angle by the draft, or past the angles that are never sent.
 
         Raises CalibrationError at the limits of the calibration in force.
         """

@@ -21,7 +21,7 @@ class PageTasks:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def check(self) -> None:
-        """Raise EndError if no further task may be started: no page of ours asks for so much at once."""
+        """Raise EndError if no further task may be started: none of our pages asks for more at once."""
         if len(self._tasks) >= self._most:
             raise EndError(f"{self._most} {self._what} of this page wait for their answers")
 

@@ -2,9 +2,9 @@
 
 It runs on the loop that serves the pages, so what somebody without a session costs is bounded:
 
-| per connection | so many reads and bytes, one deadline for everything, one request, no body |
-| at once        | so many places; a further connection ends the oldest of the address that has most of them |
-| a second       | so many connections; the kernel queues the others, or drops them |
+| per connection | a number of reads and bytes, one deadline for everything, one request, no body |
+| at once        | a number of places; a further connection ends the oldest of the address that has most of them |
+| a second       | a number of connections; the kernel queues the others, or drops them |
 """
 
 import asyncio

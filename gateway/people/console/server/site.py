@@ -194,7 +194,7 @@ def listening(site: Site, passed: Sequence[socket.socket] = ()) -> Iterator[Sequ
 
 
 def _bound(address: str, port: int) -> socket.socket:
-    """Raises OSError, also beside another program that listens there."""
+    """Raises OSError, also if another program listens there."""
     family, _, _, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
     both = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
     return socket.create_server(place[:2], family=family, backlog=BACKLOG, dualstack_ipv6=both)
