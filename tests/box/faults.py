@@ -71,7 +71,9 @@ FAULTS = (
     Fault("a damaged stop.py", "echo '(' >$own/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
-    Fault("a file that all may write", "chmod 666 $own/gateway/people/commands/decode.py", "not for root alone to"),
+    Fault(
+        "a file that all may write", "chmod 666 $own/gateway/people/commands/decode.py", "writable by others than root"
+    ),
     Fault("a damaged command", "echo 'exit 1 # damaged' >>/usr/bin/$service", "not as installed: /usr/bin/hexapod"),
     Fault(
         "a command of the former installer",
@@ -96,7 +98,9 @@ FAULTS = (
         "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
         "replaces the package's unit",
     ),
-    Fault("a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "as this release has it"),
+    Fault(
+        "a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "differs from this release's"
+    ),
     Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, but systemd still", more=1),
     Fault(
         "a masked unit",
@@ -267,7 +271,11 @@ FAULTS = (
     ),
     Fault("no Zenoh file", "mv $pki/gateway.json5 /root", "gateway.json5", by_hand="mv /root/gateway.json5 $pki"),
     Fault("a damaged list of the revoked", "echo x >$state/revoked.crl", "this is no list of"),
-    Fault("a list of another authority", "cp /root/other/revoked.crl $state", "is of another authority, so nobody is"),
+    Fault(
+        "a list of another authority",
+        "cp /root/other/revoked.crl $state",
+        "is of another authority, so it shuts nobody out",
+    ),
     Fault("a damaged list beside", "echo x >$pki/revoked.crl", "this is no list of", then="rm $pki/revoked.crl"),
 )
 
