@@ -82,6 +82,8 @@ class Transfer:
     segments: tuple[Segment, ...]
     call: int
     """The number of its call: the same for what left together."""
+    held: bool
+    """Whether it hangs until `release`."""
 
     @property
     def pause_us(self) -> int:
@@ -369,4 +371,5 @@ def _event(record: dict[str, Any]) -> Event:
         record["mode"],
         segments,
         record["call"],
+        record["held"],
     )

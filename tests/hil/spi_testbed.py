@@ -222,6 +222,7 @@ class SpiController:
                         "opening": opening,
                         "mode": self._mode,
                         "call": self._calls,
+                        "held": self._blocking,
                         "segments": taken,
                     }
                 )

@@ -20,7 +20,6 @@ from tests.hil.wire import (
     LATE_S,
     START_3,
     STOPS,
-    Replay,
     Wire,
     opening_of,
     settings_for,
@@ -142,24 +141,6 @@ def still_latched(client: Client, wire: Wire) -> None:
     assert client.reset().accepted
     assert client.start_leg(3, 90, 45, 120).accepted
     wire.expect_behind_rest(START_3)
-
-
-# ---- the end
-
-
-def test_the_last_attempt_outlasts_a_fault_that_begins_with_it(tmp_path: Path, wire: Wire) -> None:
-    """Each leg meets the fault by itself, and again: as long as there is time, all six are tried."""
-    with start(tmp_path, wire) as gateway, gateway.client() as client:
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
-        wire.bed.fail(count=20)
-        gateway.child.terminate()
-        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
-        assert "at the last attempt" in gateway.child.stderr
-        replay = Replay(wire.framing)
-        replay.play(wire.bed.transfers)
-        assert replay.energised_for_good() == frozenset()
-        assert [each.data.hex() for each in wire.skip() if len(each.data) == 14][-6:] == STOPS
 
 
 # ---- lists of transfers

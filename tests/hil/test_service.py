@@ -213,14 +213,3 @@ def test_a_second_gateway_on_the_same_device_is_rejected(tmp_path: Path, gateway
     with gateway.client() as client:
         assert client.start_leg(3, 90, 45, 120).accepted
     wire.expect(START_3)
-
-
-def test_no_device_ends_it_with_3_and_one_line(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
-    """The one that `spi.device` names."""
-    config = config_for(tmp_path, Wire(spi_testbed), device="/dev/spidev1.1")
-    child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)])
-    assert child.wait(LATE_S) == 3
-    assert child.stderr == (
-        "hexapod-gateway: /dev/spidev1.1 does not exist; switch SPI on (dtparam=spi=on), "
-        "or try --sim for a simulated controller\n"
-    )

@@ -61,13 +61,6 @@ def test_as_json_the_same_is_for_programs(tmp_path: Path) -> None:
     assert [line.partition(" → ")[0] for line in shown.stdout.splitlines()[:-1]] == told
 
 
-def test_a_framing_that_nobody_has_said_comes_before_everything(tmp_path: Path) -> None:
-    (tmp_path / "gateway.toml").write_text("[wings]\n")
-    said = check(tmp_path / "gateway.toml")
-    assert (said.returncode, said.stdout) == (2, "")
-    assert [line.split(": ")[2] for line in said.stderr.splitlines()] == ["wings", *3 * ["spi.framing"]]
-
-
 # ---- ports (one on which a gateway answers: tests/hil/test_check_device.py)
 
 

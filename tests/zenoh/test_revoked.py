@@ -51,8 +51,10 @@ time_t time(time_t *to) {
 """
 """A program that has this loaded began 100 s after the beginning of 1970, as on a board without a battery."""
 BACK_S: Final = 3.0
-"""Within which everybody else is back, as it was promised; where this machine is slow, TIMES its start in this run."""
+"""Within which everybody else is back, as it was promised; where this machine is busy, TIMES what loading takes it."""
 TIMES: Final = 3
+LOADING: Final = "import gateway.cli, gateway.onboard.serve, gateway.robot.service"
+"""Half of what a gateway does that starts anew."""
 POSE: Final = (90, 45, 120)
 KNOCKING: Final = """
 import sys, time
@@ -210,21 +212,6 @@ def test_two_lists_that_cross(robot: Robot) -> None:
         assert bert.revocation().number == 2
 
 
-def test_an_observer_may_not_bring_a_list_and_an_operator_may_not_bring_a_false_one(robot: Robot) -> None:
-    certs.folder.issue(robot.folder, "otto", "observer")
-    made = certs.folder.revoke(robot.folder, "anna").pem.decode()
-    with robot.start():
-        with robot.laptop("otto") as otto, pytest.raises(ZenohError):
-            otto.revocation(made)
-        with robot.laptop("bert") as bert:
-            assert (bert.revocation().number, bert.revocation().revoked) == (0, None)
-            for false in ("", "x", made[:200], made.replace("A", "B")):
-                answer = bert.revocation(false)
-                assert (answer.accepted, answer.reason) == (False, Reason.REVOCATION_DENIED)
-            assert bert.state().uptime_s > 0
-            assert not (robot.state / "revoked.crl").exists()
-
-
 @contextmanager
 def walking(client: Client) -> Iterator[None]:
     """All six legs at 50 Hz meanwhile, with the lease, until it is shut out."""
@@ -246,19 +233,26 @@ def walking(client: Client) -> Iterator[None]:
         thread.join()
 
 
+def loading_s() -> float:
+    """What this machine takes for it now."""
+    begun_s = time.monotonic()
+    subprocess.run([sys.executable, "-c", LOADING], check=True)
+    return time.monotonic() - begun_s
+
+
 @pytest.mark.alone
 def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(robot: Robot) -> None:
     """Nor does she cost anybody a Stop afterwards, when her laptop presses the emergency stop every 50 ms."""
-    stolen, begun_s = lost(robot), time.monotonic()
+    stolen = lost(robot)
     with robot.start(HEXAPOD_WATCHDOG__TIMEOUT_MS="2000") as gateway, robot.laptop("bert") as bert:
-        start_s = time.monotonic() - begun_s
         seen, begun = states(bert), since(bert.state())
         with robot.laptop("anna") as anna, walking(anna):
             answer = bert.revocation(certs.folder.revoke(robot.folder, "anna").pem.decode())
             assert answer.accepted
             revoked_s = time.monotonic()
             back = seen.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20)
-            assert time.monotonic() - revoked_s < max(BACK_S, TIMES * start_s)
+            took_s = time.monotonic() - revoked_s
+            assert took_s < BACK_S or took_s < TIMES * loading_s()
             assert (back.mode, back.lease.holder) == (Mode.IDLE, None)
         logged = gateway.child.stderr
         assert 0 < logged.index('"kind": "revoked"') < logged.index('"kind": "stopping"')

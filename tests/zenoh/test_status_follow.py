@@ -2,11 +2,10 @@
 
 import os
 import signal
-from pathlib import Path
 
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
-from tests.support.gateway_process import COMMAND, Gateway, free_port
+from tests.support.gateway_process import COMMAND, Gateway
 
 PATIENT = patient(10_000)
 gateway = gateway_fixture(PATIENT)
@@ -31,20 +30,3 @@ def test_it_shows_what_runs_each_rejection_and_why(gateway: Gateway) -> None:
         assert client.reset().accepted
         child.send_signal(signal.SIGTERM)
         assert child.wait(20) == 0
-
-
-def test_it_waits_for_a_gateway_and_says_when_one_hangs_dies_and_comes_back(tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    listen = {**PATIENT, "zenoh": {"listen": [endpoint]}}
-    with following(endpoint, "--timeout", "0.5") as child:
-        child.wait_for_output("no gateway answers on")
-        with Gateway(tmp_path, listen) as first:
-            child.wait_for_output("No servo runs.")
-            first.child.send_signal(signal.SIGSTOP)
-            child.wait_for_output(SILENT)
-            first.child.send_signal(signal.SIGCONT)
-            child.wait_for_output("The gateway publishes again, after ")
-            first.child.kill()
-            child.wait_for_output(SILENT)
-        with Gateway(tmp_path, listen):
-            child.wait_for_output("The gateway was started again.")

@@ -6,13 +6,15 @@ import sys
 
 import pytest
 
-from schemas.robot import LEGS
+from gateway.geometry import load
+from gateway.model.frames import Op, decode
+from gateway.people.walking import STILL, Engine, Robot
+from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import frames
-from tests.zenoh.test_walk_command import seat, stopped_at
 
 gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 
@@ -43,6 +45,26 @@ asyncio.run(main())
 """
 BY_HAND = ASYNC.replace("asyncio.run(main())", "asyncio.new_event_loop().run_until_complete(main())")
 """Nobody there handles Ctrl-C."""
+
+
+def stopped_at(records: list[FrameRecord]) -> dict[int, float]:
+    """Where the servos were sent last before their Stops, in degrees."""
+    found: dict[int, float] = {}
+    for record in records:
+        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
+            if op.op is not Op.STOP:
+                found[servo_id] = op.angle_cdeg / 100
+    return found
+
+
+def seat() -> dict[int, float]:
+    """Where they are in a robot that lies on its belly with its feet on the ground, by the pure engine."""
+    engine = Engine(Robot(load()))
+    for wanted in (engine.stand, engine.sit):
+        wanted()
+        for _ in range(500):
+            engine.step(STILL, 0.02)
+    return {10 * leg + joint: angle for leg in LEGS for joint, angle in zip(JOINTS, engine.pose[leg], strict=True)}
 
 
 @pytest.mark.full
