@@ -31,7 +31,6 @@ class Effective(NamedTuple):
     controller: ControllerSettings
     power: PowerSettings | None
     tables: Mapping[str, Any]
-    """The file's tables."""
 
     @property
     def runs(self) -> bool:
@@ -105,7 +104,6 @@ def differences(used: Effective, path: Path) -> list[str]:
 
 
 def _uses(wire: WireSettings, name: str) -> bool:
-    """Return whether this wire uses this setting of [spi]."""
     return wire.framed or (wire.has_uart and name not in {"framing", "frame_gap_us"})
 
 

@@ -281,7 +281,6 @@ _OF_EACH_RECORD: Final = {*vars(logging.makeLogRecord({})), "taskName"}
 
 
 def _fields(record: logging.LogRecord) -> dict[str, object]:
-    """Return the `extra` values of a log call that are not None."""
     return {name: value for name, value in vars(record).items() if name not in _OF_EACH_RECORD and value is not None}
 
 

@@ -112,7 +112,6 @@ _ANY: Final = Allowed("")
 
 
 def _value(kind: Any, allowed: Allowed, value: object, place: Place, faults: list[SettingFault]) -> Any:
-    """Return the value, or None and add a fault."""
     if is_dataclass(kind):
         return read(cast("type[Any]", kind), value, faults, place)
     if get_origin(kind) is tuple:
@@ -178,7 +177,6 @@ def words(kind: Any) -> tuple[str, ...]:
 
 
 def _wrong_type(kind: Any, value: object) -> str:
-    """Return what the value should have been, or "" if its type is right."""
     if choice := words(kind):
         return "" if isinstance(value, str) and value in choice else " or ".join(f"'{word}'" for word in choice)
     wanted, unread = _WANTED[kind]

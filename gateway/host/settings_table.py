@@ -46,7 +46,6 @@ def _setting(
 
 
 def _table(meaning: str, limits: tuple[float, float] | None = None) -> Any:
-    """Return a setting for each servo that the file names."""
     return field(default_factory=dict, metadata={"allowed": Allowed(meaning, limits)})
 
 

@@ -131,7 +131,6 @@ class RobotCalibration:
 
 
 def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
-    """Return the frame with each servo's operation replaced by `op_of`."""
     if isinstance(frame, OneServo):
         return OneServo(frame.servo_id, op_of(frame.servo_id, frame.command))
     first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)

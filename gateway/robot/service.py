@@ -88,7 +88,6 @@ class PowerBoardAt(NamedTuple):
     """A simulated power board."""
 
     channel: str
-    """The serial device (slcan) on which the board answers."""
     page: ServoPage
     """Shared memory from which the board reads the servos' targets, and to which it writes which servos are powered."""
 
@@ -132,7 +131,6 @@ def rules(settings: Settings) -> Rules:
 
 
 def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
-    """Return the black box, with the facts of this start."""
     facts: dict[str, Any] = {
         "version": __version__,
         "simulated": simulated,
@@ -333,7 +331,6 @@ def _wire(settings: Settings, *, simulated: bool, physics: Physics | None, board
 
 
 def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
-    """Start the cycle of a wire that has one, and warn of an unsuitable driver."""
     if isinstance(bus, CyclicBus):
         Cycle(bus, conductor, end.mistake).start()
     wires.warn_of_driver(settings.wire, settings.spi, simulated=simulated)
@@ -372,7 +369,6 @@ def _inbox(
     calibrations: Calibrations,
     revocations: Revocations,
 ) -> Inbox:
-    """Return the inbox, connected with the conductor."""
     lease = LeaseAnswers(conductor, settings.lease.ttl_ms, checker)
     button = ButtonAnswers(conductor, settings.buttons, checker)
     inbox = Inbox(
@@ -408,7 +404,6 @@ def _attendants(
     shut_out: RevocationState | None,
     late: LateAddresses,
 ) -> tuple[ConnectionLimiter, Upkeep]:
-    """Start the threads that watch the session."""
     upkeep = Upkeep(session, config, notifier.status, wall_clock, late)
     conductor.reports.certificate = upkeep.certificate
     revoked = frozenset() if shut_out is None or shut_out.known is None else shut_out.known.common_names
@@ -416,7 +411,6 @@ def _attendants(
 
 
 def _reports(settings: Settings, conductor: Conductor) -> dict[str, Callable[[], None]]:
-    """Return the functions that publish a report at each beat, by key."""
     measured = {TELEMETRY: conductor.telemetry.publish} if settings.measures else {}
     return {STATE: conductor.reports.publish, **measured}
 

@@ -312,7 +312,6 @@ def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
 
 
 def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
-    """Return the file's tables, overridden by the environment."""
     merged = dict(tables)
     for place, (_, value) in variables.items():
         merged = _put(merged, place, value)
@@ -320,7 +319,6 @@ def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
 
 
 def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
-    """Return a copy of the table with the value at this place."""
     name, *rest = place
     below = table.get(str(name))
     return {
@@ -330,7 +328,6 @@ def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
 
 
 def _kind(place: tuple[str, ...]) -> Any:
-    """Return the type of the setting at this place, or None if there is none."""
     match place:
         case ("limits", "servos", servo, name) if servo in SERVOS:
             return _kinds(ServoLimits).get(name)

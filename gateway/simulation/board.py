@@ -304,6 +304,5 @@ def _numbers(values: Iterable[float]) -> bytes:
 
 
 def _outputs_of(converters: int) -> int:
-    """The mask of the outputs that these converters supply."""
     six = (1 << OUTPUTS_PER_CONVERTER) - 1
     return sum(six << OUTPUTS_PER_CONVERTER * place for place in range(3) if converters >> place & 1)

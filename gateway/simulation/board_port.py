@@ -212,7 +212,6 @@ class Simulation:
         self._board = SimulatedBoard(time.monotonic_ns())
         self._adapter = SimulatedAdapter()
         self._answers = b""
-        """Bytes for the adapter's client."""
         self._silent = False
         self._draw = SimulatedDraw()
         self._drawn_anyway_ma: dict[int, float] = {}
@@ -245,7 +244,6 @@ class Simulation:
         self.step()
 
     def _do(self, name: str, value: Any) -> None:
-        """Apply a fault of the board."""
         board = self._board
         match name:
             case "press_off":

@@ -57,7 +57,6 @@ class IncidentCopies:
         self._ring: Path | None = None
         self._due = self._running = False
         self._ran = True
-        """Whether servos ran since the latest copy."""
         self._copied_ns = -FOLLOW_NS
 
     def open(self, ring: Path) -> None:
@@ -222,7 +221,6 @@ class Recorder:
         self.incident: str | None = None
         """The id of the latest incident of this run."""
         self.incidents = 0
-        """The number of incidents of this run."""
         self._settings = settings
         self._clock = clock
         self._wall_ns = wall_ns
@@ -428,7 +426,6 @@ class Recorder:
 
 
 def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
-    """Return version and settings, with the names of a recording."""
     return {
         "version": __version__,
         "protocol": settings.protocol,

@@ -74,7 +74,6 @@ class Backlog:
                 leg.slots.wait_until(now_ns + self._rules.start_wait_ns)
 
     def _starting(self, command: Command) -> list[Leg]:
-        """Return the stopped legs that the command starts."""
         numbers = dict.fromkeys(servo_id // 10 for servo_id, op in command.moves if op.op is OP_START)
         return [leg for leg in map(self._legs.by_number.__getitem__, numbers) if not _runs(leg)]
 

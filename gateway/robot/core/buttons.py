@@ -55,7 +55,6 @@ class Registration:  # mutants accepted (Step): set before it is read; a nanosec
     until_ns: int | None
     """Until when it is alive; None: it has not checked in yet, or is silent."""
     count: int = -1
-    """The count of its latest check-in."""
     silent: bool = False
     offset_ns: int | None = None
     """The gateway's clock minus the button's, plus the transit time of its fastest message, as of `newest_ns`."""
@@ -90,7 +89,6 @@ class Buttons(Interlock[ButtonRequest]):
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.required = rules.buttons_required
-        """The number of buttons that must be alive."""
         self._timeout_ns = rules.buttons_timeout_ns
         self._rise_ns = rules.buttons_timeout_ns // RISE
         self._by_token: dict[str, Registration] = {}

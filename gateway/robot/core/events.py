@@ -25,14 +25,12 @@ class Request:
     """A request: one object from payload to answer. The payload's reader makes it; the state's owner changes it."""
 
     targets: Targets = ()
-    """The operation for each servo."""
     _: KW_ONLY
     key: str = ""
     source: str | None = None
     """The sender's name, for people: it does not decide what is sent."""
     sent_ms: float | None = None
     lease: str | None = field(default=None, repr=False)
-    """The lease's token in the request."""
     reply: Reply | None = field(default=None, repr=False)
     verb: Verb = Verb.PUT
     received_ns: int = 0
@@ -67,7 +65,6 @@ class Command(Request):
     """The rejection, if the command was rejected before the supervisor: only its Stops are carried out. The Stops of an
     unreadable message are such a command; its rejection answers another request."""
     by_leg: dict[int, Targets] = field(init=False)
-    """The targets of each leg."""
     left: int = field(init=False)
     """The number of targets that are not yet written or replaced by a newer command's."""
     coalesced: bool = False
@@ -85,7 +82,6 @@ class Command(Request):
 
     @property
     def stops(self) -> Targets:
-        """The targets that are Stops."""
         return tuple(target for target in self.targets if target[1].op is OP_STOP)
 
     @property
@@ -151,7 +147,6 @@ class PowerSeen:
     """The power board's report on the servos' supply."""
 
     alive: bool
-    """Whether the board answers."""
     refused: tuple[tuple[int, str], ...] = ()
     """Servos that the board will not power, and why."""
     fed: frozenset[int] = frozenset()

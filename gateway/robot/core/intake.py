@@ -82,7 +82,6 @@ def is_json(encoding: str) -> bool:
 
 
 def _decoded(row: TargetRules, number: int, received: Received) -> Command | Reset | Rejection:
-    """Return the request in the payload, or a Rejection."""
     if row.read is None:
         return Command()
     if received.size > MAX_PAYLOAD_BYTES:
@@ -201,7 +200,6 @@ def _malformed(payload: bytes | str, why: str) -> Rejection:
 
 
 def _sentence(fault: dict[str, Any]) -> str:
-    """Return a sentence of bounded length that names the field and what it must be."""
     loc = fault["loc"]
     where = _path(loc)
     field = loc[-1] if loc else None

@@ -39,7 +39,6 @@ class Interlock(Generic[Own]):
     """One rule, and the events that it takes. One owner, one thread."""
 
     takes: tuple[type[Event], ...] = ()
-    """The events that it takes."""
     bars: tuple[type[Barred], ...] = (Command,)
     """The requests to which it may object. A command that only stops is never barred."""
     closed = False

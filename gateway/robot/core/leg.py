@@ -107,7 +107,6 @@ class Servo:  # mutants accepted (Step): set before it is read
     target_cdeg: int | None = None
     """Its target, while its speed is limited and it has not arrived."""
     target_for: Command = NO_COMMAND
-    """The command that set `target_cdeg`."""
     since_ns: int = 0
     """When the time for its next step begins."""
     source: str | None = None
@@ -160,9 +159,7 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     due_ns: int = NEVER
     """When its next deadline, rate slot or repeated Stop is due."""
     repeat_ns: int = NEVER
-    """When its next repeated Stop is due."""
     runs: bool = False
-    """Whether one of its servos runs."""
     rests: bool = True
     """Whether no servo runs or waits to be started."""
 

@@ -62,7 +62,6 @@ class Legs:
         """Whether the watchdog stops a leg in this step."""
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
-        """The landing in progress."""
         self._fed: frozenset[int] | None = frozenset() if rules.power else None
         """Servos that the power board powers; None: there is no board."""
         self.land_ns = 0

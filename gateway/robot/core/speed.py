@@ -69,7 +69,6 @@ class LimitedSpeeds:
         return angle_cdeg if known else None
 
     def _speed_cdeg_s(self, servo: Servo) -> int | None:
-        """Return the present speed limit of a servo, or None."""
         own, takeover = self._rules.max_speed_cdeg_s.get(servo.servo_id), self._rules.takeover_cdeg_s
         if not servo.eases:
             return own
@@ -108,7 +107,6 @@ class LimitedSpeeds:
         return said
 
     def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
-        """Return the angle of the next frame for a servo with a limited speed."""
         crosses = self._limits.crosses(servo.servo_id, stands_cdeg, target_cdeg)
         from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
         at_cdeg, servo.since_ns = step(

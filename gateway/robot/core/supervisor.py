@@ -115,7 +115,6 @@ class Supervisor:
         self._fault = Kind.BUS_FAULT  # the announced fault, while there is one
         self._ended = False
         self.mode = Mode.STARTING
-        """The mode of the whole gateway."""
         self.due_ns: int | None = None
         """When to send `TimePassed`; None: another event comes first."""
 
@@ -195,7 +194,6 @@ class Supervisor:
             raise IllegalEvent("what an earlier run has left of its emergency stops is known")
 
     def _mode_now(self) -> Mode:
-        """Return the first mode that applies."""
         if self._ended:
             return Mode.STOPPING
         if not self.legs.sends:
@@ -216,7 +214,6 @@ class Supervisor:
     # ---- events
 
     def _take(self, event: Event, now_ns: int) -> list[Effect]:
-        """Take an event that no interlock takes."""
         match event:
             case Command():
                 return self._command(event, now_ns)
@@ -267,7 +264,6 @@ class Supervisor:
         return [*dropped, *stops]
 
     def _why_not(self, request: Barred) -> Why | None:
-        """Return why the request as a whole takes no effect, or None."""
         kind = type(request)
         if self.mode in _REJECTING and not (kind is Reset and self.mode is Mode.ESTOPPED):
             return _REJECTING[self.mode]

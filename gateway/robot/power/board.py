@@ -74,7 +74,6 @@ class Status(NamedTuple):
     """The board's state at one time. Servos by their ids."""
 
     alive: bool = False
-    """Whether the board answers."""
     supplied: frozenset[int] = frozenset()
     """Powered, by the board's last answer."""
     confirmed: bool = False
@@ -88,7 +87,6 @@ class Status(NamedTuple):
     changes: int = 0
     """The number of the newest `want`."""
     answered_ns: int | None = None
-    """When the board last answered; None: never."""
     currents_ma: Mapping[int, int] = {}
     """The current of each servo, if measured since the board answers."""
     rails: Mapping[int, tuple[int, ...]] = {}
@@ -117,7 +115,6 @@ class PowerBoard:
         """The number of the newest mask, and of the newest one that switches an output on."""
         self._sent_ns: int | None = None
         self._leave_ns: int | None = None
-        """When the next mask leaves, or None."""
         self._repeat_until_ns = 0
         self._answer_ns = -REST_NS
         """When the board last sent its mask."""
@@ -132,7 +129,6 @@ class PowerBoard:
         self._answered_ns: int | None = None
         self._shown = 0
         self._fed: dict[int, int] = {}
-        """Outputs that the board has confirmed to power, and when."""
         self._milliamperes: dict[int, int] = {}
         self._rails: dict[int, tuple[int, ...]] = {}
         self._questions = BoardQuestions()
@@ -320,7 +316,6 @@ class PowerBoard:
 
     @property
     def _target(self) -> int:
-        """The mask that the board should have."""
         return self._wanted & ~self._lost & ~self._errors.mask
 
     def _settle(self, now_ns: int) -> None:
@@ -338,7 +333,6 @@ class PowerBoard:
             self._leave_ns = now_ns
 
     def _mask_due_ns(self) -> int | None:  # mutants accepted (Add_Sub, Lt_LtE, Step): equal times; only time is lost
-        """Return when the next mask is due, or None."""
         if not self._begun:
             return None
         due_ns = [] if self._leave_ns is None else [self._leave_ns]

@@ -26,7 +26,6 @@ class Sent:
     ns: int
     """When its last bit had left, computed from the begin of its call and its place on the wire."""
     call_ns: int
-    """The duration of its call."""
     received: bool
     """False if the frame counts as failed, since the zeros before it failed."""
 
@@ -49,9 +48,7 @@ class Wire(Protocol):
     """The way to one robot's controller. Its owner calls it, one call at a time."""
 
     frames: int
-    """Frames written since the start."""
     errors: int
-    """Faults since the start."""
     ended_ns: int
     """When the last call ended (ns, monotonic)."""
     transfer_latency: Latency

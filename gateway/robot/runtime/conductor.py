@@ -423,7 +423,6 @@ class Conductor:
     # ---- time
 
     def _arm(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
-        """Set the timer to the supervisor's next deadline."""
         due_ns = self.supervisor.due_ns
         if self._preamble is not None:
             due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)

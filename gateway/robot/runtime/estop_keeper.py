@@ -47,7 +47,6 @@ class EstopKeeper:
         self._unknown: str | None = None
         """Why an earlier run's emergency stop is not known, until a reset. None: it is known."""
         self._fault: str | None = None
-        """Why the latest write failed."""
         self._idle = threading.Event()
         self._idle.set()
         self._ending = False

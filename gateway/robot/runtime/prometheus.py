@@ -151,7 +151,6 @@ def _family(
     numbers: float | Mapping[Any, float],
     label: str = "",
 ) -> Metric:
-    """Return one number, or one for each value of `label`."""
     if not isinstance(numbers, Mapping):
         return family(f"{_PREFIX}_{name}", help_text, float(numbers))
     found = family(f"{_PREFIX}_{name}", help_text, labels=[label])

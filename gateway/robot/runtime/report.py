@@ -86,7 +86,6 @@ class StateReports:
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: RevocationsReport | None = None
-        """The list in force, or None."""
         self.payloads = Payloads()
         self._published: ConfigReport | None = None
         self.published_mode: Mode | None = None

@@ -95,7 +95,6 @@ class RobotSupply:
         self._alive = False
         self._currents = CurrentRules()
         self._found: list[News] = []
-        """Findings from the currents."""
         self._changed = False
         """Whether a reset or a servo's current has changed something; the board reports neither."""
         self._looked_ns = self._looks = 0

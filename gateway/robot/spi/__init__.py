@@ -33,7 +33,6 @@ class SpiDevice(OpenDevice, Protocol):
     """A device that writes batches; nothing comes back."""
 
     most_transfers: int = 32
-    """The longest batch."""
 
     @abstractmethod
     def transfer(self, batch: Batch) -> None:

@@ -104,7 +104,6 @@ class Bus(Wire):
         self.announces = self._framing is Framing.LENGTH_PREFIXED
         """Whether frames have announcements, so that a controller can be out of sync."""
         self._size = 2 if self.announces else 1
-        """Transfers of a frame."""
         self._gap_us = ceil(settings.frame_gap_us)
         self._gap_ns = self._gap_us * 1000 + CS_CHANGE_NS
         zero_pause_us = max(self._gap_us, ZERO_PAUSE_US)
@@ -128,7 +127,6 @@ class Bus(Wire):
         self._stops_at_once = self._moves_at_once = 1
         """The most frames of a call."""
         self.ended_ns = 0
-        """When the last call ended."""
         self._awaited = ANYTHING if self.announces else NOTHING
         self._suspect = False  # the device was reopened, and the controller may be out of sync since
         self._slow = False  # a call failed slowly, and no `write` since then passed all Stops and a preamble

@@ -78,7 +78,6 @@ def _announced_len(data: bytes) -> int:  # mutants accepted (Step): its first by
 
 
 def _check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
-    """Raise IllegalTransferError with the reason if the frame is illegal."""
     try:
         frame = decode(data)
     except FrameError as error:

@@ -133,7 +133,6 @@ class KernelDevice(SpiDevice, DuplexDevice):
         return self._received[:size].tobytes()
 
     def _send(self, sizes: tuple[int, ...], pauses_us: tuple[int, ...]) -> int:
-        """Hand the list to the kernel. Return how many bytes were written."""
         segments = _segments(sizes, pauses_us, self._data_at, self._received_at, self._speed_hz)
         try:
             return int(fcntl.ioctl(self._spi, *segments))
@@ -164,7 +163,6 @@ class KernelDevice(SpiDevice, DuplexDevice):
         return found
 
     def _read(self, request: int) -> int:
-        """Return a setting of the device."""
         value = bytearray(request >> 16 & 0x3FFF)
         fcntl.ioctl(self._spi, request, value)
         return int.from_bytes(value, sys.byteorder)

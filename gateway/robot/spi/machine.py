@@ -111,7 +111,6 @@ def _controller(device: str, root: Path) -> Path | None:
 
 
 def _node(device: str, root: Path) -> Path | None:
-    """Return the controller's node in the device tree."""
     controller = _controller(device, root)
     try:
         return None if controller is None else (controller / "of_node").resolve(strict=True)

@@ -43,7 +43,6 @@ class Notice:
         self._path = path
         self._fd: int | None = None
         self.gateway_runs = False
-        """Whether a gateway runs on the device."""
 
     def give(self) -> None:
         """Lock AT_WORK, if there is a device. Never raises: the Stops matter more."""

@@ -349,7 +349,6 @@ _NOT_BY_WILDCARD: Final = (
 
 
 def _named(item: _Item, among: Collection[str]) -> set[str]:
-    """Return those of the keys that a wildcard matches."""
     return {key for key in among if item.key_expr.intersects(zenoh.KeyExpr(key))}
 
 

@@ -147,7 +147,6 @@ def _is_all_without_ipv6(endpoint: str, fault: OSError) -> bool:
 
 
 def _tried(endpoint: str, fault: OSError | None) -> str:
-    """Return the endpoint with the settings with which Zenoh tries it."""
     if fault is None:
         return endpoint
     if _is_all_without_ipv6(endpoint, fault):  # all IPv4 addresses are all that exist

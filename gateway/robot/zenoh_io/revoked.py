@@ -35,7 +35,6 @@ class RevocationState(NamedTuple):
     cas: "tuple[x509.Certificate, ...]"
     path: Path
     known: "RevocationList | None"
-    """The list in force, or None."""
 
 
 def revocation_state(
