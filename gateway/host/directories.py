@@ -31,5 +31,5 @@ def runtime_directory() -> Path | None:
 
 
 def _named(variable: str) -> Path | None:
-    given = os.environ.get(variable, "").split(":")[0]
-    return Path(given) if given else None
+    value = os.environ.get(variable, "").split(":")[0]
+    return Path(value) if value else None

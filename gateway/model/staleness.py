@@ -86,16 +86,16 @@ class Staleness:
         self._pause_ms = max(max_age_ms, LEAST_PAUSE_MS)
         self._sources: dict[str | None, tuple[list[_Clock], list[float]]] = {}
         """Clocks and newest instant by source; the source that was silent for longest comes first."""
-        self._turned_ms: float | None = None
+        self._alive_ms: float | None = None
         self._woke_ms: float | None = None
         self._paused_ms = 0.0
 
     def record_alive(self, now_ns: int) -> None:
         """Record that the gateway runs. Call it ten times a second at least: a longer gap counts as a pause."""
         now_ms = now_ns / 1e6
-        if self._turned_ms is not None and now_ms - self._turned_ms > self._pause_ms:
-            self._woke_ms, self._paused_ms = now_ms, now_ms - self._turned_ms
-        self._turned_ms = now_ms
+        if self._alive_ms is not None and now_ms - self._alive_ms > self._pause_ms:
+            self._woke_ms, self._paused_ms = now_ms, now_ms - self._alive_ms
+        self._alive_ms = now_ms
 
     # mutants accepted (Gt_GtE, Lt_LtE, Step): equal values; a list of one
     def too_old(self, name: str | None, sent_ms: float | None, now_ns: int, instant_ns: int) -> str | None:

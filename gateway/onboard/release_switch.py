@@ -31,7 +31,7 @@ _SERVOS: Final = SERVICE_RUNTIME / "servos"
 """Written by gateway.robot.host.servos_file."""
 _FRESH_NS: Final = 1_000_000_000
 _LOOKS: Final = 20
-_LOOK_S: Final = 0.1
+_POLL_S: Final = 0.1
 _TRIAL_S: Final = 30.0
 """The same as systemd's limit for the start of the service."""
 _TAKE: Final = "sudo dpkg-reconfigure hexapod-gateway"
@@ -95,7 +95,7 @@ def why_not_now() -> str:
             return _UNKNOWN
         if time.monotonic_ns() - written_ns < _FRESH_NS:
             return _RUNS if running else ""
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     return _UNKNOWN
 
 

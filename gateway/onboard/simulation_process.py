@@ -35,9 +35,9 @@ class SimulationProcess:
     """What follows from its unexpected end: the second half of a sentence."""
 
     def __init__(
-        self, module: str, given: Mapping[str, object], pages: Sequence[int], folder: Path, begun: str
+        self, module: str, options: Mapping[str, object], pages: Sequence[int], folder: Path, begun: str
     ) -> None:
-        """Run `module` with `given` as JSON, and pass it the descriptors `pages`.
+        """Run `module` with `options` as JSON, and pass it the descriptors `pages`.
 
         Raises ConfigError with the first line that the process writes, unless it is `begun`. The process removes the
         private `folder` at its end, also if the gateway is killed.
@@ -45,7 +45,7 @@ class SimulationProcess:
         self.folder = folder
         its_end, self._lifeline = os.pipe()
         words, its_words = os.pipe()
-        command = [sys.executable, "-m", module, json.dumps({**given, "folder": str(folder)})]
+        command = [sys.executable, "-m", module, json.dumps({**options, "folder": str(folder)})]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # an isolated Python has set its own
         self._process = subprocess.Popen(command, stdin=its_end, stdout=its_words, pass_fds=pages, env=environment)
         os.close(its_end)
@@ -114,7 +114,7 @@ class BoardProcess(SimulationProcess):
         self.page = ServoPage() if page is None else page
         """Shows the simulated controller which servos have supply."""
         pages = [self.page.fd] if sensed is None else [self.page.fd, sensed.fd]
-        given = {
+        options = {
             "outputs": list(outputs),
             "page": self.page.fd,
             "sensed": None if sensed is None else sensed.fd,
@@ -123,7 +123,7 @@ class BoardProcess(SimulationProcess):
         folder = private_folder("power")
         self.channel = str(folder / "can")
         """The serial device for python-can's `slcan`."""
-        super().__init__("gateway.simulation.board_port", given, pages, folder, self.channel)
+        super().__init__("gateway.simulation.board_port", options, pages, folder, self.channel)
 
 
 READY: Final = "ready"
@@ -141,7 +141,7 @@ class BodyProcess(SimulationProcess):
             raise ConfigError("the physics is missing: pip install 'hexapod-gateway[physics]'")
         self.page, self.sensed = ServoPage(), SensedPage()
         self.zenoh_id = f"{secrets.randbelow(15) + 1:x}{secrets.token_hex(15)}{secrets.randbelow(15) + 1:x}"
-        given = {
+        options = {
             "page": self.page.fd,
             "sensed": self.sensed.fd,
             "geometry": None if geometry is None else str(geometry),
@@ -149,7 +149,7 @@ class BodyProcess(SimulationProcess):
             "terrain": str(assumed.terrain),
         }
         pages = (self.page.fd, self.sensed.fd)
-        super().__init__("gateway.people.physics.process", given, pages, private_folder("body"), READY)
+        super().__init__("gateway.people.physics.process", options, pages, private_folder("body"), READY)
 
     def connect(self, gateway: zenoh.Config) -> None:
         """Let the body be published through the gateway with this configuration, once that is ready. Never waits."""

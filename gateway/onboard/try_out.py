@@ -23,7 +23,7 @@ from gateway.robot.blackbox.paths import tried
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")
-_LOOK_S: Final = 0.1
+_POLL_S: Final = 0.1
 """Between two checks whether a gateway has ended before it is ready."""
 _END_S: Final = 5.0
 
@@ -54,7 +54,7 @@ def try_out(console: Sequence[str]) -> int:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hexapod-"))
         notified = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         notified.bind(f"{folder}/notify")
-        notified.settimeout(_LOOK_S)
+        notified.settimeout(_POLL_S)
         gateway = start("run", "--sim", NOTIFY_SOCKET=f"{folder}/notify")
         if _is_ready(gateway, notified) and not ended:
             say(f"or, from the keyboard: {command('walk')}")

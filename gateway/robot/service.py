@@ -435,7 +435,7 @@ async def _beat(
     while inbox.receives:
         with conductor.owner:
             now_ns = conductor.record_alive()
-            conductor.look_outside()
+            conductor.check_outside()
             at_rest = conductor.supervisor.legs.at_rest
         servos.write(now_ns, any_runs=not at_rest)
         if not inbox.makes_progress():

@@ -203,10 +203,10 @@ class Device:
 class Simulation:
     """The board, the adapter, the bus between them, and the servos that the board supplies."""
 
-    def __init__(self, given: dict[str, Any], device: Device, record: TextIO) -> None:
-        self._outputs: tuple[int, ...] = tuple(given.get("outputs") or SERVO_IDS)
-        self._page = ServoPage(given.get("page"))
-        self._sensed = None if given.get("sensed") is None else SensedPage(given["sensed"])
+    def __init__(self, options: dict[str, Any], device: Device, record: TextIO) -> None:
+        self._outputs: tuple[int, ...] = tuple(options.get("outputs") or SERVO_IDS)
+        self._page = ServoPage(options.get("page"))
+        self._sensed = None if options.get("sensed") is None else SensedPage(options["sensed"])
         self._record = record
         self._device = device
         self._board = SimulatedBoard(time.monotonic_ns())
@@ -330,11 +330,11 @@ def _frame(text: str) -> CanFrame:
     return frame
 
 
-def serve(given: dict[str, Any], folder: Path, record: TextIO) -> None:
+def serve(options: dict[str, Any], folder: Path, record: TextIO) -> None:
     """Simulate, with the device in `folder`, until standard input ends."""
     device = Device(folder / "can")
     device.plug()
-    simulation = Simulation(given, device, record)
+    simulation = Simulation(options, device, record)
     sys.stdout.write(f"{folder / 'can'}\n")
     sys.stdout.flush()
     orders, received = sys.stdin.fileno(), b""
@@ -364,11 +364,11 @@ def main(arguments: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    given: dict[str, Any] = json.loads(arguments[0]) if arguments else {}
-    folder = Path(given.get("folder") or tempfile.mkdtemp(prefix="hexapod-power-"))
+    options: dict[str, Any] = json.loads(arguments[0]) if arguments else {}
+    folder = Path(options.get("folder") or tempfile.mkdtemp(prefix="hexapod-power-"))
     try:
-        with open(given.get("record") or os.devnull, "a", buffering=1) as record:
-            serve(given, folder, record)
+        with open(options.get("record") or os.devnull, "a", buffering=1) as record:
+            serve(options, folder, record)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     return 0

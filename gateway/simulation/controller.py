@@ -90,7 +90,7 @@ class SimulatedServos(dict[int, ServoState]):
 
     def move(self, now_ns: int) -> None:
         """Move the horns up to `now_ns`, at the speed without load."""
-        reach_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9
+        most_deg = NO_LOAD_DEG_S * (now_ns - self._moved_ns) / 1e9
         self._moved_ns = now_ns
         fed = self.keys() if self._page is None else self._page.fed
         for servo_id, servo in self.items():
@@ -99,8 +99,8 @@ class SimulatedServos(dict[int, ServoState]):
                 way_deg = servo.target_deg - servo.angle_deg
                 servo.angle_deg = (
                     servo.target_deg
-                    if abs(way_deg) <= reach_deg
-                    else servo.angle_deg + max(-reach_deg, min(way_deg, reach_deg))
+                    if abs(way_deg) <= most_deg
+                    else servo.angle_deg + max(-most_deg, min(way_deg, most_deg))
                 )
 
     def _show(self, servo_id: int, servo: ServoState) -> None:

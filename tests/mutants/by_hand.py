@@ -62,8 +62,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/zenoh_io/receiver.py": (
         ByHand(
             "two threads write frames at once",
-            "                    with self._owner:\n                        pause_s = deal()\n",
-            "                    pause_s = deal()\n",
+            "                    with self._owner:\n                        pause_s = task()\n",
+            "                    pause_s = task()\n",
         ),
     ),
     "gateway/robot/host/ownership.py": (

@@ -61,7 +61,7 @@ class VirtualLine:
         return self._status
 
     @property
-    def looked_ns(self) -> int:
+    def polled_ns(self) -> int:
         return self.now_ns() if self.listens else 0
 
     def want(self, servos: frozenset[int], number: int) -> None:
@@ -150,7 +150,7 @@ def _feed(
 
     def beat() -> None:
         """The service's."""
-        robot.conductor.look_outside()
+        robot.conductor.check_outside()
         robot.loop.call_later(BEAT_S, beat)
 
     robot.loop.call_later(BEAT_S, beat)

@@ -17,7 +17,7 @@ import zenoh
 
 from gateway.robot.core.message import Reply, Verb
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import LOOK_AFTER_FLOOD, LOOK_AGAIN_S, OTHER_DEPTH, Inbox
+from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD, POLL_AGAIN_S, Inbox
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 
@@ -227,7 +227,7 @@ async def test_as_many_are_looked_for_as_were_heard_of_and_not_taken(counted: Co
         counted.step(step)
     assert counted.left == ({K: left} if left else {})
     assert counted.taker.taken == [K] * steps.count("M")
-    assert counted.inbox._look_again.armed or left <= 0
+    assert counted.inbox._poll_again.armed or left <= 0
 
 
 @pytest.mark.parametrize(
@@ -245,15 +245,15 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     assert len(wakeups) == max(0, waiting - OTHER_DEPTH), "what comes meanwhile is left for the next time"
     assert counted.taker.taken == [OTHER] * all_rings
     assert counted.left == ({} if all_rings else {FURTHER: 1, K: waiting + 1})
-    assert counted.inbox._attempt == (LOOK_AFTER_FLOOD if all_rings else 0)
+    assert counted.inbox._attempt == (POLL_AFTER_FLOOD if all_rings else 0)
     assert not counted.inbox._read_all, "at the next tick those that were heard of are read"
     if all_rings:
         counted.step("M", FURTHER)
-        counted.inbox._look_now()
+        counted.inbox._poll_now()
         assert counted.taker.taken == [OTHER, FURTHER]
-        for _ in range(LOOK_AFTER_FLOOD + 1, len(LOOK_AGAIN_S)):
+        for _ in range(POLL_AFTER_FLOOD + 1, len(POLL_AGAIN_S)):
             assert counted.inbox._lost_some
-            counted.inbox._look_now()
+            counted.inbox._poll_now()
         assert not counted.inbox._lost_some
 
 

@@ -29,19 +29,19 @@ def opened(device: Path) -> int:
 
 def test_a_gateway_sees_it_at_work_and_it_stays_until_the_gateway_knows_of_its_end(device: Path) -> None:
     gateway = Listener(opened(device))
-    assert not gateway.look()
+    assert not gateway.poll()
     notice = Notice(str(device))
     notice.give()
     assert notice.gateway_runs
     ended: list[bool] = []
     end = threading.Thread(target=lambda: ended.append(notice.end()))
     end.start()
-    assert gateway.look(), "it has not left, since nobody had looked"
-    while gateway.look():
+    assert gateway.poll(), "it has not left, since nobody had looked"
+    while gateway.poll():
         pass
     end.join()
     assert ended == [True]
-    assert not gateway.look()
+    assert not gateway.poll()
 
 
 def test_without_a_gateway_nothing_is_waited_for(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -58,11 +58,11 @@ def test_two_of_them_are_seen_until_the_second_has_ended(device: Path, monkeypat
     first, second = Notice(str(device)), Notice(str(device))
     first.give()
     second.give()
-    assert gateway.look()
+    assert gateway.poll()
     assert first.end()
-    assert gateway.look()
+    assert gateway.poll()
     assert second.end()
-    assert not gateway.look()
+    assert not gateway.poll()
 
 
 def test_its_death_is_its_end(device: Path) -> None:
@@ -74,16 +74,16 @@ def test_its_death_is_its_end(device: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", program, str(device)], stdout=subprocess.PIPE) as child:
         assert child.stdout is not None
         child.stdout.readline()
-        assert gateway.look()
+        assert gateway.poll()
         child.kill()
-    assert not gateway.look()
+    assert not gateway.poll()
 
 
 def test_what_a_vanished_device_does_not_say_is_not_known(device: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fd = opened(device)
     gateway = Listener(fd)
     os.close(fd)
-    assert gateway.look() is None
+    assert gateway.poll() is None
     monkeypatch.setattr(outside, "PATIENCE_S", 0.01)
     notice = Notice(str(device))
     notice.give()

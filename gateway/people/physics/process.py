@@ -1,4 +1,4 @@
-"""The process that simulates the body: in real time, and at low priority. What it is given, it reads and never awaits.
+"""The process that simulates the body: in real time, and at low priority. It reads its inputs without waiting.
 
 The gateway's process starts it, and passes two pages of memory: this one reads the servos' targets in the first, and
 writes what the body's sensors feel into the second. The end of its standard input is the end of the gateway. What it
@@ -258,17 +258,17 @@ def main(arguments: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    given: dict[str, Any] = json.loads(arguments[0])
+    options: dict[str, Any] = json.loads(arguments[0])
     try:
-        return _run(given)
+        return _run(options)
     finally:
-        shutil.rmtree(given["folder"], ignore_errors=True)
+        shutil.rmtree(options["folder"], ignore_errors=True)
 
 
-def _run(given: dict[str, Any]) -> int:
-    what = assumed(given["mass_kg"], given["torque_nm"], given["friction"], given["terrain"])
+def _run(options: dict[str, Any]) -> int:
+    what = assumed(options["mass_kg"], options["torque_nm"], options["friction"], options["terrain"])
     try:
-        simulated = Simulated(load(given["geometry"] and Path(given["geometry"])), what)
+        simulated = Simulated(load(options["geometry"] and Path(options["geometry"])), what)
     except GatewayError as error:
         sys.stdout.write(f"{error}\n")
         sys.stdout.flush()
@@ -277,7 +277,7 @@ def _run(given: dict[str, Any]) -> int:
     sys.stdout.flush()
     if (overlap := simulated.world.overlap()) is not None:
         _say(overlap)
-    simulate(simulated, ServoPage(given["page"]), SensedPage(given["sensed"]), Link())
+    simulate(simulated, ServoPage(options["page"]), SensedPage(options["sensed"]), Link())
     return 0
 
 

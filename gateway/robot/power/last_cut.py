@@ -31,7 +31,7 @@ START_S: Final = 0.02  # mutants accepted (Step): none is the only right one
 END_S: Final = 1.0  # mutants accepted (Step): none is the only right one
 """Further time after TRY_NS for calls that hang in python-can."""
 _RETRY_S: Final = 0.1
-_LOOK_S: Final = 0.005
+_POLL_S: Final = 0.005
 _SEND_S: Final = 0.1  # mutants accepted (Step): none is the only right one
 
 
@@ -147,7 +147,7 @@ def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:  # mu
         with suppress(BusyError):  # the frame is sent again
             for frame in cut.next_frames(now_ns):
                 send(bus, frame, _SEND_S)
-        message = bus.recv(_LOOK_S)
+        message = bus.recv(_POLL_S)
         answer = None if message is None else received(message, settings)
         if answer is not None:
             cut.receive(answer, time.monotonic_ns())

@@ -28,7 +28,7 @@ from gateway.robot.power.offs import Confirmed
 if TYPE_CHECKING:
     import can
 
-LOOK_S: Final = 0.01
+POLL_S: Final = 0.01
 """How long the receiver waits for a frame, and so its latest check of the time."""
 RETRY_S: Final = 0.1
 """Between two attempts to open the interface."""
@@ -84,7 +84,7 @@ class PowerLine:
         self._closing = self._cuts = False
         self._retry_ns = 0
         self.status = Status()
-        self.looked_ns = clock()
+        self.polled_ns = clock()
         """When the receiver last checked the time, by which a stuck thread is noticed."""
         self._sender = threading.Thread(target=self._run, args=(self._send,), name="power sender", daemon=True)
         self._receiver = threading.Thread(target=self._run, args=(self._receive,), name="power receiver", daemon=True)
@@ -222,7 +222,7 @@ class PowerLine:
     def _release(self, bus: "can.BusABC") -> None:
         """Close the interface once neither thread uses it, since its descriptor may then become another file's."""
         while self._received_from is bus:
-            time.sleep(LOOK_S / 10)
+            time.sleep(POLL_S / 10)
         with suppress(Exception):
             bus.shutdown()
 
@@ -235,7 +235,7 @@ class PowerLine:
             bus = self._received_from = self._bus
             try:
                 if bus is None:
-                    time.sleep(LOOK_S)
+                    time.sleep(POLL_S)
                 elif bus is self._bus:  # unchanged, so the sender does not close it now
                     frames = self._frames(bus)
             finally:
@@ -249,7 +249,7 @@ class PowerLine:
 
         frames: list[CanFrame] = []
         try:
-            message = bus.recv(LOOK_S)
+            message = bus.recv(POLL_S)
             while message is not None:
                 frame = received(message, self._settings)
                 if frame is not None:
@@ -265,7 +265,7 @@ class PowerLine:
         before = self.status
         with self._lock:
             self._take_requests()
-            now_ns = self.looked_ns = self._clock()
+            now_ns = self.polled_ns = self._clock()
             for frame in frames:
                 self._board.receive(frame, now_ns)
             self._board.poll(now_ns)

@@ -144,9 +144,9 @@ class Beats:
     """
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
-        self._least_ns, self._look_ns = silent_ns // 3, silent_ns // 8
+        self._least_ns, self._poll_ns = silent_ns // 3, silent_ns // 8
         self._heartbeats = Heartbeats()
-        self._looked_ns = begun_ns
+        self._polled_ns = begun_ns
         self._came_ns: deque[int] = deque(maxlen=_BEATS)
         self._quiet_ns = 0
         self.missing = False
@@ -159,16 +159,16 @@ class Beats:
 
     def take(self, data: bytes, now_ns: int) -> None:
         """Take the bytes that the UART has received since the last call."""
-        count, since_ns = self._heartbeats.feed(data), now_ns - self._looked_ns
-        self._looked_ns = now_ns
-        self._quiet_ns += min(since_ns, self._look_ns)
+        count, since_ns = self._heartbeats.feed(data), now_ns - self._polled_ns
+        self._polled_ns = now_ns
+        self._quiet_ns += min(since_ns, self._poll_ns)
         if len(self._came_ns) == _BEATS:
             two_and_a_half_ns = 5 * (self._came_ns[-1] - self._came_ns[0]) // (2 * (_BEATS - 1))
             self.missing = self._quiet_ns >= max(two_and_a_half_ns, self._least_ns)
         if not count:
             return
         self._quiet_ns = 0
-        if since_ns > self._look_ns:  # their times are not known
+        if since_ns > self._poll_ns:  # their times are not known
             self._came_ns.clear()
             count = 1
         self._came_ns.extend([now_ns] * count)

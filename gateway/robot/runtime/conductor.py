@@ -140,7 +140,7 @@ class Conductor:
         fault = self._executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
         if fault is not None:
             raise fault
-        self._look_for_stop_servos()
+        self._check_stop_servos()
         self._arm()
 
     def connect(self, messages: Messages) -> None:
@@ -180,20 +180,20 @@ class Conductor:
         if self._closed:
             return
         instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else self._clock()
-        estops, looked = self._messages.estops, False
+        estops, caught_up = self._messages.estops, False
         for received in self._messages.take():
             while estops:
                 self._emergency_stop(estops.popleft(), instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
-            looked = True
+            caught_up = True
         while estops:
             self._emergency_stop(estops.popleft(), instant_ns)
-            looked = False
+            caught_up = False
         if self._losses.key:
             self._stop_what_lost_stops_named(instant_ns)
-            looked = False
-        if not looked:
+            caught_up = False
+        if not caught_up:
             self._do_what_is_due(instant_ns)
         self._arm()
 
@@ -228,7 +228,7 @@ class Conductor:
         judge = self._staleness
         return None if judge is None else judge.too_old(request.source, request.sent_ms, now_ns, instant_ns)
 
-    def look_outside(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
+    def check_outside(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
         """Check for `stop-servos` on the same device, changed settings, and stopped servos that draw current."""
         if self.supply is not None and self.supply.judge_currents(self._clock()):
             self.power_changed()
@@ -242,9 +242,9 @@ class Conductor:
             self.reports.publish_mode()
             self._arm()
             return  # the check for `stop-servos` follows once the device is open again
-        self._look_for_stop_servos()
+        self._check_stop_servos()
 
-    def _look_for_stop_servos(self) -> None:
+    def _check_stop_servos(self) -> None:
         """Report a start or an end of `stop-servos` to the supervisor. A closed device shows neither."""
         at_work = self.bus.stop_servos_at_work()
         if at_work is not None and at_work is not self.supervisor.stopped_outside:
@@ -413,7 +413,7 @@ class Conductor:
             logger.debug("the SPI device does not answer yet: %s", error)
             self._reopen_timer.set_in(REOPEN_S)
             return
-        self._look_for_stop_servos()  # before commands: otherwise its next Stop would undo a start unnoticed
+        self._check_stop_servos()  # before commands: otherwise its next Stop would undo a start unnoticed
         self._step(BusOpened())
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False

@@ -36,7 +36,7 @@ from schemas.keys import ESTOP
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, PowerReport
 
-MOST_LOOKS: Final = 30
+STUCK_BEATS: Final = 30
 """Beats without progress, 3 s; a line polls a hundred times a second."""
 _WHY: Final = {
     Mode.ESTOPPED: "for the emergency stop",
@@ -56,7 +56,7 @@ class BoardLine(Protocol):  # mutants accepted (RemoveDecorator): for mypy alone
     @property
     def status(self) -> Status: ...
     @property
-    def looked_ns(self) -> int: ...
+    def polled_ns(self) -> int: ...
     def want(self, servos: frozenset[int], number: int) -> None: ...
     def cut(self) -> None: ...
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None: ...
@@ -97,7 +97,7 @@ class RobotSupply:
         self._found: list[News] = []
         self._changed = False
         """Whether a reset or a servo's current has changed something; the board reports neither."""
-        self._looked_ns = self._looks = 0
+        self._polled_ns = self._stuck_beats = 0
         self.confirmations = Confirmations(line.when_off)
 
     # ---- what a step decides
@@ -142,11 +142,11 @@ class RobotSupply:
     # ---- news of the board
 
     def makes_progress(self) -> bool:
-        """Return whether the line has polled within the last MOST_LOOKS beats. Call it once a beat."""
-        looked_ns = self._line.looked_ns
-        self._looks = self._looks + 1 if looked_ns == self._looked_ns else 0
-        self._looked_ns = looked_ns
-        return self._looks < MOST_LOOKS
+        """Return whether the line has polled within the last STUCK_BEATS beats. Call it once a beat."""
+        polled_ns = self._line.polled_ns
+        self._stuck_beats = self._stuck_beats + 1 if polled_ns == self._polled_ns else 0
+        self._polled_ns = polled_ns
+        return self._stuck_beats < STUCK_BEATS
 
     @property
     def _fed(self) -> frozenset[int]:

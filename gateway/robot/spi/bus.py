@@ -69,7 +69,7 @@ MOST_CALLS: Final = 1000
 INSIST_NS: Final = 300_000_000
 """The most calls and time for trying failed Stops one by one; nothing else is more urgent. With a first and a last call
 that take 200 ms to fail, the loop is blocked for 0.7 s; systemd waits for 1 s (WatchdogSec=)."""
-LOOKED_AT: Final = len(LEGS)
+SEARCHED_STOPS: Final = len(LEGS)
 """Stops among which a resynchronising one is searched; a search among eighteen takes 0.1 s."""
 SLOW_NS: Final = 20_000_000
 """A call that takes this long to fail is a transfer for which Linux waited. Other calls fail within a millisecond."""
@@ -374,7 +374,7 @@ class Bus(Wire):
         """Return the place of the Stop to write next, or None for a zero: no few Stops resynchronise the controller."""
         if not self.announces:
             return left[0]
-        candidates = [*left, *(place for place in range(len(frames)) if place not in left)][:LOOKED_AT]
+        candidates = [*left, *(place for place in range(len(frames)) if place not in left)][:SEARCHED_STOPS]
         stops = tuple(dict.fromkeys(frames[place].data for place in candidates))
         found = next_on_the_way_back(self._awaited, stops)
         return None if found == ZERO else next(place for place in candidates if frames[place].data == found)

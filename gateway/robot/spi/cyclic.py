@@ -60,7 +60,7 @@ class CyclicBus(Wire):
         self._signs = SignsOfLife(silent_ns, 0)
         self._silent: ControllerSilentError | None = None
         self._frames_ns = 0  # when frames begin
-        self._looked_ns = 0  # when `silent` was last called
+        self._checked_ns = 0  # when `silent` was last called
         self._device_failed = self._exchanging = self._abandoned = False
         self.frames = 0
         self.errors = 0
@@ -148,7 +148,7 @@ class CyclicBus(Wire):
         A restarted controller that does not return is silent, too. Call this often: after a long gap this process was
         delayed, and answers may be unread, so the controller does not count as silent.
         """
-        delayed_ns, self._looked_ns = now_ns - self._looked_ns, now_ns
+        delayed_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
         if self._device is None or type(self._silent) is ControllerSilentError or delayed_ns >= self._silent_ns:
             return None
         why = self._signs.silent(now_ns)

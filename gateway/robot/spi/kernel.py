@@ -146,7 +146,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
 
     def stop_servos_at_work(self) -> bool | None:
         """As in `OpenDevice`; None also if not `exclusive`."""
-        return None if self._listener is None else self._listener.look()
+        return None if self._listener is None else self._listener.poll()
 
     def put_right(self) -> str | None:
         """As in `OpenDevice`, for the mode. A changed speed alone does no harm and is not checked."""
@@ -184,8 +184,8 @@ def _segments(
     segments = bytearray()
     for number, (size, pause_us) in enumerate(zip(sizes, pauses_us, strict=True), 1):
         # cs_change releases chip select after a transfer; after the last one it would keep chip select.
-        behind = number < len(sizes)
-        segments += _SEGMENT.pack(data_at, received_at, size, speed_hz, pause_us, _BITS, behind, 0, 0, 0, 0)
+        cs_change = number < len(sizes)
+        segments += _SEGMENT.pack(data_at, received_at, size, speed_hz, pause_us, _BITS, cs_change, 0, 0, 0, 0)
         data_at += size
     return _MESSAGES[len(sizes)], segments
 

@@ -14,7 +14,7 @@ from typing import Final
 
 PATIENCE_S: Final = 0.5
 """How long `stop-servos` waits to be noticed. A gateway polls ten times a second; a hanging one is not waited for."""
-_LOOK_PAUSE_S: Final = 0.002
+_POLL_S: Final = 0.002
 _AT_WORK, _UNSEEN = 2, 3  # bytes of the device
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 
@@ -26,7 +26,7 @@ class Listener:
         self._fd = fd
         self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
 
-    def look(self) -> bool | None:
+    def poll(self) -> bool | None:
         """Return whether `stop-servos` is at work, or None if not known. Takes some microseconds, never raises."""
         # UNSEEN before AT_WORK: if `stop-servos` finds UNSEEN free after its last Stop, a poll has seen it at work.
         self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
@@ -70,7 +70,7 @@ class Notice:
         while _held(fd, _UNSEEN) is not unseen:
             if time.monotonic() > give_up_s:
                 return False
-            time.sleep(_LOOK_PAUSE_S)
+            time.sleep(_POLL_S)
         return True
 
 

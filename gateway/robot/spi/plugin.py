@@ -93,7 +93,7 @@ class PluginDevice(SpiDevice):
                     self._wire.apply((change,))
 
     def stop_servos_at_work(self) -> bool | None:
-        return None if self._listener is None else self._listener.look()
+        return None if self._listener is None else self._listener.poll()
 
     def close(self) -> None:
         with suppress(Exception):  # the Stops are already written

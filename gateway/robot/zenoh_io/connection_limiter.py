@@ -69,9 +69,9 @@ class ConnectionLimiter:
         with suppress(zenoh.ZError):  # the ring closes with the session
             while True:
                 events.recv()
-                self._look()
+                self._check_links()
 
-    def _look(self) -> None:
+    def _check_links(self) -> None:
         links = self._session.info.links()
         self._since = {str(link.zid): self._arrival(str(link.zid)) for link in links}
         self._count(len(self._since))

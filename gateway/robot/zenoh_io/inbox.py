@@ -61,12 +61,12 @@ OTHER_DEPTH: Final = 16  # mutants accepted (Step): none is the only right one
 """Messages for unknown keys that wait; each is rejected on its own, so more are of no use."""
 READER_DEPTH: Final = 32  # mutants accepted (Step): none is the only right one
 """Queries on another key that wait to be read. A query that is pushed out gets no answer, and its sender notices."""
-LOOK_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)  # mutants accepted (LeaveOut): none is the only right one
+POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)  # mutants accepted (LeaveOut): none is the only right one
 """Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
 after the other, and its thread may be interrupted in between."""
-LOOK_AFTER_FLOOD: Final = 2  # mutants accepted (Step): none is the only right one
+POLL_AFTER_FLOOD: Final = 2  # mutants accepted (Step): none is the only right one
 """The first of these delays after lost wakeups: longer than a flood's next tick, which polls anyway."""
-_EARLY_S: Final = sum(LOOK_AGAIN_S)
+_EARLY_S: Final = sum(POLL_AGAIN_S)
 """How long a wakeup is expected after its message was taken."""
 
 FLOOD_PAUSE_S: Final = 0.001
@@ -123,9 +123,9 @@ class Inbox:
         """Messages of each key that were taken before their wakeup arrived."""
         self._early_until_s = 0.0
         self._lost_some = False  # wakeups were lost, so all keys are polled again
-        self._look_at: Collection[str] = ()
+        self._poll_keys: Collection[str] = ()
         self._read_all = False
-        self._look_again = OwnersTimer(loop, owner, self._look_now)
+        self._poll_again = OwnersTimer(loop, owner, self._poll_now)
         self._attempt = 0
         self.instant_open = False
         """Whether the next messages belong to the same instant as the last."""
@@ -180,7 +180,7 @@ class Inbox:
         """
         # Rings with a wakeup are read. After lost wakeups, and after a timer, all are (4 µs): a Stop whose wakeup has
         # not been received yet precedes a frame whose rate slot has come.
-        keys = () if self._read_all else {*self._woken, *self._look_at}
+        keys = () if self._read_all else {*self._woken, *self._poll_keys}
         try:
             found = self._rings.read(keys)
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
@@ -302,7 +302,7 @@ class Inbox:
         woken, self._woken = self._woken, {}
         if self._read_all:
             self._missed, self._early, self._lost_some = {}, {}, True
-            self._look_later(LOOK_AFTER_FLOOD)
+            self._poll_later(POLL_AFTER_FLOOD)
         elif taken != woken or self._early:
             counts = (self._missed, woken, self._early, taken)
             left = {
@@ -318,21 +318,21 @@ class Inbox:
             late = self._loop.time() > self._early_until_s
             self._early = {} if late else {key: -count for key, count in left.items() if count < 0}
             if missed_more:
-                self._look_later(0)
+                self._poll_later(0)
 
-    def _look_later(self, attempt: int) -> None:  # mutants accepted (Forget): only time is lost
-        self._look_again.cancel()
+    def _poll_later(self, attempt: int) -> None:  # mutants accepted (Forget): only time is lost
+        self._poll_again.cancel()
         if self._missed or self._lost_some:
             self._attempt = attempt
-            self._look_again.set_in(LOOK_AGAIN_S[attempt])
+            self._poll_again.set_in(POLL_AGAIN_S[attempt])
 
-    def _look_now(self) -> None:
+    def _poll_now(self) -> None:
         attempt = self._attempt
-        self._look_at = () if self._lost_some else tuple(self._missed)
+        self._poll_keys = () if self._lost_some else tuple(self._missed)
         self._wake()
-        self._look_at = ()
-        if attempt + 1 < len(LOOK_AGAIN_S):
-            self._look_later(attempt + 1)
+        self._poll_keys = ()
+        if attempt + 1 < len(POLL_AGAIN_S):
+            self._poll_later(attempt + 1)
         else:
             self._missed, self._lost_some = {}, False  # the message was pushed out, or taken before its wakeup
 

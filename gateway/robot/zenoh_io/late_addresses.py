@@ -87,7 +87,7 @@ class LateAddresses:
         logger.warning("does not listen on %s yet, and keeps trying: %s", endpoint, fault.strerror)
         self.missing += (endpoint,)
 
-    def look(self) -> bool:
+    def check(self) -> bool:
         """Check the missing endpoints. Return whether they have changed. Waits for name servers."""
         still = tuple(each for each in self.missing if not self._is_there(each))
         for each in set(self.missing) - set(still):

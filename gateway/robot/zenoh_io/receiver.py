@@ -20,7 +20,7 @@ OwnersTask = Callable[[], float | None]
 """Handles one item, with the state owned. Returns the seconds to wait before the next one, or None."""
 Reader = Callable[[zenoh.Query, int, Reply], OwnersTask]
 """Reads one query, received at this time (ns), on a thread without the state. Returns the task for the owner."""
-MOST_LOOKS: Final = 30
+STUCK_BEATS: Final = 30
 """Beats without progress, 3 s. The loop owns the state in each, so a thread that only waits for the state has its turn
 in between."""
 
@@ -48,15 +48,17 @@ class ReceiverThread:
         self._in_hand_ns: int | None = None
         """When the item in hand was received; None: there is none."""
         self._seen_ns: int | None = None
-        self._looks = 0
+        self._stuck_beats = 0
         self.thread = threading.Thread(target=self._wait, name=name, daemon=True)
         self.thread.start()
 
     def makes_progress(self) -> bool:
         """Return whether the thread is alive and makes progress. Call it once a beat."""
-        self._looks = self._looks + 1 if self._in_hand_ns is not None and self._in_hand_ns == self._seen_ns else 0
+        self._stuck_beats = (
+            self._stuck_beats + 1 if self._in_hand_ns is not None and self._in_hand_ns == self._seen_ns else 0
+        )
         self._seen_ns = self._in_hand_ns
-        return self.thread.is_alive() and self._looks < MOST_LOOKS
+        return self.thread.is_alive() and self._stuck_beats < STUCK_BEATS
 
     def _wait(self) -> None:
         prefer_thread(self._priority)
@@ -66,11 +68,11 @@ class ReceiverThread:
                 now_ns = self._in_hand_ns = time.monotonic_ns()
                 pause_s = None
                 try:
-                    deal = self._note(item, now_ns)
+                    task = self._note(item, now_ns)
                     del item  # a query that is still referenced keeps its client waiting
                     with self._owner:
-                        pause_s = deal()
-                    del deal
+                        pause_s = task()
+                    del task
                 except Exception as error:
                     report_mistake(self._loop, f"the thread {self.thread.name} failed", error)
                 self._in_hand_ns = None

@@ -74,24 +74,24 @@ class Upkeep:
         prefer_thread(PAGE_PRIORITY)
         with suppress(zenoh.ZError):  # the session was closed
             while True:
-                self._look(time.monotonic())
+                self._check(time.monotonic())
                 often = self._dials or self._late.missing
                 if self._closed.wait(
                     LINKS_PERIOD_S if often else max(LINKS_PERIOD_S, self._clock_due_s - time.monotonic())
                 ):
                     return
 
-    def _look(self, now_s: float) -> None:
-        changed = self._look_at_links(now_s) | self._late.look()
+    def _check(self, now_s: float) -> None:
+        changed = self._check_links(now_s) | self._late.check()
         if now_s >= self._clock_due_s:
             self._clock_due_s = now_s + CLOCK_S
-            changed |= self._look_at_clock()
+            changed |= self._check_expiry()
         if changed:
             unreached = "" if self._reached is not False else f"; {', '.join(self._dials)} is not reached"
             missing = "" if not self._late.missing else f"; does not listen on {', '.join(self._late.missing)} yet"
             self._status(f"takes commands{missing}{unreached}{f'; {self._fault}' if self._fault else ''}")
 
-    def _look_at_links(self, now_s: float) -> bool:
+    def _check_links(self, now_s: float) -> bool:
         """Return whether the dialled endpoints have become reachable or unreachable."""
         if not self._dials:
             return False
@@ -110,7 +110,7 @@ class Upkeep:
             )
         return True
 
-    def _look_at_clock(self) -> bool:
+    def _check_expiry(self) -> bool:
         """Warn of expiry: once a day, from WARN_DAYS before it. Return whether the warning has changed."""
         fault = self._expiry_fault()
         if fault == self._fault:

@@ -51,7 +51,7 @@ async def test_a_controller_is_found_silent_though_a_transfer_hangs(monkeypatch:
     while not robot.events(Kind.CONTROLLER_SILENT):
         await asyncio.sleep(0.1)  # as the beat does
         assert not robot.said
-        robot.conductor.look_outside()
+        robot.conductor.check_outside()
     assert (robot.now_ns() - hangs_ns) / 1e9 < 0.5
     assert [what for _, what in robot.said] == ["shutdown"]
 
@@ -59,7 +59,7 @@ async def test_a_controller_is_found_silent_though_a_transfer_hangs(monkeypatch:
 async def test_that_settings_were_changed_is_in_the_published_state_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
     monkeypatch.setattr(robot.controller, "put_right", lambda: "mode 3")
-    robot.conductor.look_outside()
+    robot.conductor.check_outside()
     assert [state.mode for state in robot.states] == [Mode.BUS_FAULT]
 
 
@@ -89,7 +89,7 @@ async def test_stop_servos_at_work_at_the_start_is_found_before_a_command_is_tak
 async def test_stops_for_stop_servos_are_repeated_though_nothing_else_happens(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet(rules={"repeats": 2})
     monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
-    robot.conductor.look_outside()
+    robot.conductor.check_outside()
     await asyncio.sleep(0.2)
     assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS] * 3
 

@@ -49,7 +49,7 @@ def kinds(robot: Robot) -> list[Kind | str]:
 
 async def test_the_look_ten_times_a_second_publishes_it_and_stops_all_legs(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, _ = await meddled(monkeypatch, LEG_3)
-    robot.conductor.look_outside()
+    robot.conductor.check_outside()
     assert robot.mode == Mode.BUS_FAULT
     await asyncio.sleep(0.001)
     assert [frame for _, frame in robot.frames] == ALL_STOPS
@@ -61,7 +61,7 @@ async def test_the_look_ten_times_a_second_publishes_it_and_stops_all_legs(monke
     assert kinds(robot) == CYCLE
     assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
     for _ in range(3):
-        robot.conductor.look_outside()
+        robot.conductor.check_outside()
     assert robot.ask(LEG_3, START).accepted
     assert kinds(robot) == CYCLE
 
@@ -70,7 +70,7 @@ async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.
     robot, meddler = await meddled(monkeypatch, LEG_3)
     assert robot.conductor.shut_down()
     meddler.found = "mode 1"
-    robot.conductor.look_outside()
+    robot.conductor.check_outside()
     await asyncio.sleep(1)
     assert [frame for _, frame in robot.frames] == ALL_STOPS * 3
     assert robot.conductor.done.is_set()

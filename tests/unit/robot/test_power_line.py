@@ -218,9 +218,9 @@ def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
         owner.line.want(ALL_SERVOS, 0)
         owner.line.cut()
     assert not owner.cut_and_confirm().confirmed
-    looked_ns = owner.line.looked_ns
+    polled_ns = owner.line.polled_ns
     owner.line.close(timeout_s=0.01)
-    assert looked_ns > 0
+    assert polled_ns > 0
     bus.ended.set()
 
 
