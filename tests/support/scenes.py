@@ -1,0 +1,178 @@
+"""Scenes for a supervisor as text: a line is an instant, what comes then, and what the step says.
+
+    100 leg 1 start 90 → command 1 start 90; completed 1
+    120 servo 12 set 45 (lease anna) → nothing
+    due 350
+    350 time → …; announce watchdog_expired  # why it is so
+
+`…` stands for anything, `estop 1-6 stop` for a Stop to each leg. A line without an instant is a fact (FACTS). A long
+line continues in the next one, from its arrow on. A first line `rules repeats=2, start_pause_ms=50` states the rules
+(otherwise those of Steps), and `unopened` that the bus is not open yet.
+"""
+
+import ast
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, RequestAnswer
+from gateway.robot.core.leg import Rules
+from schemas.robot import SERVO_IDS
+from tests.support.model_check import pending
+from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
+
+
+def play(scene: str, robot: Steps | None = None) -> Steps:
+    """Take each line of the scene, with a new robot unless there is one."""
+    lines = [line for each in re.sub(r"\n\s*→", " →", scene).splitlines() if (line := each.strip())]
+    rules = rules_of(lines.pop(0).removeprefix("rules")) if lines[0].startswith("rules ") else None
+    opened = lines[:1] != ["unopened"]
+    robot = robot or Steps(rules, opened=opened)
+    for line in lines if opened else lines[1:]:
+        done, arrow, expected = line.partition("  #")[0].partition("→")
+        at, _, words = done.strip().partition(" ")
+        if not at[0].isdigit():
+            found, wanted = FACTS[at](robot, words)
+            assert found == wanted, line
+            continue
+        said = take(robot, float(at), words)
+        if arrow:
+            assert alike(said, spelled(expected)), f"{line}: {said}"
+    return robot
+
+
+def rules_of(words: str) -> Rules:
+    """`repeats=2, period_ms=1000`; without a word of them, Stops are not repeated, as in Steps."""
+    call = ast.parse(f"rules({words})", mode="eval").body
+    assert isinstance(call, ast.Call)
+    known: dict[str, Any] = {"repeats": 0, "rest_runs": 0}
+    for each in call.keywords:
+        name, value = str(each.arg), ast.literal_eval(each.value)
+        known |= {f"{name[:-3]}_ns": round(value * NS_PER_MS)} if name.endswith("_ms") else {name: value}
+    return Rules(**known)
+
+
+def spelled(expected: str) -> list[str]:
+    """What a step is to say."""
+    items = [item.strip() for item in expected.split(";")]
+    found: list[str] = []
+    for item in items if items != ["nothing"] else []:
+        cause, of_all, _ = item.partition(" 1-6 stop")
+        found += all_stopped(cause) if of_all else [item]
+    return found
+
+
+def alike(said: Sequence[str], expected: Sequence[str]) -> bool:
+    """Whether a step said this, with anything for `…`."""
+    if not expected:
+        return not said
+    first, *rest = expected
+    if first == "…":
+        return any(alike(said[place:], rest) for place in range(len(said) + 1))
+    return bool(said) and said[0] == first and alike(said[1:], rest)
+
+
+def targets_of(words: str) -> Targets:
+    """`leg 1 start 90`, `leg 1 set 80 | stop | set 70`, `servo 11 stop`, `legs 123 stop`, and these joined by `+`."""
+    found: Targets = ()
+    for each in words.split(" + "):
+        of, number, word = each.strip().split(" ", 2)
+        match of:
+            case "leg":
+                found += leg_to(int(number), *(part.strip() for part in word.split("|")))
+            case "legs":
+                found += legs_to(number, word)
+            case _:
+                found += servo_to(int(number), word)
+    return found
+
+
+def take(robot: Steps, at_ms: float, words: str) -> list[str]:
+    """One step; its options stand in parentheses: `(lease anna, key legs)`."""
+    words, _, rest = words.partition(" (")
+    options = dict(option.strip().split(" ", 1) for option in rest.rstrip(") ").split(",") if option)
+    what, _, more = words.strip().partition(" ")
+    if what in ("leg", "legs", "servo"):
+        channel = options.pop("key", "leg")
+        return robot.command(at_ms, targets_of(words), channel, **options)
+    return STEPS[what](robot, at_ms, more, options)
+
+
+def _board(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+    """`board`, `board silent`, and as options `fed 31 33`, `lost 32`, `refused 12`, `doubt why`."""
+    known: dict[str, Any] = {"alive": words != "silent"}
+    known |= {name: value if name in ("doubt", "refused") else ids(value) for name, value in options.items()}
+    return robot.board(at_ms, **known)
+
+
+def ids(words: str) -> tuple[int, ...]:
+    return () if words == "none" else SERVO_IDS if words == "all" else tuple(map(int, words.split()))
+
+
+def _lease(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+    """`lease acquire anna (fresh token)`, `lease renew (token token)`."""
+    return robot.lease(at_ms, words, options.get("token"), fresh=options.get("fresh", ""))
+
+
+def _button(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+    """`button register kitchen`, `button alive kitchen 1 (sent 55020, holder anna's)`."""
+    verb, who, *count = words.split()
+    sent_ms = float(options["sent"]) if "sent" in options else None
+    return robot.button(at_ms, verb, who, *map(int, count), sent_ms=sent_ms, holder=options.get("holder"))
+
+
+def _pass(robot: Steps, until_ms: float) -> list[str]:
+    """Let time pass as the service does: whatever is due is done when it is."""
+    said: list[str] = []
+    while robot.due_ms is not None and robot.due_ms <= until_ms:
+        said += robot.time(robot.due_ms)
+    return said
+
+
+STEPS: Final[dict[str, Callable[[Steps, float, str, dict[str, str]], list[str]]]] = {
+    "time": lambda robot, at_ms, _, __: robot.time(at_ms),
+    "pass": lambda robot, at_ms, _, __: _pass(robot, at_ms),
+    "estop": lambda robot, at_ms, _, __: robot.estop(at_ms),
+    "reset": lambda robot, at_ms, newer, options: robot.reset(at_ms, newer=int(newer or 0), **options),
+    "unnumbered": lambda robot, at_ms, _, __: robot.reset_without_number(at_ms),
+    "fail": lambda robot, at_ms, _, __: robot.fail(at_ms),
+    "open": lambda robot, at_ms, _, __: robot.open(at_ms),
+    "end": lambda robot, at_ms, _, __: robot.end(at_ms),
+    "outside": lambda robot, at_ms, what, _: robot.outside(at_ms, at_work={"begins": True, "ends": False}[what]),
+    "tilt": lambda robot, at_ms, deg, _: robot.measure(at_ms, None if deg == "unknown" else float(deg)),
+    "board": _board,
+    "lease": _lease,
+    "button": _button,
+    "kept": lambda robot, at_ms, fault, _: robot.kept(at_ms, fault or None),
+}
+"""What a step takes, by its first word."""
+
+
+def _instant(robot: Steps, words: str) -> tuple[object, object]:
+    robot.instant_ms = None if words == "ends" else float(words)
+    return None, None
+
+
+FACTS: Final[dict[str, Callable[[Steps, str], tuple[object, object]]]] = {
+    "instant": _instant,  # what follows came in the instant that began then
+    "running": lambda robot, words: (tuple(robot.running), ids(words)),
+    "due": lambda robot, words: (robot.due_ms, None if words == "never" else float(words)),
+    "mode": lambda robot, word: (robot.supervisor.mode, word),
+    "says": lambda robot, detail: (robot.detail, detail),
+    "announces": lambda robot, detail: (robot.only(Announce).detail, detail),
+    "mentions": lambda robot, words: (words in str(robot.effects), True),
+    "legs": lambda robot, numbers: (robot.only(Announce).legs, tuple(map(int, numbers))),
+    "joined": lambda robot, legs: (
+        [effect.frame.servos[0][0] // 10 for effect in robot.joining],
+        [*map(int, legs.replace("none", ""))],
+    ),
+    "expirations": lambda robot, count: (robot.supervisor.watchdog.expirations, int(count)),
+    "pending": lambda robot, _: (pending(robot.supervisor), {}),
+    "answers": lambda robot, detail: (robot.only(RequestAnswer).detail, detail),
+    "source": lambda robot, name: (robot.only(Announce).source, name),
+    "asked": lambda robot, name: (robot.supervisor.lease.asked_by or "nobody", name),
+    "holder": lambda robot, name: (robot.supervisor.lease.holder or "nobody", name),
+    "watchdogs": lambda robot, words: ([leg.watchdog for leg in robot.supervisor.legs], words.split()),
+}
+"""What is so behind the latest step, by its first word: found, and wanted."""
