@@ -16,30 +16,43 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, RequestAnswer
+from gateway.model.calibration import CalibrationChange, MappingChange
+from gateway.robot.core.events import Announce, Command, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.robot import SERVO_IDS
 from tests.support.model_check import pending
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
 
 
-def play(scene: str, robot: Steps | None = None) -> Steps:
-    """Take each line of the scene, with a new robot unless there is one."""
-    lines = [line for each in re.sub(r"\n\s*→", " →", scene).splitlines() if (line := each.strip())]
+class Scenes(Steps):
+    """A supervisor that scenes are played with."""
+
+    def play(self, scene: str) -> "Scenes":
+        """Take each line of it."""
+        for line in lines_of(scene):
+            done, arrow, expected = line.partition("  #")[0].partition("→")
+            at, _, words = done.strip().partition(" ")
+            if not at[0].isdigit():
+                found, wanted = FACTS[at](self, words)
+                assert found == wanted, line
+                continue
+            said = take(self, float(at), words)
+            if arrow:
+                assert alike(said, spelled(expected)), f"{line}: {said}"
+        return self
+
+
+def play(scene: str) -> Scenes:
+    """Play it with a new robot."""
+    lines = lines_of(scene)
     rules = rules_of(lines.pop(0).removeprefix("rules")) if lines[0].startswith("rules ") else None
     opened = lines[:1] != ["unopened"]
-    robot = robot or Steps(rules, opened=opened)
-    for line in lines if opened else lines[1:]:
-        done, arrow, expected = line.partition("  #")[0].partition("→")
-        at, _, words = done.strip().partition(" ")
-        if not at[0].isdigit():
-            found, wanted = FACTS[at](robot, words)
-            assert found == wanted, line
-            continue
-        said = take(robot, float(at), words)
-        if arrow:
-            assert alike(said, spelled(expected)), f"{line}: {said}"
-    return robot
+    return Scenes(rules, opened=opened).play("\n".join(lines if opened else lines[1:]))
+
+
+def lines_of(scene: str) -> list[str]:
+    """Its lines, each with what it expects."""
+    return [line for each in re.sub(r"\n\s*→", " →", scene).splitlines() if (line := each.strip())]
 
 
 def rules_of(words: str) -> Rules:
@@ -89,13 +102,16 @@ def targets_of(words: str) -> Targets:
 
 
 def take(robot: Steps, at_ms: float, words: str) -> list[str]:
-    """One step; its options stand in parentheses: `(lease anna, key legs)`."""
+    """One step; its options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages were lost, and
+    one may have been this."""
     words, _, rest = words.partition(" (")
     options = dict(option.strip().split(" ", 1) for option in rest.rstrip(") ").split(",") if option)
     what, _, more = words.strip().partition(" ")
     if what in ("leg", "legs", "servo"):
         channel = options.pop("key", "leg")
         return robot.command(at_ms, targets_of(words), channel, **options)
+    if what == "lost":
+        return robot.take(at_ms, Command(targets_of(more), key="lost", number=99, lost=True))
     return STEPS[what](robot, at_ms, more, options)
 
 
@@ -122,6 +138,26 @@ def _button(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> 
     return robot.button(at_ms, verb, who, *map(int, count), sent_ms=sent_ms, holder=options.get("holder"))
 
 
+def change_of(words: str) -> CalibrationChange:
+    """`32 trim -5 inverted + 33 trim 1 + landing 31 45`, or `nothing`; degrees."""
+    servos: dict[int, MappingChange] = {}
+    landing: dict[int, int | None] = {}
+    for each in words.split(" + ") if words != "nothing" else ():
+        of, value, *more = each.split()
+        if of == "landing":
+            landing[int(value)] = round(float(more[0]) * 100)
+        else:
+            servos[int(of)] = MappingChange(round(float(more[0]) * 100), "inverted" in more or None)
+    return CalibrationChange(servos, landing)
+
+
+def _calibrate(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+    """`calibrate 32 trim -5 (revision 1, lease anna)`, `calibrate nothing (accept default)`."""
+    revision = int(options["revision"]) if "revision" in options else None
+    default, lease = "accept" in options, options.get("lease")
+    return robot.calibrate(at_ms, change_of(words), revision=revision, accept_default=default, lease=lease)
+
+
 def _pass(robot: Steps, until_ms: float) -> list[str]:
     """Let time pass as the service does: whatever is due is done when it is."""
     said: list[str] = []
@@ -144,6 +180,7 @@ STEPS: Final[dict[str, Callable[[Steps, float, str, dict[str, str]], list[str]]]
     "board": _board,
     "lease": _lease,
     "button": _button,
+    "calibrate": _calibrate,
     "kept": lambda robot, at_ms, fault, _: robot.kept(at_ms, fault or None),
 }
 """What a step takes, by its first word."""
@@ -171,6 +208,7 @@ FACTS: Final[dict[str, Callable[[Steps, str], tuple[object, object]]]] = {
     "pending": lambda robot, _: (pending(robot.supervisor), {}),
     "answers": lambda robot, detail: (robot.only(RequestAnswer).detail, detail),
     "source": lambda robot, name: (robot.only(Announce).source, name),
+    "key": lambda robot, key: (robot.only(Announce).key, key),
     "asked": lambda robot, name: (robot.supervisor.lease.asked_by or "nobody", name),
     "holder": lambda robot, name: (robot.supervisor.lease.holder or "nobody", name),
     "watchdogs": lambda robot, words: ([leg.watchdog for leg in robot.supervisor.legs], words.split()),

@@ -10,8 +10,8 @@ from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
-from tests.support.scenes import play
-from tests.support.steps import Steps, all_stopped
+from tests.support.scenes import Scenes, play
+from tests.support.steps import all_stopped
 
 TIMEOUT_MS = 1000
 KITCHEN = "k" * 32
@@ -52,14 +52,14 @@ def test_a_button_that_returns_starts_nothing_and_lets_start() -> None:
         5000 button alive kitchen 2 → announce button_returned; granted
         running none""")
     assert robot.supervisor.buttons.fell_ns is None
-    play("5001 leg 1 start 90 → command 1 start 90; completed 2", robot)
+    robot.play("5001 leg 1 start 90 → command 1 start 90; completed 2")
 
 
 def test_the_rejection_names_how_many_are_missing() -> None:
     robot = play(SLOW + "buttons_required=3" + KITCHEN_ALIVE)
     found = robot.supervisor.buttons
     assert found._too_few()[1].startswith("1 of the 3 buttons that are required is alive")
-    play("1 button register hall\n 1 button alive hall 0", robot)
+    robot.play("1 button register hall\n 1 button alive hall 0")
     assert found._too_few()[1].startswith("2 of the 3 buttons that are required are alive")
 
 
@@ -134,32 +134,26 @@ def test_a_name_registers_once_and_the_newer_registration_is_alive_for_as_long_a
     robot = play(WATCHED)
     robot.supervisor.buttons._by_token["the first"] = robot.supervisor.buttons._by_token.pop("kitchen")
     robot.oracle.buttons.known["the first"] = robot.oracle.buttons.known.pop("kitchen")
-    play(
-        """
+    robot.play("""
         10 button register kitchen → announce button_registered; granted
         mentions kitchen is registered as a button, in place of the one of that name
         running 11 12 13
-        due 1000  # registering is no check-in""",
-        robot,
-    )
+        due 1000  # registering is no check-in""")
     assert robot.button(11, "alive", "the first", 2) == ["unknown_button"]
-    play("12 button alive kitchen 0 → granted\n due 1012", robot)
+    robot.play("12 button alive kitchen 0 → granted\n due 1012")
 
 
 # ---- whose places they are
 
 
 def test_a_name_that_another_certificate_registers_takes_no_place() -> None:
-    robot = Steps(Rules(buttons_required=2))
+    robot = Scenes(Rules(buttons_required=2))
     for holder in ("anna's", "the rogue's"):
-        play(
-            f"""
+        robot.play(f"""
             0 button register kitchen (holder {holder}) → announce button_registered; granted
-            0 button alive kitchen 1 (holder {holder}) → granted""",
-            robot,
-        )
+            0 button alive kitchen 1 (holder {holder}) → granted""")
         assert "in place of" not in str(robot.announced)
-    play("1 leg 1 start 90 → command 1 start 90; completed 1", robot)
+    robot.play("1 leg 1 start 90 → command 1 start 90; completed 1")
 
 
 def test_two_names_of_one_certificate_are_not_the_two_that_are_required() -> None:

@@ -6,8 +6,7 @@ import pytest
 
 from gateway.robot.core.events import Do, LeaseRequest, RequestAnswer
 from gateway.robot.core.lease import MOST_ASKERS
-from tests.support.scenes import play
-from tests.support.steps import Steps
+from tests.support.scenes import Scenes, play
 
 BERT: Final = "bert"
 HELD: Final = """
@@ -39,14 +38,11 @@ def test_a_takeover_stops_all_six_legs_first() -> None:
         announces bert has stopped all legs and taken the lease from anna
         source bert""")
     assert robot.only(RequestAnswer).token == BERT
-    play(
-        """
+    robot.play("""
         30 leg 1 start 90 (lease anna) → rejected 3 not_holder
         31 leg 1 set 45 (lease bert) → rejected 4 servo_stopped
         32 leg 1 start 90 (lease bert) → command 1 start 90; completed 5
-        60 leg 1 stop (lease anna) → command 1 stop; completed 6""",
-        robot,
-    )
+        60 leg 1 stop (lease anna) → command 1 stop; completed 6""")
 
 
 @pytest.mark.parametrize(
@@ -85,7 +81,7 @@ def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
 
 def test_no_repr_shows_a_token() -> None:
     anna, bert = "a" * 32, "b" * 32
-    robot = Steps()
+    robot = Scenes()
     seen = [*map(repr, robot.lease(0, "acquire anna", fresh=anna)), repr(robot.effects)]
     for words, token in (("renew", anna), ("take bert", None)):
         robot.lease(2, words, token, fresh=bert)

@@ -1,20 +1,15 @@
 """A servo whose speed is limited goes to its target in steps, one in each rate slot. Each step is judged."""
 
-from collections.abc import Callable
+from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Command
-from gateway.robot.core.leg import Rules
-from tests.support.steps import Steps, leg_to, servo_to
+from gateway.robot.core.events import Rejected
+from tests.support.scenes import play
+from tests.support.steps import Steps
 
-
-def speed_steps(deg_s: float = 100) -> Steps:
-    """Servo 31 runs at 90 degrees since 0 ms; leg 3 has a rate slot each 20 ms."""
-    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: round(deg_s * 100)}))
-    steps.command(1, leg_to(3, "start 90"))
-    return steps
+RUNS: Final = "rules max_speed_cdeg_s={31: 10000}\n 1 leg 3 start 90\n"
+"""Servo 31 runs at 90 degrees since 0 ms; leg 3 has a rate slot each 20 ms."""
 
 
 def angles(steps: Steps, until_ms: float) -> list[float]:
@@ -31,171 +26,115 @@ def angles(steps: Steps, until_ms: float) -> list[float]:
 
 
 def test_a_far_target_is_approached_and_reached() -> None:
-    steps = speed_steps()
-    assert steps.command(51, servo_to(31, "set 110")) == ["command 31 set 92", "completed 2"]
+    steps = play(f"{RUNS} 51 servo 31 set 110 → command 31 set 92; completed 2")
     said = angles(steps, 300)
     assert said == sorted(said)
     assert said[-1] == 110
     assert len(said) >= (110 - 92) / (100 / 50)
 
 
-def test_a_near_target_is_reached_at_once() -> None:
-    steps = speed_steps()
-    assert steps.command(51, servo_to(31, "set 91.9"))[0] == "command 31 set 91.9"
-    assert angles(steps, 200) == []
-
-
 def test_the_newest_target_counts() -> None:
-    steps = speed_steps()
-    steps.command(51, servo_to(31, "set 180"))
-    assert steps.command(71, servo_to(31, "set 85"))[0] == "command 31 set 90"
+    steps = play(f"{RUNS} 51 servo 31 set 180\n 71 servo 31 set 85 → command 31 set 90; …")
     assert angles(steps, 300)[-1] == 85
 
 
-def test_a_start_of_a_servo_that_runs_is_no_way_round_it() -> None:
-    assert speed_steps().command(51, servo_to(31, "start 180"))[0] == "command 31 start 92"
+SCENES: Final = {
+    "a near target is reached at once": f"""{RUNS}
+        51 servo 31 set 91.9 → command 31 set 91.9; …
+        200 pass → nothing""",
+    "a start of a servo that runs is no way round it": f"""{RUNS}
+        51 servo 31 start 180 → command 31 start 92; …""",
+    "a start of one that does not run goes where it says": """
+        rules max_speed_cdeg_s={31: 100}
+        1 servo 31 start 180 → command 31 start 180; …""",
+    "other servos are as quick as ever": f"""{RUNS}
+        51 leg 3 set 180 → command 3 set 92 | set 180 | set 180; …""",
+    "a legs frame that tells it its angle again counts as its last": f"""{RUNS}
+        41 servo 32 set 80 + servo 33 set 80
+        51 servo 31 set 180 → command 31 set 91; …""",
+    "another servos frame does not": f"""{RUNS}
+        41 servo 32 set 80
+        51 servo 31 set 180 → command 31 set 92; …""",
+    "its start counts as its last frame too": f"""{RUNS}
+        6 servo 31 set 180 → command 31 set 90.5; …""",
+    "under a new holder of the lease nothing goes on to where somebody else sent it": """
+        rules max_speed_cdeg_s={11: 10000}
+        10 servo 11 start 0
+        100 servo 11 set 90 → command 11 set 2; completed 2
+        101 lease acquire anna (fresh anna) → announce lease_acquired; granted
+        249 time → nothing
+        350 time → watchdog 1 stop; announce watchdog_expired""",
+}
 
 
-def test_a_start_of_one_that_does_not_run_goes_where_it_says() -> None:
-    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={31: 100}))
-    assert steps.command(1, servo_to(31, "start 180"))[0] == "command 31 start 180"
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_a_scene(scene: str) -> None:
+    play(scene)
 
 
-def test_other_servos_are_as_quick_as_ever() -> None:
-    assert speed_steps().command(51, leg_to(3, "set 180"))[0] == "command 3 set 92 | set 180 | set 180"
-
-
-@pytest.mark.parametrize(("others", "deg"), [((32, 33), 91), ((32,), 92)], ids=["a leg's frame", "another servo's"])
-def test_a_frame_that_tells_it_its_angle_again_counts_as_its_last(others: tuple[int, ...], deg: int) -> None:
-    steps = speed_steps()
-    steps.command(41, tuple(target for servo_id in others for target in servo_to(servo_id, "set 80")))
-    assert steps.command(51, servo_to(31, "set 180"))[0] == f"command 31 set {deg}"
-
-
-def test_its_start_counts_as_its_last_frame_too() -> None:
-    assert speed_steps().command(6, servo_to(31, "set 180"))[0] == "command 31 set 90.5"
-
-
-def avoiding() -> Steps:
-    """Servo 31 may go 50 degrees a second; 1 to 4 degrees are never sent."""
-    return Steps(Rules(repeats=0, timeout_ns=10**10, max_speed_cdeg_s={31: 50_00}, avoid_cdeg=(1_00, 4_00)))
-
-
-@pytest.mark.parametrize("ended_by", ["a stop", "a new holder"])
-def test_a_way_across_that_has_ended_is_no_part_of_the_next(ended_by: str) -> None:
-    steps = avoiding()
-    steps.command(1, servo_to(31, "start 6"))
-    steps.command(21, servo_to(31, "set 0"))
-    assert angles(steps, 90)[-1] == 4, "its way would be at about 2.5 now"
-    if ended_by == "a stop":
-        steps.command(100, servo_to(31, "stop"))
-        steps.command(120, servo_to(31, "start 4"))
-    else:
-        steps.lease(120, "acquire anna", fresh="a" * 32)
-    steps.command(200, servo_to(31, "set 0"), lease="a" * 32 if ended_by == "a new holder" else None)
-    assert set(angles(steps, 240)) == {4}, "the whole way takes 60 ms, and it began at 200"
-
-
-def across(user_deg: float, at_ms: float = 21) -> list[float]:
-    """What servo 31 is told on its way from 6 degrees."""
-    steps = avoiding()
-    steps.command(1, servo_to(31, "start 6"))
-    (said, *_) = steps.command(at_ms, servo_to(31, f"set {user_deg:g}"))
-    return [float(said.split()[-1]), *angles(steps, 1000)]
-
-
-def test_a_way_across_angles_that_are_never_sent_waits_before_them_until_it_would_be_beyond() -> None:
-    said = across(0)
-    assert said[:2] == [5, 4.3] or said[:2] == [5, 4.75]
-    assert {angle for angle in said if 0.99 < angle <= 4} == {4}, "the last angle before them"
-    assert said[-1] == 0
-    assert 4 <= len([angle for angle in said if angle == 4]) <= 4 * 4, "for as long as the way takes, in each rate slot"
-    assert not [angle for angle in said if 1 <= angle < 4]
-
-
-@pytest.mark.parametrize("word", ["stop", "estop", "silence"])
-def test_a_stop_ends_it(word: str) -> None:
-    steps = speed_steps(10)
-    steps.command(51, servo_to(31, "set 180"))
-    if word == "stop":
-        steps.command(60, servo_to(31, "stop"))
-    elif word == "estop":
-        steps.estop(60)
-    else:
-        assert angles(steps, 400)
-        assert not steps.running
+@pytest.mark.parametrize("stop", ["60 servo 31 stop", "60 estop", "400 pass"])
+def test_a_stop_ends_it(stop: str) -> None:
+    steps = play(f"""{RUNS.replace("10000", "1000")}
+        51 servo 31 set 180
+        {stop} → …; …""")
     assert not angles(steps, 1000)
     assert 31 not in steps.running
 
 
-def test_under_a_new_holder_of_the_lease_nothing_goes_on_to_where_somebody_else_sent_it() -> None:
-    steps = Steps(Rules(repeats=0, max_speed_cdeg_s={11: 100_00}))
-    steps.command(10, servo_to(11, "start 0"))
-    assert steps.command(100, servo_to(11, "set 90")) == ["command 11 set 2", "completed 2"]
-    assert steps.lease(101, "acquire anna", fresh="a" * 32) == ["announce lease_acquired", "granted"]
-    assert steps.time(249) == []
-    assert steps.time(350) == ["watchdog 1 stop", "announce watchdog_expired"]
+# ---- across angles that are never sent
+
+AVOIDING: Final = "rules timeout_ms=10000, max_speed_cdeg_s={31: 5000}, avoid_cdeg=(100, 400)\n 1 servo 31 start 6\n"
+"""Servo 31 may go 50 degrees a second; 1 to 4 degrees are never sent."""
+
+
+@pytest.mark.parametrize(
+    "ended", ["100 servo 31 stop\n 120 servo 31 start 4", "120 lease acquire anna (fresh anna)"], ids=["stop", "holder"]
+)
+def test_a_way_across_that_has_ended_is_no_part_of_the_next(ended: str) -> None:
+    steps = play(f"{AVOIDING} 21 servo 31 set 0")
+    assert angles(steps, 90)[-1] == 4, "its way would be at about 2.5 now"
+    steps.play(f"{ended}\n 200 servo 31 set 0 {'(lease anna)' if 'anna' in ended else ''}")
+    assert set(angles(steps, 240)) == {4}, "the whole way takes 60 ms, and it began at 200"
+
+
+def test_a_way_across_angles_that_are_never_sent_waits_before_them_until_it_would_be_beyond() -> None:
+    steps = play(f"{AVOIDING} 21 servo 31 set 0 → command 31 set 5; …")
+    said = angles(steps, 1000)
+    assert said[0] in (4.3, 4.75)
+    assert {angle for angle in said if 0.99 < angle <= 4} == {4}, "the last angle before them"
+    assert said[-1] == 0
+    assert 4 <= len([angle for angle in said if angle == 4]) <= 4 * 4, "for as long as the way takes, in each rate slot"
 
 
 # ---- a command that is rejected once it has begun
 
-
-REJECTED_MS = 3000
-
-
-def begun() -> Steps:
-    """Command 7 sends servo 31 on its way, and its start of servo 11 waits for its turn, until 4010 ms.
-
-    Leg 5 is silent from `REJECTED_MS` on.
-    """
-    timeout_ns, pause_ns = 1000 * NS_PER_MS, 2000 * NS_PER_MS
-    steps = Steps(
-        Rules(timeout_ns, repeats=0, rest_runs=0, power=True, start_pause_ns=pause_ns, max_speed_cdeg_s={31: 10_00})
-    )
-    steps.board(5)
-    steps.command(10, leg_to(5, "start 90"))
-    steps.board(10)
-    for at_ms in (500, 1000, 1500, 2000):
-        steps.command(at_ms, leg_to(5, "set 90"))
-    steps.command(2005, servo_to(31, "start 0"))
-    assert "command 31 start 0" in steps.board(2010)
-    said = steps.command(2100, (*servo_to(31, "set 180"), *servo_to(11, "start 90")))
-    assert said == ["command 31 set 0.2"]
-    assert angles(steps, REJECTED_MS - 1)[-1] == 9
-    return steps
+BEGUN: Final = """
+    rules timeout_ms=1000, power=True, start_pause_ms=2000, max_speed_cdeg_s={31: 1000}
+    5 board
+    10 leg 5 start 90
+    10 board
+    500 leg 5 set 90
+    1000 leg 5 set 90
+    1500 leg 5 set 90
+    2000 leg 5 set 90
+    2005 servo 31 start 0
+    2010 board → …; command 31 start 0; …
+    2100 servo 31 set 180 + servo 11 start 90 → command 31 set 0.2
+"""
+"""Command 7 sends servo 31 on its way, and its start of servo 11 waits, until 4010 ms. Leg 5 is silent from 3000 ms."""
 
 
-def stop_another_leg(steps: Steps) -> list[str]:
-    return steps.command(REJECTED_MS - 1, leg_to(2, "stop"))
-
-
-def take_the_supply_of_one(steps: Steps) -> list[str]:
-    return steps.board(REJECTED_MS - 1, lost=(11,))
-
-
-def lose_messages_of_one(steps: Steps) -> list[str]:
-    return steps.take(REJECTED_MS - 1, Command(servo_to(11, "stop"), key="lost", number=99, lost=True))
-
-
-def be_silent(steps: Steps) -> list[str]:
-    return steps.time(REJECTED_MS)
-
-
-REJECTING = [stop_another_leg, take_the_supply_of_one, lose_messages_of_one, be_silent]
-
-
-@pytest.mark.parametrize("reject", REJECTING)
-def test_a_servo_does_not_go_on_to_where_a_rejected_command_has_sent_it(reject: Callable[[Steps], list[str]]) -> None:
-    steps = begun()
-    assert "rejected 7" in " ".join(reject(steps))
+@pytest.mark.parametrize("newer", [False, True])
+@pytest.mark.parametrize("rejects", ["2999 leg 2 stop", "2999 board (lost 11)", "2999 lost servo 11 stop", "3000 time"])
+def test_a_servo_does_not_go_on_to_where_a_rejected_command_has_sent_it_but_to_where_a_newer_one_has(
+    rejects: str, newer: bool
+) -> None:
+    steps = play(BEGUN)
+    assert angles(steps, 2999)[-1] == 9
+    if newer:
+        steps.play("2998 servo 31 set 100")
+    steps.play(rejects)
+    assert [effect.request.number for effect in steps.effects if isinstance(effect, Rejected)] == [7]
     assert 31 in steps.running
-    assert angles(steps, REJECTED_MS + 90) == [], "it holds where it is"
-
-
-@pytest.mark.parametrize("reject", REJECTING)
-def test_it_goes_on_to_where_a_newer_command_has_sent_it(reject: Callable[[Steps], list[str]]) -> None:
-    steps = begun()
-    newer = steps.command(REJECTED_MS - 2, servo_to(31, "set 100"))
-    assert "rejected" not in " ".join(newer)
-    assert "rejected 7" in " ".join(reject(steps))
-    assert angles(steps, REJECTED_MS + 90)[-1] > 9.2
+    later = angles(steps, 3090)
+    assert later[-1] > 9.2 if newer else later == [], "it holds where it is"

@@ -101,17 +101,14 @@ def test_a_reset_leaves_the_latch_and_nothing_moves() -> None:
 def test_emergency_stops_are_numbered_and_a_reset_must_name_the_latest() -> None:
     robot = play("101 estop\n102 estop")
     assert robot.supervisor.latch.number == 2
-    play(
-        """
+    robot.play("""
         110 reset -1 → rejected 1 estopped
         says a newer emergency stop was requested: estop is 1, and the latest is 2
         111 reset 1 → rejected 2 estopped
         says no such emergency stop was requested: estop is 3, and the latest is 2
         mode estopped
         112 reset → announce estop_reset; completed 3
-        113 estop""",
-        robot,
-    )
+        113 estop""")
     assert robot.supervisor.latch.number == 3
 
 

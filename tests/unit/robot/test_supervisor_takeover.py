@@ -2,25 +2,22 @@
 arrived. The oracle judges each step."""
 
 from itertools import pairwise
+from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
-from gateway.model.calibration import CalibrationChange, MappingChange
-from gateway.robot.core.leg import Rules
-from gateway.robot.core.supervisor import Supervisor
-from tests.support.steps import Steps, Targets, all_stopped, leg_to, servo_to
+from tests.support.scenes import play
+from tests.support.steps import Steps, servo_to
 
-RULES = Rules(repeats=0, rest_runs=0, takeover_cdeg_s=180_00)
+RULES: Final = "rules takeover_cdeg_s=18000\n"
+HELD: Final = """
+    1 leg 3 start 20 (source anna)
+    100 leg 3 start 20 (source anna)
+    200 leg 3 start 20 (source anna)
+"""
+"""Anna's program has started servo 31 at 20 degrees, and holds it there."""
+ANNAS: Final = RULES + HELD
 SLOT_DEG = 180 / 50
-
-
-def annas(rules: Rules = RULES) -> Steps:
-    """Anna's program has started servo 31 at 20 degrees at 0 ms, and holds it there."""
-    steps = Steps(rules)
-    for at_ms in (1, 100, 200):
-        steps.command(at_ms, leg_to(3, "start 20"), source="anna")
-    return steps
 
 
 def told(lines: list[str]) -> list[float]:
@@ -35,7 +32,7 @@ def streamed(steps: Steps, target: str, source: str, ms: range) -> list[float]:
 
 
 def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
-    steps = annas()
+    steps = play(ANNAS)
     said = streamed(steps, "set 160", "bert", range(220, 1200, 20))
     assert all(0 < later - earlier <= SLOT_DEG + 0.001 for earlier, later in pairwise(said) if later < 160)
     assert said[0] == pytest.approx(20 + SLOT_DEG)
@@ -43,30 +40,8 @@ def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
     assert 140 / 180 * 1000 - 40 < 20 * said.index(160) < 140 / 180 * 1000 + 60
 
 
-@pytest.mark.parametrize(("takeover_cdeg_s", "first"), [(180_00, 20.9), (1, 20)])
-def test_its_first_step_counts_from_the_frame_before(takeover_cdeg_s: int, first: float) -> None:
-    steps = annas(Rules(repeats=0, rest_runs=0, takeover_cdeg_s=takeover_cdeg_s))
-    assert streamed(steps, "set 160", "bert", range(205, 206)) == [pytest.approx(first)]
-
-
-def test_once_it_has_arrived_it_is_as_quick_as_ever() -> None:
-    steps = annas()
-    streamed(steps, "set 30", "bert", range(220, 400, 20))
-    assert streamed(steps, "set 170", "bert", range(400, 420, 20)) == [170]
-
-
-def test_a_program_that_begins_where_the_servo_stands_has_arrived() -> None:
-    steps = annas()
-    assert streamed(steps, "set 20", "bert", range(220, 240, 20)) == [20]
-    assert streamed(steps, "set 90", "bert", range(240, 260, 20)) == [90]
-
-
-def test_the_same_source_leaps_as_ever() -> None:
-    assert streamed(annas(), "set 160", "anna", range(220, 240, 20)) == [160]
-
-
 def test_two_programs_that_take_a_servo_from_each_other_in_turn_move_it_no_faster() -> None:
-    steps = annas()
+    steps = play(ANNAS)
     said = [20.0]
     for at_ms in range(220, 1000, 20):
         source, target = (("anna", "set 20"), ("bert", "set 160"))[at_ms // 20 % 2]
@@ -74,135 +49,119 @@ def test_two_programs_that_take_a_servo_from_each_other_in_turn_move_it_no_faste
     assert max(abs(later - earlier) for earlier, later in pairwise(said)) <= SLOT_DEG + 0.001
 
 
-def test_each_servo_has_a_source_of_its_own() -> None:
-    steps = annas()
-    steps.command(220, servo_to(32, "set 120"), source="bert")
-    assert steps.command(240, leg_to(3, "set 100"), source="anna")[0].startswith("command 3 set 100 | set 2")
-
-
-@pytest.mark.parametrize("stopped_by", ["a stop", "an emergency stop"])
-def test_a_start_soon_behind_a_stop_begins_where_the_servo_stands(stopped_by: str) -> None:
-    steps = annas()
-    if stopped_by == "a stop":
-        steps.command(220, leg_to(3, "stop"), source="anna")
-    else:
-        steps.estop(220)
-        steps.reset(221)
-    assert steps.command(270, leg_to(3, "start 35"), source="anna")[0] == "command 3 start 20"
-    said = [deg for at_ms in range(290, 500, 20) for deg in told(steps.time(at_ms))]
-    assert said[0] == pytest.approx(20 + SLOT_DEG)
-    assert said[-1] == 35
-
-
-@pytest.mark.parametrize(("later_ms", "first"), [(2000, 20), (2001, 160)])
-def test_two_seconds_behind_its_stop_nobody_knows_where_it_hangs(later_ms: int, first: int) -> None:
-    steps = annas()
-    steps.command(220, leg_to(3, "stop"), source="anna")
-    steps.time(1000)
-    assert steps.command(220 + later_ms, leg_to(3, "start 160"), source="anna")[0] == f"command 3 start {first}"
-
-
-def test_of_a_leg_only_the_servo_that_ran_begins_where_it_stands() -> None:
-    steps = Steps(RULES)
-    steps.command(1, servo_to(32, "start 20"), source="anna")
-    steps.command(40, servo_to(32, "stop"), source="anna")
-    assert steps.command(80, leg_to(3, "start 35"), source="anna")[0] == "command 3 start 35 | start 20 | start 35"
-
-
-def test_what_never_ran_starts_where_it_is_told() -> None:
-    assert Steps(RULES).command(1, servo_to(31, "start 160"), source="anna")[0] == "command 31 start 160"
-
-
-def test_behind_another_calibration_an_angle_means_another_place() -> None:
-    steps = annas()
-    steps.command(220, leg_to(3, "stop"), source="anna")
-    steps.calibrate(230, CalibrationChange({31: MappingChange(trim_cdeg=10_00)}, {}))
-    steps.kept(240)
-    assert steps.command(270, servo_to(31, "start 150"), source="anna")[0] == "command 31 start 160", "its own angle"
-
-
-def test_behind_a_fault_of_the_bus_nobody_knows_which_frame_was_the_last() -> None:
-    steps = annas()
-    steps.command(220, servo_to(31, "set 25"), source="anna")
-    steps.fail(220)
-    steps.open(240)
-    assert steps.command(270, leg_to(3, "start 35"), source="anna")[0] == "command 3 start 35"
-
-
-def test_switched_off_nothing_of_it_happens() -> None:
-    steps = annas(Rules(repeats=0, rest_runs=0))
-    assert streamed(steps, "set 160", "bert", range(220, 240, 20)) == [160]
-    steps.command(240, leg_to(3, "stop"), source="bert")
-    assert steps.command(280, leg_to(3, "start 35"), source="bert")[0] == "command 3 start 35"
-
-
 def test_a_servo_whose_own_speed_is_lower_keeps_it() -> None:
-    steps = annas(Rules(repeats=0, rest_runs=0, takeover_cdeg_s=180_00, max_speed_cdeg_s={31: 50_00}))
+    steps = play(ANNAS.replace("rules", "rules max_speed_cdeg_s={31: 5000},"))
     said = streamed(steps, "set 160", "bert", range(220, 400, 20))
     assert max(later - earlier for earlier, later in pairwise(said)) <= 1.01
 
 
-@pytest.mark.parametrize("how", ["stop", "estop", "silence"])
-def test_a_stop_ends_it(how: str) -> None:
-    steps = annas()
-    steps.command(220, servo_to(31, "set 160"), source="bert")
-    if how == "stop":
-        assert steps.command(230, leg_to(3, "stop"), source="anna")[0] == "command 3 stop"
-    elif how == "estop":
-        assert steps.estop(230)[:6] == all_stopped("estop")
-    else:
-        while steps.running:
-            assert steps.due_ms is not None
-            last_ms = steps.due_ms
-            steps.time(steps.due_ms)
-        assert last_ms == 470, "its own steps feed no watchdog"
-    assert not told(steps.time(700))
+SCENES: Final = {
+    "its first step counts from the frame before": f"""{ANNAS}
+        205 servo 31 set 160 (source bert) → command 31 set 20.9; …""",
+    "also at the lowest speed": f"""{ANNAS.replace("18000", "1")}
+        205 servo 31 set 160 (source bert) → command 31 set 20; …""",
+    "once it has arrived it is as quick as ever": f"""{ANNAS}
+        220 servo 31 set 25 (source bert) → command 31 set 23.6; …
+        240 servo 31 set 25 (source bert) → command 31 set 25; …
+        260 servo 31 set 170 (source bert) → command 31 set 170; …""",
+    "a program that begins where the servo stands has arrived": f"""{ANNAS}
+        220 servo 31 set 20 (source bert) → command 31 set 20; …
+        240 servo 31 set 90 (source bert) → command 31 set 90; …""",
+    "the same source leaps as ever": f"""{ANNAS}
+        220 servo 31 set 160 (source anna) → command 31 set 160; …""",
+    "each servo has a source of its own": f"""{ANNAS}
+        220 servo 32 set 120 (source bert)
+        240 leg 3 set 100 (source anna) → command 3 set 100 | set 27.2 | set 100; …""",
+    "a start soon behind a stop begins where the servo stands": f"""{ANNAS}
+        220 leg 3 stop (source anna)
+        270 leg 3 start 35 (source anna) → command 3 start 20; …
+        290 time → command 3 set 23.6; …
+        400 pass → …; command 3 set 35""",
+    "also behind an emergency stop": f"""{ANNAS}
+        220 estop
+        221 reset
+        270 leg 3 start 35 (source anna) → command 3 start 20; …""",
+    "for two seconds": f"""{ANNAS}
+        220 leg 3 stop (source anna)
+        1000 time
+        2220 leg 3 start 160 (source anna) → command 3 start 20; …""",
+    "later nobody knows where it hangs": f"""{ANNAS}
+        220 leg 3 stop (source anna)
+        1000 time
+        2221 leg 3 start 160 (source anna) → command 3 start 160; …""",
+    "of a leg only the servo that ran begins where it stands": f"""{RULES}
+        1 servo 32 start 20 (source anna)
+        40 servo 32 stop (source anna)
+        80 leg 3 start 35 (source anna) → command 3 start 35 | start 20 | start 35; …""",
+    "what never ran starts where it is told": f"""{RULES}
+        1 servo 31 start 160 (source anna) → command 31 start 160; …""",
+    "behind another calibration an angle means another place": f"""{ANNAS}
+        220 leg 3 stop (source anna)
+        230 calibrate 31 trim 10
+        240 kept
+        270 servo 31 start 150 (source anna) → command 31 start 160; …  # its own angle""",
+    "behind a fault of the bus nobody knows which frame was the last": f"""{ANNAS}
+        220 servo 31 set 25 (source anna)
+        220 fail
+        240 open
+        270 leg 3 start 35 (source anna) → command 3 start 35; …""",
+    "switched off nothing of it happens": f"""rules takeover_cdeg_s=0
+        {HELD}
+        220 servo 31 set 160 (source bert) → command 31 set 160; …
+        240 leg 3 stop (source bert)
+        280 leg 3 start 35 (source bert) → command 3 start 35; …""",
+    "a stop ends it": f"""{ANNAS}
+        220 servo 31 set 160 (source bert)
+        230 leg 3 stop (source anna) → command 3 stop; …
+        700 pass → nothing""",
+    "its own steps feed no watchdog": f"""{ANNAS}
+        220 servo 31 set 160 (source bert)
+        469 pass
+        running 31 32 33
+        470 time → watchdog 3 stop; …
+        700 pass → nothing""",
+    "a landing keeps a pace of its own": f"""
+        rules takeover_cdeg_s=1000, landing_ms=500, landing_cdeg={{31: 9000}}
+        {HELD}
+        220 servo 31 set 160 (source bert)
+        960 pass → …; watchdog 31 set 90; …""",
+    "starts wait for each other and an emergency stop for nothing": """
+        rules start_pause_ms=15
+        1 legs 123456 start 90 → command 1 start 90
+        16 time → command 2 start 90
+        31 time → command 3 start 90
+        32 estop → estop 1-6 stop; rejected 1 estopped; announce estop_engaged
+        100 time → nothing""",
+}
 
 
-def test_a_landing_keeps_a_pace_of_its_own() -> None:
-    steps = annas(
-        Rules(repeats=0, rest_runs=0, takeover_cdeg_s=10_00, landing_ns=500 * NS_PER_MS, landing_cdeg={31: 90_00})
-    )
-    steps.command(220, servo_to(31, "set 160"), source="bert")
-    said = [deg for at_ms in range(240, 960, 20) for deg in told(steps.time(at_ms))]
-    assert said[-1] == 90
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_a_scene(scene: str) -> None:
+    play(scene)
 
 
-def test_starts_wait_for_each_other_and_an_emergency_stop_for_nothing() -> None:
-    everything: Targets = tuple(target for leg in range(1, 7) for target in leg_to(leg, "start 90"))
-    steps = Steps(Rules(repeats=0, rest_runs=0, start_pause_ns=15 * NS_PER_MS))
-    assert steps.command(1, everything) == ["command 1 start 90"]
-    assert [steps.time(1 + 15 * each)[0] for each in range(1, 3)] == ["command 2 start 90", "command 3 start 90"]
-    assert steps.estop(32) == [*all_stopped("estop"), "rejected 1 estopped", "announce estop_engaged"]
-    assert not [line for line in steps.time(100) if "start" in line]
-
-
-def stopped_at_20_degrees(*, supply_starts: bool) -> Steps:
-    """Servo 31 of a robot with a power board ran until 100 ms."""
-    steps = Steps(Rules(repeats=0, rest_runs=0, power=True, angles_first=supply_starts, takeover_cdeg_s=180_00))
-    steps.board(1, fed=())
-    steps.command(10, servo_to(31, "start 20"), source="anna")
-    steps.board(20)
-    steps.command(100, servo_to(31, "stop"), source="anna")
-    steps.board(110, fed=())
-    return steps
+STOPPED: Final = """rules power=True, angles_first=True, takeover_cdeg_s=18000
+    1 board (fed none)
+    10 servo 31 start 20 (source anna)
+    20 board
+    100 servo 31 stop (source anna)
+    110 board (fed none)
+"""
+"""Servo 31 of a robot with a power board, whose supply starts servos, ran until 100 ms."""
 
 
 def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stands() -> None:
-    steps = stopped_at_20_degrees(supply_starts=True)
-    robot: Supervisor = steps.supervisor
-    steps.command(150, servo_to(31, "start 160"), source="anna")
-    assert robot.to_feed() == {31: 20_00}
-    steps.command(160, servo_to(31, "set 170"), source="anna")
-    assert steps.board(200)[0] == "command 31 start 20"
-    assert told(steps.time(220)) == [pytest.approx(20 + SLOT_DEG)]
+    steps = play(f"{STOPPED} 150 servo 31 start 160 (source anna)")
+    assert steps.supervisor.to_feed() == {31: 20_00}
+    steps.play(
+        "160 servo 31 set 170 (source anna)\n 200 board → command 31 start 20; …\n 220 time → command 31 set 23.6; …"
+    )
 
 
 @pytest.mark.parametrize(("supply_starts", "at_cdeg"), [(True, 20_00), (False, 170_00)])
 def test_the_angle_at_which_supply_starts_a_servo_stays_however_long_it_waits(
     supply_starts: bool, at_cdeg: int
 ) -> None:
-    steps = stopped_at_20_degrees(supply_starts=supply_starts)
-    steps.command(1500, servo_to(31, "start 160"), source="anna")
-    steps.command(2150, servo_to(31, "set 170"), source="bert")
+    steps = play(STOPPED.replace("angles_first=True", f"angles_first={supply_starts}"))
+    steps.play("1500 servo 31 start 160 (source anna)\n 2150 servo 31 set 170 (source bert)")
     assert steps.supervisor.to_feed() == {31: at_cdeg}
