@@ -20,6 +20,7 @@ from gateway.model.calibration import CalibrationChange, MappingChange
 from gateway.robot.core.events import Announce, Command, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind
 from tests.support.model_check import pending
 from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
 
@@ -103,15 +104,16 @@ def targets_of(words: str) -> Targets:
 
 def take(robot: Steps, at_ms: float, words: str) -> list[str]:
     """One step; its options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages were lost, and
-    one may have been this."""
+    one may have been this. `timed leg 2 start 90`: it has its time, on a key of its own."""
     words, _, rest = words.partition(" (")
     options = dict(option.strip().split(" ", 1) for option in rest.rstrip(") ").split(",") if option)
     what, _, more = words.strip().partition(" ")
     if what in ("leg", "legs", "servo"):
         channel = options.pop("key", "leg")
         return robot.command(at_ms, targets_of(words), channel, **options)
-    if what == "lost":
-        return robot.take(at_ms, Command(targets_of(more), key="lost", number=99, lost=True))
+    if what in ("lost", "timed"):
+        lost, sent_ms = what == "lost", None if what == "lost" else 1
+        return robot.take(at_ms, Command(targets_of(more), key=what, number=99, lost=lost, sent_ms=sent_ms))
     return STEPS[what](robot, at_ms, more, options)
 
 
@@ -124,6 +126,12 @@ def _board(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> l
 
 def ids(words: str) -> tuple[int, ...]:
     return () if words == "none" else SERVO_IDS if words == "all" else tuple(map(int, words.split()))
+
+
+def _body(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+    """`body 31` (its tilt in degrees), `body unknown`, `body 0 (battery 6.9)`."""
+    tilt_deg = None if words == "unknown" else float(words)
+    return robot.measure(at_ms, tilt_deg, float(options.get("battery", 7.4)))
 
 
 def _lease(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
@@ -172,11 +180,11 @@ STEPS: Final[dict[str, Callable[[Steps, float, str, dict[str, str]], list[str]]]
     "estop": lambda robot, at_ms, _, __: robot.estop(at_ms),
     "reset": lambda robot, at_ms, newer, options: robot.reset(at_ms, newer=int(newer or 0), **options),
     "unnumbered": lambda robot, at_ms, _, __: robot.reset_without_number(at_ms),
-    "fail": lambda robot, at_ms, _, __: robot.fail(at_ms),
+    "fail": lambda robot, at_ms, kind, __: robot.fail(at_ms, Kind(kind or Kind.BUS_FAULT)),
     "open": lambda robot, at_ms, _, __: robot.open(at_ms),
     "end": lambda robot, at_ms, _, __: robot.end(at_ms),
     "outside": lambda robot, at_ms, what, _: robot.outside(at_ms, at_work={"begins": True, "ends": False}[what]),
-    "tilt": lambda robot, at_ms, deg, _: robot.measure(at_ms, None if deg == "unknown" else float(deg)),
+    "body": _body,
     "board": _board,
     "lease": _lease,
     "button": _button,

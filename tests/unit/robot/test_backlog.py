@@ -3,19 +3,17 @@
 import asyncio
 import random
 from collections.abc import Callable
-from dataclasses import replace
+from typing import Final
 
 import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import Op
 from gateway.robot.core.backlog import START_WAIT_NS
-from gateway.robot.core.events import Command
-from gateway.robot.core.leg import Rules
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.robot import Robot, leg
-from tests.support.steps import Steps, leg_to
+from tests.support.scenes import play
 
 pytestmark = pytest.mark.virtual_time
 
@@ -93,98 +91,91 @@ async def test_fifty_ordinary_programs_of_each_style_are_not_rejected(style: str
 
 # ---- one rule at a time
 
-WAIT_MS = START_WAIT_NS / NS_PER_MS
-RULES = Rules(repeats=0, rest_runs=0, start_wait_ns=START_WAIT_NS)
-
-
-def test_a_lone_start_leaves_within_one_slot_with_the_newest_angle() -> None:
-    robot = Steps(RULES)
-    assert robot.command(100, leg_to(1, "start 90")) == []
-    assert robot.command(110, leg_to(1, "set 80")) == ["completed 1 coalesced"]
-    assert robot.due_ms == 100 + WAIT_MS
-    assert robot.time(100 + WAIT_MS) == ["command 1 start 80", "completed 2"]
+RULES: Final = f"rules start_wait_ms={START_WAIT_NS / NS_PER_MS}\n"
+STAGGERED: Final = RULES.replace("rules", "rules start_pause_ms=50,")
 
 
 def test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_sent() -> None:
-    robot = Steps(RULES)
-    for at_ms in (100, 101, 102):
-        robot.command(at_ms, leg_to(1, "start 90"))
-    assert robot.command(103, leg_to(1, "start 90")) == ["rejected 3 stale", "rejected 4 stale"]
-    assert robot.due_ms is None
-    assert robot.command(200, leg_to(1, "start 90")) == ["rejected 5 stale"]
-    assert robot.command(353, leg_to(1, "start 90")) == [], "the watchdog's time has passed without a burst"
-    assert robot.time(353 + WAIT_MS) == ["command 1 start 90", "completed 6"]
+    play(f"""{RULES}
+        100 leg 1 start 90
+        101 leg 1 start 90
+        102 leg 1 start 90
+        103 leg 1 start 90 → rejected 3 stale; rejected 4 stale
+        due never
+        200 leg 1 start 90 → rejected 5 stale
+        353 leg 1 start 90 → nothing  # the watchdog's time has passed without a burst
+        368 time → command 1 start 90; completed 6""")
 
 
-def test_a_message_behind_the_window_is_of_no_burst_and_a_stop_is_of_none() -> None:
-    robot = Steps(RULES)
-    for at_ms in (100, 105, 110, 120):
-        assert "rejected" not in str(robot.command(at_ms, leg_to(1, "start 90")))
-    robot = Steps(RULES)
-    for at_ms in (100, 101, 102):
-        robot.command(at_ms, leg_to(1, "stop"))
-    assert robot.command(103, leg_to(1, "start 90")) == []
+SCENES: Final = {
+    "a lone start leaves within one slot with the newest angle": f"""{RULES}
+        100 leg 1 start 90 → nothing
+        110 leg 1 set 80 → completed 1 coalesced
+        due 115
+        115 time → command 1 start 80; completed 2""",
+    "a message behind the window is of no burst": f"""{RULES}
+        100 leg 1 start 90 → nothing
+        105 leg 1 start 90 → completed 1 coalesced
+        110 leg 1 start 90 → completed 2 coalesced
+        120 leg 1 start 90 → completed 3 coalesced; command 1 start 90; completed 4""",
+    "a stop is of none": f"""{RULES}
+        100 leg 1 stop
+        101 leg 1 stop
+        102 leg 1 stop
+        103 leg 1 start 90 → nothing""",
+    "a higher rate allows more messages in the window": f"""{RULES.replace("rules", "rules period_ms=5,")}
+        100 leg 1 start 90
+        101 leg 1 start 90 → completed 1 coalesced
+        102 leg 1 start 90 → completed 2 coalesced
+        103 leg 1 start 90 → completed 3 coalesced
+        104 leg 1 start 90 → completed 4 coalesced
+        105 leg 1 start 90 → completed 5 coalesced
+        106 leg 1 start 90 → …; rejected 7 stale; …""",
+    "a burst of one key drops no start with a time of another": f"""{RULES}
+        100 leg 1 start 90
+        115 time
+        116 leg 1 stop
+        117 timed leg 1 start 80
+        117 leg 2 set 90
+        118 leg 2 set 90
+        119 leg 2 set 90
+        135 pass → …; command 1 start 80; …""",
+    "sets are of the burst too and a start before them is dropped": f"""{RULES}
+        100 leg 1 start 90
+        101 leg 1 set 90
+        102 leg 1 set 90
+        103 leg 1 set 90 → rejected 3 stale; rejected 4 servo_stopped""",
+    "a start that a burst of sets drops keeps no other leg waiting": f"""{STAGGERED}
+        50 leg 2 start 90
+        65 time
+        120 leg 1 start 90
+        121 timed leg 3 start 90
+        122 leg 2 set 80
+        123 leg 2 set 70
+        124 leg 2 set 60 → rejected 2 stale; completed 4 coalesced; command 3 start 90; completed 99""",
+    "other keys are not concerned and neither is a leg that runs": f"""{RULES}
+        50 leg 1 start 90
+        65 time
+        100 leg 2 start 90 (key another)
+        101 leg 1 start 90 → command 1 start 90; completed 3
+        102 leg 1 start 90 → nothing
+        103 leg 1 start 90 → completed 4 coalesced
+        104 leg 1 start 90 → completed 5 coalesced
+        105 leg 1 start 90 → completed 6 coalesced
+        115 time → …; command 2 start 90; …""",
+    "a stop of a burst is a stop": f"""{RULES}
+        100 leg 1 start 90
+        101 leg 1 start 90
+        102 leg 1 start 90
+        103 leg 1 start 90
+        104 leg 1 start 90 + leg 2 stop → command 2 stop; rejected 5 stale stopped
+        105 leg 1 stop → command 1 stop; completed 6""",
+}
 
 
-def test_a_higher_rate_allows_more_messages_in_the_window() -> None:
-    robot = Steps(replace(RULES, period_ns=5 * NS_PER_MS))
-    for at_ms in range(100, 106):
-        assert "rejected" not in str(robot.command(at_ms, leg_to(1, "start 90")))
-    assert "rejected 7 stale" in robot.command(106, leg_to(1, "start 90"))
-
-
-def test_a_burst_of_one_key_drops_no_start_with_a_time_of_another() -> None:
-    robot = Steps(RULES)
-    robot.command(100, leg_to(1, "start 90"))
-    robot.time(100 + WAIT_MS)
-    robot.command(116, leg_to(1, "stop"))
-    robot.take(117, Command(leg_to(1, "start 80"), key="another", number=99, sent_ms=1))
-    for at_ms in (117, 118, 119):
-        robot.command(at_ms, leg_to(2, "set 90"))
-    assert "command 1 start 80" in str([robot.time(at_ms) for at_ms in (120, 125, 130, 135)])
-
-
-def test_sets_are_of_the_burst_too_and_a_start_before_them_is_dropped() -> None:
-    robot = Steps(RULES)
-    robot.command(100, leg_to(1, "start 90"))
-    robot.command(101, leg_to(1, "set 90"))
-    robot.command(102, leg_to(1, "set 90"))
-    assert robot.command(103, leg_to(1, "set 90")) == ["rejected 3 stale", "rejected 4 servo_stopped"]
-
-
-def test_a_start_that_a_burst_of_sets_drops_keeps_no_other_leg_waiting() -> None:
-    robot = Steps(replace(RULES, start_pause_ns=50 * NS_PER_MS))
-    robot.command(50, leg_to(2, "start 90"))
-    robot.time(50 + WAIT_MS)
-    robot.command(120, leg_to(1, "start 90"))
-    robot.take(121, Command(leg_to(3, "start 90"), key="another", number=99, sent_ms=1))
-    robot.command(122, leg_to(2, "set 80"))
-    robot.command(123, leg_to(2, "set 70"))
-    assert robot.command(124, leg_to(2, "set 60")) == [
-        "rejected 2 stale",
-        "completed 4 coalesced",
-        "command 3 start 90",
-        "completed 99",
-    ]
-
-
-def test_other_keys_are_not_concerned_and_neither_is_a_leg_that_runs() -> None:
-    robot = Steps(RULES)
-    robot.command(50, leg_to(1, "start 90"))
-    robot.time(50 + WAIT_MS)
-    robot.take(100, Command(leg_to(2, "start 90"), key="another", number=99))
-    for at_ms in (101, 102, 103, 104, 105):
-        assert "rejected" not in " ".join(robot.command(at_ms, leg_to(1, "start 90")))
-    assert "command 2 start 90" in robot.time(100 + WAIT_MS)
-
-
-def test_a_stop_of_a_burst_is_a_stop() -> None:
-    robot = Steps(RULES)
-    for at_ms in (100, 101, 102, 103):
-        robot.command(at_ms, leg_to(1, "start 90"))
-    mixed = (*leg_to(1, "start 90"), *leg_to(2, "stop"))
-    assert robot.command(104, mixed) == ["command 2 stop", "rejected 5 stale stopped"]
-    assert robot.command(105, leg_to(1, "stop")) == ["command 1 stop", "completed 6"]
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_a_scene(scene: str) -> None:
+    play(scene)
 
 
 async def test_with_sent_ms_a_start_leaves_at_once() -> None:

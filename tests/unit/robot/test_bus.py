@@ -103,66 +103,12 @@ def test_a_batch_of_stops_that_failed_is_written_one_by_one_and_the_first_of_the
     assert not scene.controller.energised
 
 
-def test_a_zero_that_fails_leaves_a_synchronised_controller_synchronised() -> None:
-    scene = Scene(PREFIXED)
-    scene.bus.write(STOP_ALL, preamble=True)
-    scene.device.begin({0, 1, 2})
-    for _ in range(3):
-        with pytest.raises(SpiError):
-            scene.bus.write_zeros()
-    report = scene.bus.write(STOP_ALL)
-    assert scene.device.seen[3:] == on_wire(scene.framing, *STOP_ALL)
-    assert all(sent.received for sent in report.sent)
-
-
-def test_stops_that_fail_again_and_again_want_zeros_as_many_as_the_controller_may_await() -> None:
-    scene = Scene(PREFIXED)
-    scene.bus.write(STOP_ALL, preamble=True)
-    scene.bus.write(START_ALL)
-    scene.device.begin({1, 3, 5, 7, 9, 11, 13, 15, 17})  # each time a body, behind its announcement
-    report = scene.bus.write(STOP_ALL[:1])
-    assert ZERO in scene.device.seen
-    assert report.sent[-1].received
-    assert not {11, 12, 13} & scene.controller.energised
-
-
 def test_a_frame_that_moves_is_not_tried_again() -> None:
     scene = Scene(PREFIXED)
     scene.device.begin({1})
     report = scene.bus.write(START_ALL)
     assert report.sent == []
     assert scene.device.seen == on_wire(scene.framing, START_ALL[0]), "what is behind the failed one does not leave"
-
-
-def test_stops_are_tried_also_where_zeros_fail_again_and_again() -> None:
-    """The controller may be synchronised, and then it receives them; but nobody knows, so they are tried on."""
-    scene = Scene(PREFIXED)
-    scene.bus = Bus(
-        SpiSettings(speed_hz=2_500_000, framing=PREFIXED, frame_gap_us=20), lambda: scene.device, clock=lambda: 0
-    )
-    scene.bus.open()  # a program before it may have left the controller awaiting anything
-    scene.device.begin(range(8))
-    report = scene.bus.write(STOP_ALL)
-    assert scene.device.seen[:7] == [ZERO] * 7, "a preamble, and six times zeros by themselves"
-    assert scene.device.seen[7] == on_wire(PREFIXED, STOP_ALL[0])[0]
-    assert not scene.controller.energised
-    assert {sent.place for sent in report.sent if sent.received} == set(range(6))
-
-
-@pytest.mark.parametrize("framing", Framing)
-def test_a_device_that_takes_nothing_is_given_up_after_one_round(framing: Framing) -> None:
-    scene = Scene(framing)
-    scene.device.begin(range(1000))
-    report = scene.bus.write(STOP_ALL)
-    assert report.sent == []
-    assert len(scene.device.seen) == 1 + 18, "each call fails at its first transfer"
-    assert {data for data in scene.device.seen if data != ZERO} == {on_wire(framing, stop)[0] for stop in STOP_ALL}, (
-        "each leg's Stop is tried"
-    )
-    if framing is PREFIXED:
-        scene.device.begin({0, *range(2, 1000)})
-        scene.bus.write(STOP_ALL)
-        assert len(scene.device.seen) == 1 + 1 + 18, "a zero that arrives begins the count anew"
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
@@ -376,13 +322,3 @@ def test_an_idle_second_does_the_same_and_costs_the_next_frame_nothing() -> None
         bed.log.clear()
         bed.write(SET_11)
         assert bed.written == [*zeros, *on_wire(PREFIXED, SET_11)]
-
-
-def test_plain_never_has_it() -> None:
-    bed = Bed(Framing.PLAIN).opened()
-    bed.write(START)
-    bed.write(STOP, preamble=True)
-    bed.now_ns += 5000 * MS
-    bed.write(START)
-    assert bed.written == [frame.to_bytes() for frame in (START, STOP, START)]
-    assert not bed.bus.announces

@@ -363,12 +363,6 @@ def test_without_a_pause_and_for_repeats_nothing_is_looked_at() -> None:
     assert devices.looks == []
 
 
-def test_a_bus_that_is_closed_finds_nothing() -> None:
-    devices = Devices()
-    devices.meddled = "mode 3"
-    assert Bus(SpiSettings(speed_hz=2_500_000, framing=PREFIXED), devices.open).put_right() is None
-
-
 def test_what_it_opens_is_guarded() -> None:
     for takes_lists in (True, False):
         devices = Devices()
@@ -392,16 +386,6 @@ def test_frames_errors_and_times_are_counted() -> None:
     assert list(bus.transfer_latency.recent_us)[1:] == [94.8, 0.0, 199.6]
 
 
-def test_zeros_that_fail_count() -> None:
-    devices = Devices()
-    bus = devices.bus()
-    devices.fail(1)
-    with pytest.raises(SpiError):
-        bus.write_zeros()
-    assert bus.errors == 1
-    assert not bus.just_resynchronised
-
-
 def test_a_preamble_is_whole_after_its_last_part() -> None:
     devices = Devices()
     bus = devices.bus()
@@ -411,13 +395,3 @@ def test_a_preamble_is_whole_after_its_last_part() -> None:
     assert bus.just_resynchronised
     bus.close()
     assert bus.write_zeros() is False
-
-
-def test_a_frame_is_any_of_the_two_kinds() -> None:
-    """Frames of both lengths in one batch keep their places on the wire."""
-    devices = Devices()
-    mixed: list[Frame] = [OneServo(11, ServoOp(Op.SET, 1)), START]
-    bus = devices.bus(Framing.PLAIN)
-    devices.now_ns = 0
-    first, second = bus.write(mixed).sent
-    assert (first.ns, second.ns) == (19_200, 19_200 + 60_000 + 44_800)

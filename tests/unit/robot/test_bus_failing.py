@@ -111,18 +111,6 @@ def test_stops_leave_together_again_once_all_have_passed_and_a_frame_that_moves_
     assert scene.made == ["123456"]
 
 
-def test_where_a_call_takes_few_transfers_the_preamble_behind_slow_stops_has_its_sixteen_zeros_all_the_same() -> None:
-    scene = Scene()
-    scene.most_transfers = 5
-    scene.bus.open()
-    scene.stop(preamble=True)
-    scene.move_failed_in(200 * MS)
-    assert scene.move().fault is None
-    scene.calls.clear()
-    assert scene.stop().fault is None
-    assert scene.made == ["6", "5", "4", "3", "2", "1", "zzzzz", "zzzzz", "zzzzz", "z"]
-
-
 def test_the_first_failure_among_stops_that_are_written_one_by_one_is_reported_and_they_stay_so() -> None:
     scene = Scene(PLAIN)
     scene.move_failed_in(200 * MS)
@@ -162,18 +150,6 @@ def test_a_leg_whose_stop_did_not_pass_comes_first_the_next_time() -> None:
     assert scene.made == ["123456", "1", "6", "5", "4", "3", "2"]
 
 
-def test_which_stops_passed_is_forgotten_once_all_have() -> None:
-    scene = Scene(PLAIN)
-    scene.fails = lambda call: "1" in call
-    scene.stop()
-    scene.fail_at(())
-    assert scene.stop().fault is None
-    scene.calls.clear()
-    scene.fail_at({1})
-    scene.stop()
-    assert scene.made == ["123456", "6", "5", "4", "3", "2", "1"]
-
-
 def test_another_legs_stop_brings_the_controller_back_where_the_last_one_fails_again_and_again() -> None:
     """Two transfers do what takes fourteen zeros, also where that leg's Stop has passed already."""
     scene = Scene()
@@ -204,29 +180,6 @@ def test_behind_six_calls_of_zeros_that_failed_all_stops_are_tried_without_and_t
     assert scene.made == ["z" * 16 + "123456", *zeros, "123456", *zeros, "123456", *zeros[:4]]
 
 
-def test_a_call_of_zeros_that_passed_begins_both_counts_anew() -> None:
-    scene = Scene(synchronised=False)
-    scene.fail_at({*range(1, 7), *range(8, 100)})
-    scene.stop()
-    made = scene.made
-    assert made[1:14] == ["zzz"] * 12 + ["123456"], "five that failed, one that passed, and six"
-    assert len(made) == 7 + 18
-
-
-def test_stops_that_are_tried_without_zeros_leave_when_they_do_in_any_call() -> None:
-    scene = Scene()
-    scene.success_ns = 10 * MS
-    begun_ns = scene.now_ns
-    usual = [sent.ns - begun_ns for sent in scene.stop().sent]
-    scene = Scene(synchronised=False)
-    scene.fail_at(range(1, 8))
-    scene.success_ns = 10 * MS
-    begun_ns = scene.now_ns
-    sent = scene.stop().sent
-    assert scene.calls[7] == "123456"
-    assert [each.ns - begun_ns for each in sent[:6]] == usual
-
-
 @pytest.mark.parametrize(("each_ms", "calls"), [(200, "111 1z zz zz 1z"), (225, "111 1z zz z1 z")])
 def test_calls_of_zeros_that_took_900_ms_to_fail_are_enough_though_they_were_few(each_ms: int, calls: str) -> None:
     scene = Scene()
@@ -237,21 +190,3 @@ def test_calls_of_zeros_that_took_900_ms_to_fail_are_enough_though_they_were_few
 
 
 # ---- what outlasts what
-
-
-def test_a_closed_bus_is_due_for_nothing() -> None:
-    scene = Scene()
-    scene.now_ns += 900 * MS
-    scene.stop()
-    assert scene.bus.resync_due
-    scene.bus.close()
-    assert scene.bus.resync_due is False
-
-
-@pytest.mark.parametrize(("idle_ns", "looks"), [(100 * MS - 1, 0), (100 * MS, 1)])
-def test_the_device_is_looked_at_behind_a_pause_of_100_ms(idle_ns: int, looks: int) -> None:
-    scene = Scene()
-    scene.looks = 0
-    scene.now_ns += idle_ns
-    scene.stop()
-    assert scene.looks == looks

@@ -403,20 +403,6 @@ def test_a_restart_is_shut_down_in_its_cycle_and_nothing_that_waited_is_started(
     assert parts.bus.errors == 1, "it is counted once"
 
 
-def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Parts) -> None:
-    parts.bus.open()
-    assert parts.wait(400) is not None
-    parts.spi_fails = True
-    with pytest.raises(SpiError):
-        parts.cycle()
-    parts.bus.release()
-    assert parts.closed == 1
-    parts.spi_fails = False
-    with pytest.raises(SpiError, match="no well-formed answer"):
-        parts.bus.open()
-    assert parts.opened == 2
-
-
 def test_without_a_device_only_stops_are_written() -> None:
     parts = Parts()
     bus = CyclicBus(None, lambda: parts)
@@ -429,18 +415,6 @@ def test_without_a_device_only_stops_are_written() -> None:
     assert len(SERVO_IDS) == 18
 
 
-def test_what_moves_is_in_the_next_frame_and_a_start_follows_on_the_uart(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    before = len(parts.said)
-    parts.bus.write(starts())
-    assert angles(parts.cycle()) == {80.0}
-    assert parts.said[before:] == []
-    assert angles(parts.cycle()) == {80.0}
-    assert parts.said[before:] == [START]
-    assert parts.bus.frames == 2
-
-
 def test_when_it_left_and_how_long_it_took(parts: Parts) -> None:
     parts.bus.open()
     parts.now_ns, parts.write_takes_ns = 100 * MS, 50_000
@@ -450,35 +424,6 @@ def test_when_it_left_and_how_long_it_took(parts: Parts) -> None:
     moves = parts.bus.write(starts()).sent[0]
     assert (moves.ns, moves.call_ns) == (100 * MS + 50_000, 0)
     assert [sent.data for sent in parts.bus.write(STOPS).sent] == [each.data for each in STOPS]
-
-
-def test_each_fault_is_counted_once(parts: Parts) -> None:
-    counts = [parts.bus.errors]
-    parts.uart_fails = True
-    with pytest.raises(SpiError):
-        parts.bus.open()
-    counts += [parts.bus.errors]
-    parts.uart_fails, parts.spi_fails = False, True
-    with pytest.raises(SpiError):
-        parts.bus.open()
-    counts += [parts.bus.errors]
-    parts.spi_fails = False
-    parts.bus.open()
-    parts.uart_fails = True
-    parts.bus.write(STOPS)
-    counts += [parts.bus.errors]
-    parts.uart_fails = False
-    parts.bus.open()
-    parts.now_ns, parts.spi_fails = 100 * MS, True
-    with pytest.raises(SpiError):
-        parts.cycle()
-    counts += [parts.bus.errors]
-    parts.bus.release()
-    parts.spi_fails = False
-    parts.bus.open()
-    assert parts.wait(1000) is not None
-    counts += [parts.bus.errors]
-    assert counts == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_uart_that_hangs_up_is_found_by_the_cycle(parts: Parts) -> None:
@@ -549,19 +494,3 @@ def test_the_first_frame_leaves_when_its_time_has_come(parts: Parts) -> None:
     parts.bus.open()
     assert parts.bus.begin_cycle(70 * MS - 1) is None
     assert parts.bus.begin_cycle(70 * MS) is not None
-
-
-def test_a_device_that_came_back_has_its_time_to_answer(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    parts.spi_fails = True
-    with pytest.raises(SpiError):
-        parts.cycle()
-    parts.bus.release()
-    parts.spi_fails, parts.now_ns = False, 5000 * MS
-    parts.bus.open()
-    assert parts.wait(5360) is None
-    assert parts.bus.silent(5369 * MS) is None
-    assert parts.bus.silent(5370 * MS) is not None
-    parts.bus.release()
-    assert parts.closed == 1, "its signs of life would come there"

@@ -2,78 +2,14 @@
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
-    ALL,
     ASK_CURRENTS,
-    CanFrame,
 )
 from gateway.robot.power.board import News
-from gateway.robot.power.offs import Confirmed
 from schemas.telemetry import Kind
-from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
-
-ROUND_TRIP_MS = 2 * FLIGHT_NS / NS_PER_MS
-
+from tests.support.power_link import ALL_SERVOS, NONE, Link, fed
 
 # ---- off
-
-
-def test_an_emergency_stop_leaves_at_once_and_is_confirmed_at_the_boards_pace() -> None:
-    link = fed()
-    at_ns = link.now_ns
-    link.cut()
-    link.when_off(ALL_SERVOS, token=7)
-    assert not link.ours.confirmed
-    link.run(0.3)
-    assert link.masks(at_ns) == [(0, 0)]
-    assert link.fed() == NONE
-    link.run(200)
-    [(_, confirmed)] = link.news
-    assert isinstance(confirmed, Confirmed)
-    assert (confirmed.token, confirmed.confirmed) == (7, True)
-    assert confirmed.ms is not None
-    assert 25 * 1.5 <= confirmed.ms <= 27 * 1.5 + ROUND_TRIP_MS
-    assert link.ours.confirmed
-    # One repeat, and none once it is confirmed.
-    assert [mask for _, mask in link.masks(at_ns)] == [0, 0]
-
-
-def test_it_is_repeated_every_20_ms_for_3_s_and_reported_once() -> None:
-    link = fed()
-    link.cable = False
-    at_ns = link.now_ns
-    link.cut()
-    link.when_off(ALL_SERVOS, token=1)
-    link.run(4000)
-    masks = link.masks(at_ns)
-    assert [ms for ms, _ in masks] == [20 * n for n in range(150)]
-    assert {mask for _, mask in masks} == {0}
-    unconfirmed = [(at_ns, item.detail) for at_ns, item in link.events(Kind.POWER_UNCONFIRMED)]
-    assert [detail for _, detail in unconfirmed] == [
-        "the power board does not answer",
-        "the power board has not confirmed that these are off",
-    ]
-    assert [round((each_ns - at_ns) / NS_PER_MS) for each_ns, _ in unconfirmed] == [pytest.approx(100, abs=12), 150]
-    assert list(link.confirmations()) == [Confirmed(1, False, None)]
-    # The board comes back: its mask leaves at once, for the next 3 s.
-    link.cable = True
-    link.run(100)
-    assert link.ours.confirmed
-    assert link.fed() == NONE
-
-
-def test_streams_of_stops_are_each_confirmed() -> None:
-    """One servo each 7 ms: each mask sends those before again, and an answer confirms all that reached the board."""
-    link = fed()
-    wanted = ALL_SERVOS
-    for token, servo in enumerate(sorted(ALL_SERVOS)):
-        wanted -= {servo}
-        link.want(wanted)
-        link.when_off(frozenset({servo}), token)
-        link.run(7)
-    link.run(200)
-    assert sorted(confirmed.token for confirmed in link.confirmations() if confirmed.confirmed) == list(range(18))
 
 
 # ---- on
@@ -96,31 +32,6 @@ def second_on_ms(pass_us: int, after_ms: float) -> float:
     return link.run_until(lambda: link.fed() == {11, 12})
 
 
-def test_an_off_waits_for_no_on_and_takes_none_along_before_its_time() -> None:
-    link = Link()
-    link.want(frozenset({11}))
-    link.run_until(lambda: link.ours.status.supplied == {11})
-    at_ns = link.now_ns
-    link.want(frozenset({12}))
-    link.run(700)
-    assert link.masks(at_ns)[0] == (0, 0)
-    assert next(ms for ms, mask in link.masks(at_ns) if mask == 0b10) >= 5
-
-
-@pytest.mark.parametrize("pass_us", [1000, 2000])
-def test_an_off_right_behind_an_answer_is_at_once_and_confirmed_a_round_of_the_counter_later(pass_us: int) -> None:
-    link = fed(pass_ns=1000 * pass_us)
-    link.want(ALL_SERVOS - {11})
-    answered = len(link.answers)
-    link.run_until(lambda: any(frame.id == 0x6B for _, frame in link.answers[answered:]))
-    link.cut()
-    link.when_off(ALL_SERVOS, token=1)
-    link.run(0.3)
-    assert link.fed() == NONE
-    link.run(600)
-    assert link.ours.confirmed
-
-
 @pytest.mark.parametrize("pass_us", [1000, 1500, 2000])
 @pytest.mark.parametrize("behind_ms", [1, 50, 100, 150, 300, 600])
 def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, behind_ms: int) -> None:
@@ -141,27 +52,6 @@ def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, 
 
 
 # ---- answers that are late, lost or others'
-
-
-def test_old_answers_of_a_link_that_paused_confirm_nothing() -> None:
-    """While it paused the board was off and on again: its answers of then show all off."""
-    link = fed()
-    link.pause()
-    link.want(NONE)
-    link.run(60)
-    assert any(frame == CanFrame(0x6B, bytes(3)) for frame in link.held or [])
-    link.want(ALL_SERVOS)
-    link.other_node(ALL)  # whoever did it: the board feeds all
-    link.run(20)
-    link.cable = False  # and our next mask never arrives
-    link.cut()
-    link.when_off(ALL_SERVOS, token=1)
-    link.run(5)
-    link.cable = True
-    link.resume()
-    link.run(12)
-    assert not link.ours.confirmed
-    assert not any(confirmed.confirmed for confirmed in link.confirmations())
 
 
 # ---- silence

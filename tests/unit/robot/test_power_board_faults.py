@@ -5,9 +5,6 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
     ASK_RAILS,
-    CLEAR_ERROR,
-    SUPPLIED,
-    SUPPLY_LOW,
     CanFrame,
     set_supply,
 )
@@ -16,7 +13,7 @@ from gateway.robot.power.offs import Confirmed
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
+from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, fed
 
 # ---- others that switch
 
@@ -31,83 +28,7 @@ def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_seco
     assert len(link.events(Kind.POWER_FAULT)) <= 2
 
 
-def test_where_we_are_not_heard_the_answers_to_another_nodes_questions_confirm_nothing() -> None:
-    """Nor are they a silence: so it is the emergency stop that is found unconfirmed."""
-    link = fed()
-    link.cable = False
-    link.cut()
-    link.when_off(ALL_SERVOS, token=1)
-    for number in range(40):
-        link.run(10)
-        for question in (ASK_RAILS[number % len(ASK_RAILS)], CanFrame(0x70)):
-            for answer in link.board.take(question, link.now_ns):
-                link.ours.receive(answer, link.now_ns)
-    assert link.ours.alive
-    assert not link.ours.confirmed
-    assert list(link.confirmations()) == [Confirmed(1, False, None)]
-    assert len(link.events(Kind.POWER_UNCONFIRMED)) == 1
-
-
 # ---- the board's own faults
-
-
-def test_a_report_that_was_lost_is_asked_for() -> None:
-    link = fed()
-    link.pause()
-    link.board.fail(2, 1)
-    link.run(30)
-    link.held = [frame for frame in link.held or [] if frame.id not in (0x65, 0x6B)]
-    link.resume()
-    link.run(300)
-    assert list(link.ours.status.refused) == [11]
-    [(_, news)] = [(at_ns, each) for at_ns, each in link.events(Kind.POWER_FAULT) if "overcurrent" in each.detail]
-    assert news.servos == {11}
-
-
-@pytest.mark.parametrize("faults", [0.0, 0.2])
-def test_a_reset_deletes_all_errors_and_gives_back_what_they_took(faults: float) -> None:
-    link = Link(faults=faults, seed=3)
-    link.alters = False
-    link.want(ALL_SERVOS)
-    link.run(2500)
-    link.board.fail(2, 1 << 4)
-    link.board.fail(1, 1 << 1)
-    link.board.fail(SUPPLY_LOW)
-    link.run(500)
-    assert set(link.ours.status.refused) == {22, 31, 32, 33, 41, 42, 43}
-    assert any(frame == CLEAR_ERROR for _, frame in link.sent) is False
-    link.want(NONE)
-    link.ours.clear_errors(link.now_ns)
-    link.want(ALL_SERVOS)
-    link.run(2500)
-    assert link.ours.status.refused == {}
-    link.want_anew(ALL_SERVOS)  # this link delays frames one by one: a report of before may come behind the reset
-    link.run(1500)
-    assert link.fed() == ALL_SERVOS
-
-
-def test_no_error_is_deleted_while_masks_may_not_arrive() -> None:
-    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-    board.want(frozenset({11, 12, 13}), 0, 0)
-    board.receive(CanFrame(0x97), 0)
-    (rail,) = [frame for frame in board.next_frames(0) if frame in ASK_RAILS]
-    board.receive(CanFrame(rail.id + 1, bytes(6)), 40 * NS_PER_MS)
-    board.receive(CanFrame(SUPPLIED, bytes(3)), 40 * NS_PER_MS)
-    begun_ns = 50 * NS_PER_MS
-    assert set_supply(0b111) in board.next_frames(begun_ns)
-    board.receive(CanFrame(0x65, b"\2\0\0\1"), begun_ns)
-    board.clear_errors(begun_ns)
-    asked: list[CanFrame] = []
-    for ms in range(51, 120, 10):
-        asked += board.next_frames(ms * NS_PER_MS)
-    board.receive(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
-    asked += board.next_frames(120 * NS_PER_MS)
-    assert set_supply(0b110) in asked
-    assert CLEAR_ERROR not in asked
-    rail = next(frame for frame in asked if frame in ASK_RAILS)
-    board.receive(CanFrame(rail.id + 1, bytes(6 if rail.id in (0x7C, 0x80, 0x86) else 4)), 120 * NS_PER_MS)
-    board.receive(CanFrame(0x65, b"\2\0\0\1"), 120 * NS_PER_MS)
-    assert CLEAR_ERROR in board.next_frames(120 * NS_PER_MS)
 
 
 def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos() -> None:

@@ -1,7 +1,7 @@
 """Which masks the power board is sent, and when, where masks are lost or cross its answers: in virtual time."""
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ASK_CURRENTS, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
+from gateway.model.power_board import ASK_CURRENTS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
 from tests.support.power_link import ALL_SERVOS, FLIGHT_NS, NONE, Link, fed
 
 
@@ -12,23 +12,6 @@ def at_rest() -> Link:
     link.run(300)
     assert link.ours.confirmed
     return link
-
-
-def test_a_mask_that_switches_on_and_is_lost_is_sent_again_for_three_seconds() -> None:
-    link = at_rest()
-    link.deaf = True
-    at_ns = link.now_ns
-    for _ in range(500):
-        link.want(frozenset({11}))
-        link.run(10)
-    times_ms = [ms for ms, mask in link.masks(at_ns) if mask == 1]
-    assert 20 <= len(times_ms) <= 30
-    assert 2800 < max(times_ms) < 3000
-    assert link.fed() == NONE
-    link.deaf = False
-    link.want_anew(frozenset({11}))
-    link.run(300)
-    assert link.fed() == {11}
 
 
 def test_an_on_waits_for_the_answer_to_an_off_that_crossed_the_answer_before() -> None:
@@ -63,36 +46,12 @@ def test_a_repeat_waits_for_5_ms_behind_an_answer() -> None:
     assert min(behind_ns) >= 5 * NS_PER_MS
 
 
-def test_what_was_given_up_is_sent_again_for_three_seconds_where_another_node_switches() -> None:
-    link = at_rest()
-    answers = {question.id + 1 for question in ASK_RAILS}
-    link.altered = lambda frame: CanFrame(0x100) if frame.id in answers else frame
-    link.cut()
-    link.run(4000)
-    assert link.masks(link.now_ns - 900 * NS_PER_MS) == []
-    at_ns = link.now_ns
-    link.other_node(0)
-    link.run(4000)
-    times_ms = [ms for ms, _ in link.masks(at_ns)]
-    assert len(times_ms) > 40
-    assert 2900 < max(times_ms) < 3000
-
-
 def test_a_frame_that_is_not_the_boards_is_no_sign_of_it() -> None:
     link = Link()
     for frame in (CanFrame(0x100), CanFrame(SUPPLIED, b"\0"), CanFrame(SET_SUPPLY, bytes(3))):
         link.ours.receive(frame, 1)
     assert not link.ours.alive
     assert link.ours.status.answered_ns is None
-
-
-def test_on_a_new_interface_a_confirmation_waits_for_no_older_question() -> None:
-    link = fed()
-    for _ in ASK_RAILS:
-        link.ours._questions.due_after(0, link.now_ns)
-    link.ours.opened(link.now_ns)
-    link.cut()
-    assert link.run_until(lambda: link.ours.confirmed) < 100
 
 
 def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() -> None:

@@ -100,22 +100,6 @@ async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins
     assert robot.line.fed == frozenset()
 
 
-async def test_the_first_servo_that_is_fed_behind_a_fault_is_fed_alone_and_the_others_once_it_rests() -> None:
-    robot = await ready()
-    seen: list[frozenset[int]] = []
-    robot.put(LEG_3, START)
-    for _ in range(800):
-        await asyncio.sleep(0.0005)
-        seen += [] if seen and seen[-1] == robot.line.fed else [robot.line.fed]
-    assert seen[:2] == [frozenset(), {31}]
-    assert seen[-1] == LEG_3_SERVOS
-    robot.put(LEG_3, leg("stop"))
-    await asyncio.sleep(0.1)
-    robot.put(LEG_3, START)
-    await asyncio.sleep(0.18)
-    assert running(robot) == sorted(LEG_3_SERVOS), "at once: no fault came between"
-
-
 @pytest.mark.parametrize("how", ["reset", "SPI", "at the start"])
 async def test_a_controller_that_hears_nothing_moves_one_servo_of_those_that_are_started(how: str) -> None:
     """It holds all its servos on: whatever is fed, moves."""
@@ -166,34 +150,6 @@ async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_b
     robot.put(LEG_3, START)
     await asyncio.sleep(0.6)
     assert Kind.POWER_RESTORED in [event.kind for event in robot.events()]
-
-
-async def test_no_answer_waits_longer_than_confirm_ms_for_a_board_that_says_nothing() -> None:
-    robot = await runs(power={"confirm_ms": 100})
-    robot.line.unplugged = True
-    answers = robot.get(keys.ESTOP)
-    await asyncio.sleep(0.099)
-    assert answers == []
-    await asyncio.sleep(0.003)
-    (ack,) = answers
-    assert (ack.accepted, ack.confirmed, ack.confirmed_ms) == (True, False, None)
-    assert Kind.POWER_UNCONFIRMED in [event.kind for event in robot.events()]
-
-
-async def test_too_few_buttons_take_the_supply_of_what_they_stop() -> None:
-    robot = FedRobot(buttons={"required": 1, "timeout_ms": 500}, watchdog={"timeout_ms": 5000})
-    await asyncio.sleep(UP_S)
-    button = robot.button("register", "kitchen").button
-    assert robot.button("alive", button=button, count=1).accepted
-    robot.put(LEG_3, START)
-    await asyncio.sleep(0.45)
-    assert robot.line.fed == LEG_3_SERVOS
-    await asyncio.sleep(0.1)
-    assert running(robot) == []
-    assert robot.line.fed == frozenset()
-    assert robot.button("alive", button=button, count=2).accepted
-    await asyncio.sleep(0.4)
-    assert robot.line.fed == frozenset(), "a start is needed"
 
 
 async def test_the_end_takes_the_supply() -> None:
@@ -258,17 +214,6 @@ async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_bef
     await starts(robot)
 
 
-async def test_a_board_that_restarts_has_all_off_and_a_start_is_needed_once_it_answers() -> None:
-    robot = await runs()
-    robot.line.simulated.restart()
-    await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
-    assert running(robot) == []
-    robot.line.simulated.press_button(robot.line.now_ns())
-    await asyncio.sleep(1 + UP_S)
-    assert robot.line.fed == frozenset()
-    assert running(robot) == []
-
-
 @pytest.mark.parametrize("how", ["button", "CAN"])
 async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
     robot = await runs()
@@ -284,19 +229,6 @@ async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
 
 
 # ---- elkapod-2025: a servo's supply is its start and its Stop
-
-
-async def test_a_servo_is_fed_once_its_angle_was_in_two_frames_and_the_uart_has_said_start() -> None:
-    robot = FedElkapod()
-    await asyncio.sleep(0.5)
-    assert robot.line.fed == frozenset()
-    answers = robot.get(keys.servo_command(31), servo("start", 45))
-    await asyncio.sleep(0.2)
-    assert [ack.accepted for ack in answers] == [True], "one servo alone"
-    assert robot.line.fed == {31}
-    first_ms = next(at_ms for at_ms, frame in robot.line.sent if frame.id == 0x6A and any(frame.data))
-    ((start_ms, _),) = [said for said in robot.said if said[1] == "start"]
-    assert first_ms >= round(start_ms)
 
 
 # ---- what currents show
@@ -318,25 +250,6 @@ async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -
     robot.put(LEG_3, leg("stop"))
     assert robot.line.fed == frozenset()
     assert shutdowns(robot) > before, "with the last, the UART's too"
-
-
-async def test_a_servo_that_still_has_supply_and_draws_after_its_stop_is_not_started_until_a_reset() -> None:
-    robot = await runs()
-    robot.line.simulated.draws_ma[SERVO_IDS.index(31)] = 151.0
-    robot.line.simulated.stuck = SERVO_31
-    robot.put(LEG_3, leg("stop"))
-    await asyncio.sleep(0.29)
-    assert robot.events(Kind.SERVO_DRAWS) == [], "it may still come to rest"
-    await asyncio.sleep(0.4)
-    (event,) = robot.events(Kind.SERVO_DRAWS)
-    assert (event.legs, "31" in event.detail) == ((3,), True)
-    assert robot.ask(keys.servo_command(31), servo("start", 90)).reason == Reason.NO_POWER
-    robot.line.simulated.stuck = 0
-    await asyncio.sleep(0.3)
-    robot.put(keys.RESET, {})
-    await asyncio.sleep(0.2)
-    robot.line.simulated.draws_ma[SERVO_IDS.index(31)] = 8.0
-    await starts(robot, keys.servo_command(31), servo("start", 90))
 
 
 async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_whole_elkapod() -> None:

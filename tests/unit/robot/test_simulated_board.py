@@ -98,12 +98,6 @@ def test_a_mask_within_a_pass_behind_an_answer_waits_230_passes_longer(fed: Benc
 # ---- questions
 
 
-def test_a_question_with_data_is_none(fed: Bench) -> None:
-    for identifier in (0x64, 0x66, 0x70, 0x7C, 0x86, 0x96):
-        assert fed.take(CanFrame(identifier, b"\0")) == []
-    assert fed.passes(2000) == []
-
-
 # ---- errors
 
 
@@ -147,16 +141,6 @@ def test_each_64_shows_the_next_error_and_96_deletes_the_one_shown_last(bench: B
         bench.take(CanFrame(0x64))
         (answer,) = (frame for frame in bench.passes(1) if frame.id != 0x6B)
         assert answer == CanFrame(0x65, bytes.fromhex(left)), "the second 96 deleted nothing"
-
-
-@pytest.mark.parametrize(
-    ("code", "mask", "data"),
-    [(1, 0b10, "0102"), (2, 0b100000000000000000, "02020000"), (4, 0b111, "0407"), (8, 0, "08")],
-)
-def test_each_kind_of_error_is_sent_as_the_table_has_it(bench: Bench, code: int, mask: int, data: str) -> None:
-    bench.board.fail(code, mask)
-    (frame,) = [frame for frame in bench.passes(1) if frame.id == 0x65]
-    assert frame.data.hex() == data
 
 
 @pytest.mark.parametrize(
@@ -208,24 +192,3 @@ def test_66_takes_all_supply_after_1000_passes(fed: Bench) -> None:
 
 
 # ---- faults, time
-
-
-def test_one_that_looks_only_when_something_is_due_sees_the_same(bench: Bench) -> None:
-    """`due_ns` never lies behind what happens by itself."""
-    other = Bench()
-    each_pass, when_due = [], []
-    for frame in (ALL, NONE, mask(3), CanFrame(0x64), CanFrame(0x96), CanFrame(0x66)):
-        bench.take(frame)
-        other.take(frame)
-        for each in (bench, other):
-            each.board.fail(2, outputs(3))
-        end_ns = bench.now_ns + 260 * PASS_NS
-        for _ in range(260):
-            each_pass += [(bench.now_ns, sent) for sent in bench.passes(1)]
-        while (due_ns := other.board.due_ns) <= end_ns:
-            # The bench looks half a pass behind each pass.
-            when_due += [(due_ns + PASS_NS // 2, sent) for sent in other.board.advance(due_ns)]
-        other.now_ns = end_ns
-        other.board.advance(end_ns)
-    assert when_due == each_pass
-    assert len(each_pass) > 6
