@@ -82,13 +82,6 @@ async def test_the_rest_is_withdrawn_and_the_answer_names_what_was_written(
     assert rejected.detail == ack.detail
 
 
-async def test_what_was_written_is_stopped_when_nobody_commands_it() -> None:
-    robot, _ = await half_started()
-    stop_a_leg_that_waits(robot)
-    await asyncio.sleep(5)
-    assert robot.controller.energised == set()
-
-
 async def test_a_bus_that_fails_on_the_way() -> None:
     """The batch counts as failed wholly: nobody knows how far it came."""
     robot = await started_and_quiet()

@@ -8,10 +8,8 @@ from typing import Final
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.frames import Op
 from gateway.robot.core.backlog import START_WAIT_NS
 from schemas import keys
-from schemas.telemetry import Kind
 from tests.support.robot import Robot, leg
 from tests.support.scenes import play
 
@@ -65,28 +63,6 @@ async def test_of_fifty_stalls_of_half_a_second_to_ten_none_starts_anything(
         found += any(not frame.is_stop and at_ms >= back_ms for at_ms, frame in robot.frames)
         robot.conductor.close()
     assert found == moved
-
-
-@pytest.mark.parametrize("style", STYLES)
-async def test_fifty_ordinary_programs_of_each_style_are_not_rejected(style: str) -> None:
-    """Each message comes up to 15 ms late, as over Wi-Fi, and in order; a start is written within 20 ms."""
-    for number in range(50):
-        chance = random.Random(number)  # noqa: S311
-        robot = made()
-        begun_s = arrives_s = robot.now_ns() / 1e9
-        first_ms: dict[int, float] = {}
-        for turn in range(50):
-            at, op = STYLES[style](turn)
-            arrives_s = max(arrives_s, begun_s + turn * PERIOD_S + chance.uniform(0, 0.015))
-            await asyncio.sleep(max(0.0, round(arrives_s - robot.now_ns() / 1e9, 5)))
-            first_ms.setdefault(at, robot.now_ns() / NS_PER_MS)
-            robot.put(keys.leg_command(at), leg(op, 90, 90, 90))
-        await asyncio.sleep(0.1)
-        assert not robot.events(Kind.COMMAND_REJECTED)
-        assert robot.conductor.reports.state().commands.rejected == 0
-        begins_ms = {frame.leg: at_ms for at_ms, frame in reversed(robot.frames) if not frame.is_stop}
-        assert all(0 <= begins_ms[at] - came_ms <= PERIOD_S * 1000 for at, came_ms in first_ms.items())
-        robot.conductor.close()
 
 
 # ---- one rule at a time
@@ -176,10 +152,3 @@ SCENES: Final = {
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_a_scene(scene: str) -> None:
     play(scene)
-
-
-async def test_with_sent_ms_a_start_leaves_at_once() -> None:
-    robot = made()
-    answers = robot.get(keys.leg_command(3), leg("start", 90, 90, 90, sent_ms=1.0))
-    assert answers[0].accepted
-    assert [op.op for _, op in robot.frames[-1][1].servos] == [Op.START] * 3

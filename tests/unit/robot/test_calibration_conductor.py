@@ -112,15 +112,6 @@ async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     assert caplog.text.count("is not kept yet") == 1, "and ended in time"
 
 
-async def test_it_needs_the_lease_like_a_start() -> None:
-    robot = await started_and_quiet()
-    ack = robot.lease("acquire", "anna")
-    assert robot.calibrate(OWN)[0].reason == Reason.NOT_HOLDER
-    assert robot.calibrate({**OWN, "lease": ack.lease})[0].accepted
-    robot = await started_and_quiet(lease={"required": True})
-    assert robot.calibrate(OWN)[0].reason == Reason.NO_LEASE
-
-
 async def test_what_was_delayed_on_the_way_is_rejected() -> None:
     robot = await started_and_quiet(limits={"max_age_ms": 100})
     robot.put(LEG_3, leg("stop", sent_ms=500, source="anna"))

@@ -4,21 +4,14 @@ import asyncio
 
 import pytest
 
-from gateway.model.frames import OneLeg, Op, ServoOp
 from gateway.robot.core.message import Verb
 from schemas import keys
-from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.robot import Robot, leg, servo, started_and_quiet
+from tests.support.robot import Robot, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
 LEG_3 = keys.leg_command(3)
-
-
-def moved(op: Op, *angles_deg: float) -> OneLeg:
-    first, second, third = (ServoOp(op, round(angle_deg * 100)) for angle_deg in angles_deg)
-    return OneLeg(3, (first, second, third))
 
 
 async def test_a_reset_is_never_taken_from_a_delete_or_a_wildcard() -> None:
@@ -39,17 +32,6 @@ async def test_an_unknown_key_is_rejected_and_the_next_good_command_works() -> N
     assert robot.ask(LEG_3, leg("start", 1, 2, 3)).accepted
 
 
-async def test_one_instant_applies_legs_then_leg_then_servo() -> None:
-    robot = await started_and_quiet()
-    # As the inbox hands them over: in the order of COMMAND_KEYS.
-    robot.put_later(keys.LEGS_COMMAND, {"legs": {"3": leg("start", 1, 1, 1)}})
-    robot.put_later(LEG_3, leg("start", 2, 2, 2))
-    robot.put_later(keys.servo_command(32), servo("start", 3))
-    robot.conductor.tick()
-    await asyncio.sleep(0.1)
-    assert [frame for _, frame in robot.frames] == [moved(Op.START, 1, 1, 1), moved(Op.START, 2, 3, 2)]
-
-
 async def test_two_laptops_on_one_leg_are_both_named() -> None:
     robot = Robot()
     robot.conductor.start()
@@ -68,15 +50,6 @@ async def test_two_laptops_on_one_leg_are_both_named() -> None:
     assert len(robot.events(Kind.SOURCE_CHANGED)) == 2, "a stopped leg is taken from nobody"
     await asyncio.sleep(1)
     assert robot.conductor.reports.state().legs[2].source is None, "the watchdog has stopped it"
-
-
-@pytest.mark.parametrize(("scope", "legs"), [("leg", [(2,), (5,)]), ("robot", [tuple(LEGS), tuple(LEGS)])])
-async def test_a_watchdog_event_names_the_legs_that_are_stopped(scope: str, legs: list[tuple[int, ...]]) -> None:
-    robot = await started_and_quiet(watchdog={"scope": scope})
-    setpoint = {"servos": [servo("start", 90)] * 3}
-    robot.put(keys.LEGS_COMMAND, {"legs": {"5": setpoint, "2": setpoint}})
-    await asyncio.sleep(1)
-    assert [event.legs for event in robot.events(Kind.WATCHDOG_EXPIRED)] == legs
 
 
 @pytest.mark.virtual_time

@@ -41,16 +41,6 @@ async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it()
     assert state.watchdog.stop_latency_us.max is not None
 
 
-async def test_one_that_comes_during_a_tick_goes_ahead_of_its_next_message() -> None:
-    robot = await started_and_quiet()
-    first = robot.ask_later(LEG_1, START)
-    robot.put_later(keys.ESTOP)
-    second = robot.ask_later(LEG_3, START)
-    robot.conductor.tick()
-    assert [frame for _, frame in robot.frames[1:7]] == ALL_STOPS
-    assert [each.reason for each in (*first, *second)] == [None, Reason.ESTOPPED]
-
-
 async def test_without_a_tick_its_own_thread_serves_it_and_leaves_the_rest() -> None:
     robot = await started_and_quiet()
     waiting = robot.ask_later(LEG_3, START)
@@ -99,18 +89,6 @@ async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
     robot.put_later(keys.RESET, reset)
     robot.conductor.tick()
     assert robot.mode == Mode.ESTOPPED
-
-
-async def test_of_a_put_and_a_get_of_one_key_nobody_knows_which_is_older() -> None:
-    robot = await started_and_quiet()
-    robot.put_later(LEG_3, leg("stop"))
-    (rejected,) = robot.get(LEG_3, START)
-    assert rejected.reason == Reason.SERVO_STOPPED
-    assert not robot.controller.energised
-    await asyncio.sleep(0.1)
-    robot.put_later(LEG_3, leg("stop"))
-    robot.put(LEG_3, START)
-    assert robot.controller.energised == {31, 32, 33}, "two of one channel are in order"
 
 
 # ---- messages that were lost in a flood of their key
@@ -232,21 +210,6 @@ async def test_a_failing_bus_is_reopened_with_pauses_and_all_legs_stopped(count:
     assert robot.ask(LEG_3, START).accepted
 
 
-async def test_when_one_stop_fails_the_others_are_still_written() -> None:
-    robot = await started_and_quiet()
-    for number in LEGS:
-        robot.put(keys.leg_command(number), START)
-    robot.controller.fail_next(1)
-    ack = robot.ask(keys.ESTOP)
-    assert ack.stop_frames == 6, "also the one that failed"
-    assert robot.mode == Mode.BUS_FAULT
-    assert robot.controller.energised == set()
-    before = len(robot.frames)
-    await asyncio.sleep(0.001)
-    assert [frame for _, frame in robot.frames[before:]] == ALL_STOPS
-    assert robot.mode == Mode.ESTOPPED
-
-
 async def test_a_bus_that_cannot_be_opened_at_the_start_ends_the_start() -> None:
     robot = Robot()
     robot.controller.fail_next(100)
@@ -281,13 +244,3 @@ async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_a
     assert [data for _, data in robot.controller.transfers][:18] == first
     assert robot.controller.energised == set()
     assert robot.controller.corruptions.total() == 0
-
-
-async def test_of_two_commands_that_a_frame_was_to_complete_both_are_rejected_where_it_fails() -> None:
-    robot = await started_and_quiet()
-    robot.put(keys.leg_command(3), leg("start", 90, 90, 90))
-    robot.put(keys.leg_command(3), leg("set", 91, 91, 91))
-    waiting = [robot.get(keys.servo_command(each), servo("set", 70)) for each in (31, 32)]
-    robot.controller.fail_next(1)
-    await asyncio.sleep(0.1)
-    assert [[ack.reason for ack in each] for each in waiting] == [[Reason.BUS_FAULT], [Reason.BUS_FAULT]]

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.model import elkapod as wire
 from schemas import keys
-from schemas.telemetry import Cause, Kind, Mode
+from schemas.telemetry import Kind, Mode
 from tests.support.elkapod import ElkapodRobot, all_legs, elkapod
 from tests.support.robot import leg
 
@@ -121,26 +121,3 @@ async def test_a_controller_that_restarts_is_shut_down_and_moves_only_after_a_ne
         assert robot.ask(keys.LEGS_COMMAND, START).accepted
         await asyncio.sleep(0.1)
         assert len(robot.elkapod.energised) == 18
-
-
-async def test_each_restart_is_one_event() -> None:
-    robot = await walking(watchdog={"timeout_ms": 5000})
-    for _ in range(2):
-        robot.elkapod.power_cycle()
-        await asyncio.sleep(0.5)
-    kinds = [event.kind for event in robot.events() if "controller" in str(event.kind)]
-    assert kinds == [Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_RETURNED] * 2
-
-
-async def test_no_frame_ever_has_an_angle_that_nobody_commanded_while_servos_are_driven() -> None:
-    robot = await walking()
-    for angle_deg in range(81, 100):
-        robot.put(keys.LEGS_COMMAND, all_legs("set", angle_deg))
-        await asyncio.sleep(0.02)
-    assert robot.ask(keys.LEGS_COMMAND, all_legs("set", 100)).accepted
-    await asyncio.sleep(0.05)
-    robot.ask(keys.ESTOP, {})
-    said = [each for seen in angles(robot, 30) for each in seen]
-    assert set(said) <= {80.0, *map(float, range(81, 101))}
-    frames = robot.conductor.metrics.frames
-    assert frames[Cause.ESTOP] == 6

@@ -12,7 +12,7 @@ import pytest
 
 from gateway import durable
 from gateway.model.black_box import format as form
-from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, RING_FILE, copies_of, copy_path
+from gateway.model.black_box.header import COPIED_SHARE, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import recorder
@@ -82,23 +82,6 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     story = capsys.readouterr().out
     assert "anna sent 11 commands for leg 3" in story
     assert "Stop written to all six legs (estop)" in story
-
-
-@pytest.mark.virtual_time
-async def test_the_newest_are_kept_and_an_incident_that_goes_on_has_a_copy_for_each_run(folder: Path) -> None:
-    robot = recorded(folder)
-    for _ in range(MOST_COPIES + 4):
-        await incident(robot)
-        robot.put(keys.RESET, {"estop": robot.conductor.supervisor.latch.number, "source": "bert"})
-        for _ in range(7):
-            await asyncio.sleep(0.5)
-            beat(robot)
-    newest = ring_reader.read(folder / RING_FILE).records[-1].sequence
-    robot.conductor.recorder.close()
-    assert len(contents(folder, form.IncidentBegun)) < 4, "most of these prolong an incident"
-    found = copied(folder, MOST_COPIES)
-    assert len(found) == MOST_COPIES
-    assert newest - int(found[-1].suffix[1:]) < 100
 
 
 def full(_: Path) -> None:
@@ -184,16 +167,6 @@ def test_a_copy_that_is_not_whole_is_left_out(
     assert sequences(ring)[0] == 81
     spoil(copies_of(ring)[0])
     assert sequences(ring) == list(range(241, 401))
-
-
-def test_a_ring_that_is_begun_anew_has_no_copies_of_another(tmp_path: Path) -> None:
-    ring = tmp_path / RING_FILE
-    filled(ring, 100)
-    recorder.copy(ring, 100)
-    RecordRing(ring, SLOTS).close()
-    assert copies_of(ring)
-    RecordRing(ring, SLOTS + 1).close()
-    assert not copies_of(ring)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")

@@ -40,15 +40,6 @@ def test_numbers_go_on_so_a_reset_of_an_earlier_run_leaves_no_emergency_stop_of_
     assert robot.reset(3, newer=-1) == ["rejected 1 estopped"]
 
 
-def test_what_is_known_late_makes_the_latest_emergency_stop_no_younger() -> None:
-    """A reset without a number is accepted when the latest request is 2 s old."""
-    robot = Steps(KEPT)
-    robot.estop(1)
-    since_ns = robot.supervisor.latch.since_ns
-    robot.take(1500, EstopKept(7, engaged=True))
-    assert (robot.supervisor.latch.number, robot.supervisor.latch.since_ns) == (8, since_ns)
-
-
 @pytest.mark.parametrize("rules", [KEPT, Rules()])
 def test_it_is_learnt_once(rules: Rules) -> None:
     robot = Steps(rules)

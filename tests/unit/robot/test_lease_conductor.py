@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.lease import LeaseAck
 from schemas.telemetry import Kind, Reason
@@ -41,14 +40,6 @@ async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> No
     assert lease.expires_in_ms == pytest.approx(900, abs=0.001)
     await asyncio.sleep(1)
     assert robot.events()[-1].kind is Kind.LEASE_EXPIRED, "without any other message"
-
-
-async def test_somebody_elses_start_undoes_no_stop_that_may_have_been_lost() -> None:
-    robot, _ = await driven_by_anna()
-    robot.put_later(LEG_3, verb=Verb.LOST)
-    robot.put(LEG_3, START)
-    assert robot.events(Kind.COMMAND_REJECTED)[0].reason == Reason.NOT_HOLDER
-    assert robot.controller.energised == set()
 
 
 # ---- requests that are none

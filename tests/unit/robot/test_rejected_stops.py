@@ -1,7 +1,6 @@
 """What is rejected and may contain a Stop stops the servos that it names; all of its key where that cannot be told."""
 
 import asyncio
-import itertools
 import json
 from typing import Any
 
@@ -15,14 +14,13 @@ from gateway.robot.core.message import Received, Verb
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS
-from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason
-from tests.support.robot import Robot, leg, servo, started_and_quiet
-from tests.support.stop_forms import FORMS, GOOD, Form
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Kind, Reason
+from tests.support.robot import Robot, leg, started_and_quiet
+from tests.support.stop_forms import FORMS, Form
 
 LEG_3 = keys.leg_command(3)
 STOP, SET = {"op": "stop"}, {"op": "set", "angle_deg": 80}
-STOPPED_LEG = {"op": "stop", "angle_deg": None}
 """A Stop that is rejected for its form."""
 
 
@@ -74,16 +72,6 @@ async def test_a_stop_is_a_stop_in_whatever_form(key: str, form: Form, verb: Ver
     first = len(robot.frames)
     await asyncio.sleep(0.1)
     assert len(robot.frames) > first, "it is repeated like any Stop"
-
-
-@pytest.mark.virtual_time
-@pytest.mark.parametrize("encoding", GOOD)
-async def test_json_by_another_name_is_json(encoding: str) -> None:
-    robot = await running()
-    assert robot.ask(LEG_3, leg("set", 80, 80, 80), encoding=encoding).accepted
-    ack = robot.ask(LEG_3, leg("stop"), encoding=encoding)
-    assert (ack.accepted, ack.stopped) == (True, None)
-    assert stopped(robot) == {31, 32, 33}
 
 
 @pytest.mark.virtual_time
@@ -173,12 +161,6 @@ def test_any_bytes_are_judged(payload: bytes, key: str) -> None:
     assert named(payload, key) <= set(SERVO_IDS)
 
 
-@pytest.mark.parametrize("stops", list(itertools.product((True, False), repeat=len(JOINTS))), ids=repr)
-def test_each_joint_is_told_from_the_others(stops: tuple[bool, ...]) -> None:
-    payload = {"servos": [ODD if stop else SET for stop in stops]}
-    assert named(payload) == {servo_id for servo_id, stop in zip((31, 32, 33), stops, strict=True) if stop}
-
-
 # ---- rejected for another reason than the form
 
 MIXED: dict[str, Any] = {"servos": [STOP, SET, SET]}
@@ -216,18 +198,6 @@ async def test_the_stops_of_a_command_beyond_a_joints_limit_come() -> None:
 
 
 @pytest.mark.virtual_time
-@pytest.mark.parametrize("payload", [leg("stop"), STOPPED_LEG, b"stop"])
-async def test_nothing_counts_as_stopped_while_the_bus_is_at_fault(payload: object) -> None:
-    robot = await running()
-    robot.controller.fail_for_ms(10_000)
-    robot.put(keys.servo_command(11), servo("set", 80))
-    assert robot.mode == Mode.BUS_FAULT
-    ack = robot.ask(LEG_3, payload)
-    assert (ack.accepted, ack.stopped) == (False, None)
-    assert ack.reason in (Reason.BUS_FAULT, Reason.INVALID, Reason.MALFORMED)
-
-
-@pytest.mark.virtual_time
 async def test_a_rejected_stop_does_not_feed_the_watchdog_and_a_later_start_of_its_channel_starts() -> None:
     robot = await running()
     await asyncio.sleep(0.2)
@@ -237,14 +207,3 @@ async def test_a_rejected_stop_does_not_feed_the_watchdog_and_a_later_start_of_i
     robot.conductor.tick()
     await asyncio.sleep(0.1)
     assert stopped(robot) == set(SERVO_IDS) - {31, 32, 33}, "the others fell silent"
-
-
-@pytest.mark.virtual_time
-async def test_an_unreadable_stop_wins_over_a_start_of_the_same_instant_on_another_key() -> None:
-    robot = await started_and_quiet()
-    robot.put_later(keys.LEGS_COMMAND, b"STOP")
-    robot.put_later(LEG_3, leg("start", 10, 10, 10))
-    robot.conductor.tick()
-    await asyncio.sleep(0.1)
-    assert robot.controller.energised == set()
-    assert [event.reason for event in robot.events()] == [Reason.MALFORMED, Reason.SERVO_STOPPED]

@@ -157,18 +157,6 @@ def test_wherever_up_to_three_transfers_are_lost_each_delays_the_last_stop_by_it
         assert not bed.controller.corruptions, lost
 
 
-def test_a_bus_that_knows_nothing_yet_tries_stops_soon_where_zeros_fail_slowly() -> None:
-    """Such as that of `stop-servos`, when the gateway is dead: most likely the controller is synchronised."""
-    bed = Bed(PREFIXED)
-    fresh = Bus(SpiSettings(speed_hz=2_500_000, framing=PREFIXED), lambda: bed.controller, clock=lambda: bed.now_ns)
-    fresh.open()
-    bed.controller.fail_where(lambda data: data == ZERO, COST_MS)
-    since_ns = bed.now_ns
-    fresh.write([stop_leg(number) for number in LEGS], preamble=True)
-    assert bed.controller.all_off_ns is not None
-    assert bed.controller.all_off_ns - since_ns <= 500 * MS
-
-
 async def test_the_loop_goes_on_between_the_tries() -> None:
     """systemd kills a service whose loop stands still for a second."""
     robot = await six_legs_run()
@@ -184,21 +172,6 @@ async def test_the_loop_goes_on_between_the_tries() -> None:
     await asyncio.sleep(1)
     assert not robot.controller.energised
     assert robot.mode == Mode.ESTOPPED
-
-
-async def test_what_was_stopped_before_the_device_was_opened_again_comes_last() -> None:
-    """Each leg's turn is remembered, so a leg whose Stop fails does not cost the others theirs again and again."""
-    robot = await six_legs_run()
-    stubborn = bytes((14, 1, 61))
-    robot.controller.fail_where(lambda data: data.startswith(stubborn), COST_MS)
-    since_ns = robot.now_ns()
-    robot.put(keys.ESTOP)
-    while len(robot.controller.energised) > 3:
-        assert robot.now_ns() - since_ns < 1000 * MS
-        await asyncio.sleep(0.001)
-    assert robot.controller.energised == {61, 62, 63}
-    robot.controller.fail_where(lambda _: False)
-    assert await off_ms(robot, robot.now_ns()) <= 50
 
 
 @pytest.mark.parametrize("framing", Framing)

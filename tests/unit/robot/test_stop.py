@@ -65,17 +65,6 @@ def test_each_leg_tries_to_open_a_device_that_does_not_answer(mistake: Exception
     assert device.openings == 1 + len(LEGS)
 
 
-@pytest.mark.parametrize("opened", [True, False])
-def test_a_device_that_works_is_not_opened_again(opened: bool) -> None:
-    """Opening could fail where writing does not: no descriptor may be left for it."""
-    device = Device(KeyError(), LEGS[-1])
-    bus = Bus(SpiSettings(speed_hz=2_500_000), device.open)
-    if opened:
-        bus.open()
-    stop_once(bus, opened=opened)
-    assert device.openings == 1
-
-
 def test_a_device_at_fault_is_opened_again_for_the_leg_that_got_no_stop() -> None:
     class Recovers(Device):
         def take(self, data: bytes) -> None:
@@ -224,13 +213,6 @@ def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: S
     scene = Rounds(set(), 0, gateway_runs=True)
     assert stops(scene) is True, "the gateway has noticed"
     assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "written", "given"] * 4, "ended"]
-
-
-def test_the_supply_is_taken_also_where_each_stop_fails(stops: Stops) -> None:
-    scene = Rounds(set(LEGS), 1000)
-    with pytest.raises(SpiError):
-        stops(scene)
-    assert scene.log.count("written") == 14
 
 
 @pytest.mark.parametrize("failing_rounds", [0, 2])
