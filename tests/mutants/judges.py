@@ -73,8 +73,6 @@ _BUS: Final = (
 _POWER: Final = (
     f"{_UNIT}test_power_scenes.py",
     f"{_UNIT}test_power_board.py",
-    f"{_UNIT}test_power_board_masks.py",
-    f"{_UNIT}test_power_board_faults.py",
     f"{_UNIT}test_power_conductor.py",
 )
 _PEOPLE: Final = "tests/unit/people/"
@@ -130,11 +128,11 @@ JUDGES: Final = {
         f"{_UNIT}test_supervisor_faults.py",
     ),
     "gateway/robot/core/speed.py": (
-        f"{_UNIT}test_speed.py",
+        f"{_UNIT}test_pacing.py",
         f"{_UNIT}test_supervisor_speed.py",
         f"{_UNIT}test_supervisor_takeover.py",
     ),
-    "gateway/robot/core/landing.py": (f"{_UNIT}test_landing.py", f"{_UNIT}test_supervisor_landing.py"),
+    "gateway/robot/core/landing.py": (f"{_UNIT}test_pacing.py", f"{_UNIT}test_supervisor_landing.py"),
     "gateway/robot/core/leg.py": (*_SUPERVISOR, "tests/unit/test_setting_effects.py"),
     "gateway/robot/core/legs.py": _SUPERVISOR,
     "gateway/robot/core/supervisor.py": (*_SUPERVISOR, f"{_UNIT}test_interlock.py"),
@@ -173,7 +171,7 @@ JUDGES: Final = {
     "gateway/model/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
     "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
-    "gateway/robot/core/flat.py": (f"{_UNIT}test_flat.py", f"{_UNIT}test_intake.py"),
+    "gateway/robot/core/flat.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
     "gateway/robot/core/losses.py": (f"{_UNIT}test_rejected_stops.py", f"{_UNIT}test_conductor_safety.py"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py", f"{_UNIT}test_power_conductor.py"),

@@ -1,14 +1,18 @@
 """When a leg may send, and what: rate slots, merging, and the queue of starts."""
 
+from collections.abc import Iterable
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gateway.allowance import NS_PER_S
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import STOP, Op, ServoOp
+from gateway.robot.core.landing import Landing, landing
+from gateway.robot.core.leg import Servo
 from gateway.robot.core.pacing import RateSlots, StartQueue, merged
+from gateway.robot.core.speed import step
 
 START_90, START_45 = ServoOp(Op.START, 90_00), ServoOp(Op.START, 45_00)
 SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)
@@ -124,3 +128,122 @@ def test_a_queue_lets_one_leg_go_at_a_time_in_the_order_in_which_they_came() -> 
     assert queue.passes(1, open_slots, 1100, False), "it is not started any more"
     assert queue.legs == [2]
     assert queue.passes(2, open_slots, 1100, True)
+
+
+# ---- A limited speed: never more than speed times time, and the target is reached
+
+
+angles = st.integers(0, 180_00)
+speeds = st.integers(1, 1000_00)
+
+
+waits = st.integers(0, 200 * NS_PER_MS)
+periods = st.integers(NS_PER_MS, NS_PER_S)
+LONG_NS = 10**6 * NS_PER_S
+"""A rate slot that bounds nothing."""
+
+
+@given(angles, speeds, periods, st.lists(st.tuples(angles, waits), min_size=1, max_size=50))
+@example(0, 18981, LONG_NS, [(352, 158053), (352, 18386807)])
+@example(0, 100_00, LONG_NS, [(1_00, 100 * NS_PER_MS), (180_00, 10 * NS_PER_MS)])  # there early, and then on
+def test_never_more_than_speed_times_time(
+    start: int, speed: int, period_ns: int, targets: list[tuple[int, int]]
+) -> None:
+    angle, since_ns, now_ns = start, 0, 0
+    for target, wait_ns in targets:
+        before = angle
+        now_ns += wait_ns
+        angle, since_ns = step(angle, target, speed, since_ns, now_ns, period_ns)
+        assert abs(angle - before) * NS_PER_S < speed * period_ns + NS_PER_S, "no frame says more than a rate slot's"
+        assert min(before, target) <= angle <= max(before, target)
+        assert abs(angle - before) * NS_PER_S <= speed * wait_ns + NS_PER_S  # and rounding: a hundredth of a degree
+        assert abs(angle - start) * NS_PER_S <= speed * now_ns  # which never adds up
+        assert since_ns <= now_ns
+
+
+def test_time_too_short_for_a_hundredth_is_kept_for_the_next_step() -> None:
+    slot_ns = 20 * NS_PER_MS
+    assert step(0, 180_00, 50_00, 0, slot_ns + 100, slot_ns) == (1_00, slot_ns)
+
+
+def test_who_has_arrived_has_no_time_left_over() -> None:
+    assert step(0, 1_00, 100_00, 0, 10 * NS_PER_MS + 1, LONG_NS) == (1_00, 10 * NS_PER_MS + 1)
+
+
+@pytest.mark.parametrize("stall_ms", [21, 600, 100_000])
+@pytest.mark.parametrize("way", [1, -1])
+def test_after_a_stall_a_step_is_no_longer_than_one_in_time(stall_ms: int, way: int) -> None:
+    """60 degrees a second, 50 frames a second: 1.2 degrees with each."""
+    now_ns = stall_ms * NS_PER_MS
+    first = step(90_00, 90_00 + way * 80_00, 60_00, 0, now_ns, 20 * NS_PER_MS)
+    assert first == (90_00 + way * 1_20, now_ns), "what was lost is not made up for"
+    soon = step(first.angle_cdeg, 90_00 + way * 80_00, 60_00, first.since_ns, now_ns + 5 * NS_PER_MS, 20 * NS_PER_MS)
+    assert soon.angle_cdeg == first.angle_cdeg + way * 30
+
+
+# ---- The way down: a straight line, its ends never left, in time
+
+
+PERIOD_NS = 20 * NS_PER_MS
+
+
+def one(first: int, last: int, length_ms: int = 1000, late_ms: int = 0) -> Landing:
+    """A landing of one servo, which begins so late."""
+    end_ns, landing_ns = length_ms * NS_PER_MS, length_ms * NS_PER_MS
+    return landing(late_ms * NS_PER_MS, end_ns, landing_ns, PERIOD_NS, {32: (first, last)})
+
+
+def said_at(way: Landing, times_ms: Iterable[float]) -> list[int]:
+    """What frames at these times say."""
+    part_ns, said = 0, []
+    for at_ms in times_ms:
+        part_ns = way.next_part_ns(part_ns, round(at_ms * NS_PER_MS))
+        said.append(way.angle_cdeg(32, part_ns))
+    return said
+
+
+@given(angles, angles, st.integers(0, 5000), st.lists(st.integers(0, 6000), min_size=2))
+def test_it_never_turns_round_and_never_leaves_its_ends(
+    first: int, last: int, length_ms: int, times_ms: list[int]
+) -> None:
+    said = said_at(one(first, last, length_ms), sorted(times_ms))
+    assert said == sorted(said, reverse=last < first)
+    assert all(min(first, last) <= angle <= max(first, last) for angle in said)
+
+
+@given(angles, angles, st.integers(0, 5000), st.integers(0, 4000), st.lists(st.integers(0, 5000)))
+@example(150_00, 30_00, 1000, 975, [980])  # a stall before it: 25 ms are left for 120 degrees
+@example(150_00, 30_00, 1000, 0, [*range(20, 300, 20), 900, 920])  # a stall in its middle
+def test_no_frame_goes_on_by_more_than_a_rate_slot_s_part(
+    first: int, last: int, length_ms: int, late_ms: int, times_ms: list[int]
+) -> None:
+    """However late it begins, and whatever stalls come: what does not arrive in time is stopped where it is."""
+    said = said_at(one(first, last, length_ms, late_ms), sorted(late_ms + at_ms for at_ms in times_ms))
+    slots = max(1.0, length_ms / 20 - 2)
+    for before, after in pairwise([first, *said]):
+        assert abs(after - before) <= abs(last - first) / slots + 1
+
+
+def test_a_frame_says_no_more_than_its_part_of_the_time_however_old_the_clock_is() -> None:
+    way = landing(10**12, 10**12 + 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00)})
+    assert way.next_part_ns(0, 10**12 + 7 * NS_PER_MS) == 7 * NS_PER_MS
+
+
+@pytest.mark.parametrize(
+    ("angles_cdeg", "moves"),
+    [
+        ((90_00, None), True),
+        ((30_00, None), False),
+        ((None, None), False),
+        ((None, 50_00), False),
+        ((31_00, 50_00), True),
+    ],
+    ids=["not there yet", "there", "stopped", "holds its angle", "one is not there yet"],
+)
+def test_a_leg_moves_while_a_running_servo_of_it_is_not_where_it_goes(
+    angles_cdeg: tuple[int | None, int | None], moves: bool
+) -> None:
+    """Servo 31 did not run when the landing began, and has no way."""
+    way = landing(0, 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00), 33: (50_00, 50_00)})
+    servos = [Servo(31, 3), *(Servo(32 + index, 3, angle) for index, angle in enumerate(angles_cdeg))]
+    assert way.moves(servos) == moves
