@@ -303,6 +303,7 @@ def test_a_transfer_that_hangs_delays_no_stop_and_its_start_does_not_come(parts:
     parts.bus.end_cycle(parts.bus.exchange(frame), 300 * MS, parts.now_ns)
     assert parts.said[before:] == [SHUTDOWN]
     assert parts.bus.put_right() == "mode 0"
+    assert parts.bus.frames == 2
 
 
 def test_a_failed_transfer_shuts_down_at_once_and_the_device_opens_anew(parts: Parts) -> None:
@@ -494,3 +495,48 @@ def test_the_first_frame_leaves_when_its_time_has_come(parts: Parts) -> None:
     parts.bus.open()
     assert parts.bus.begin_cycle(70 * MS - 1) is None
     assert parts.bus.begin_cycle(70 * MS) is not None
+
+
+def test_each_fault_is_counted_once(parts: Parts) -> None:
+    counts = [parts.bus.errors]
+    parts.uart_fails = True
+    with pytest.raises(SpiError):
+        parts.bus.open()
+    counts += [parts.bus.errors]
+    parts.uart_fails, parts.spi_fails = False, True
+    with pytest.raises(SpiError):
+        parts.bus.open()
+    counts += [parts.bus.errors]
+    parts.spi_fails = False
+    parts.bus.open()
+    parts.uart_fails = True
+    parts.bus.write(STOPS)
+    counts += [parts.bus.errors]
+    parts.uart_fails = False
+    parts.bus.open()
+    parts.now_ns, parts.spi_fails = 100 * MS, True
+    with pytest.raises(SpiError):
+        parts.cycle()
+    counts += [parts.bus.errors]
+    parts.bus.release()
+    parts.spi_fails = False
+    parts.bus.open()
+    assert parts.wait(1000) is not None
+    counts += [parts.bus.errors]
+    assert counts == [0, 1, 2, 3, 4, 5]
+
+
+def test_a_device_that_came_back_has_its_time_to_answer(parts: Parts) -> None:
+    parts.bus.open()
+    parts.now_ns = 100 * MS
+    parts.spi_fails = True
+    with pytest.raises(SpiError):
+        parts.cycle()
+    parts.bus.release()
+    parts.spi_fails, parts.now_ns = False, 5000 * MS
+    parts.bus.open()
+    assert parts.wait(5360) is None
+    assert parts.bus.silent(5369 * MS) is None
+    assert "(the last one: none has come)" in str(parts.bus.silent(5370 * MS))
+    parts.bus.release()
+    assert parts.closed == 1, "its signs of life would come there"
