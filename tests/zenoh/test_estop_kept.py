@@ -103,7 +103,7 @@ def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_g
         assert client.ask(keys.RESET, {"estop": 1}).reason is Reason.ESTOPPED, "it was sent to an earlier run"
 
 
-# ---- the disk (all ways to be damaged: tests/unit/robot/test_estop_file.py; one that goes: test_estop_keeper.py there)
+# ---- the disk (all ways to be damaged: tests/unit/robot/test_estop_file.py)
 
 
 @pytest.mark.parametrize("hangs", [False, True], ids=["no folder", "a disk that hangs"])

@@ -1,13 +1,24 @@
 """Commands from a received message to frames, answers and reports, in virtual time."""
 
 import asyncio
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
+from gateway.errors import SpiError
+from gateway.model.black_box import format as form
+from gateway.model.frames import stop_leg
+from gateway.model.framing import ZERO, Framing
 from gateway.robot.core.message import Verb
 from schemas import keys
+from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.robot import Robot, leg, started_and_quiet
+from tests.support.elkapod import elkapod
+from tests.support.power import FedRobot
+from tests.support.robot import MS, Robot, leg, started_and_quiet
+from tests.support.transfers import on_wire
+from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time
 
@@ -64,3 +75,221 @@ async def test_a_rejection_repeats_no_token_that_stands_in_a_key(key: str) -> No
     rejections = robot.events(Kind.COMMAND_REJECTED)
     assert len(rejections) == 2
     assert not any(token in report.model_dump_json() for report in (ack, *rejections))
+
+
+# ---- What the conductor learns besides commands: of the power board, of the controller, of others on the device
+
+
+START = leg("start", 90, 90, 90)
+UP_S = 1.0
+"""The board switches eighteen servos on in three quarters of a second."""
+
+
+# ---- the power board
+
+
+async def test_what_comes_after_the_end_changes_nothing() -> None:
+    robot = FedRobot()
+    await asyncio.sleep(UP_S)
+    assert not robot.conductor.closed, "so that frames of elkapod-2025 go on"
+    robot.conductor.close()
+    assert robot.conductor.closed
+    robot.reports.clear()
+    robot.conductor.power_changed()
+    robot.conductor.bus_failed(SpiError("timed out"))
+    assert robot.reports == []
+    assert robot.mode == Mode.IDLE
+
+
+# ---- the controller, and the device
+
+
+async def test_a_controller_is_found_silent_though_a_transfer_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await elkapod()
+    monkeypatch.setattr(robot, "_go_on", lambda: None)
+    hangs_ns = robot.now_ns()
+    while not robot.events(Kind.CONTROLLER_SILENT):
+        await asyncio.sleep(0.1)  # as the beat does
+        assert not robot.said
+        robot.conductor.check_outside()
+    assert (robot.now_ns() - hangs_ns) / 1e9 < 0.5
+    assert [what for _, what in robot.said] == ["shutdown"]
+
+
+async def test_that_settings_were_changed_is_in_the_published_state_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet()
+    monkeypatch.setattr(robot.controller, "put_right", lambda: "mode 3")
+    robot.conductor.check_outside()
+    assert [state.mode for state in robot.states] == [Mode.BUS_FAULT]
+
+
+async def test_stop_servos_that_began_during_a_bus_fault_is_found_before_a_command_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = await started_and_quiet()
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.bus_failed(SpiError("unplugged"))
+    await asyncio.sleep(0.01)
+    assert robot.mode == Mode.IDLE
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED
+    kinds = [event.kind for event in robot.events()]
+    assert kinds.count(Kind.STOPPED_OUTSIDE) == 1
+    assert kinds.index(Kind.STOPPED_OUTSIDE) < kinds.index(Kind.BUS_RECOVERED), "it is known before the bus is open"
+
+
+async def test_stop_servos_at_work_at_the_start_is_found_before_a_command_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot = Robot()
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.start()
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED
+
+
+async def test_stops_for_stop_servos_are_repeated_though_nothing_else_happens(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await started_and_quiet(rules={"repeats": 2})
+    monkeypatch.setattr(robot.controller, "stop_servos_at_work", lambda: True)
+    robot.conductor.check_outside()
+    await asyncio.sleep(0.2)
+    assert [frame for _, frame in robot.frames] == [stop_leg(number) for number in LEGS] * 3
+
+
+# ---- what is known later
+
+
+async def test_the_black_box_tells_lost_stops_from_what_was_rejected_unread(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    robot.put(LEG_3, verb=Verb.LOST)
+    numbers = [record.number for record in contents(folder, form.FrameWritten) if record.cause == "command"]
+    assert len(numbers) == 2
+    assert all(numbers)
+
+
+# ---- Another program changed the device's settings: what is published, what is stopped, and which Stops still leave
+
+
+ALL_STOPS = [stop_leg(number) for number in LEGS]
+CYCLE = [Kind.BUS_MEDDLED, Kind.BUS_FAULT, Kind.BUS_RECOVERED]
+
+
+class Meddler:
+    """Changes the settings of the robot's device when the test says so."""
+
+    def __init__(self, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.found: str | None = None
+        monkeypatch.setattr(robot.controller, "put_right", self)
+
+    def __call__(self) -> str | None:
+        found, self.found = self.found, None
+        return found
+
+
+async def meddled(monkeypatch: pytest.MonkeyPatch, *running: str) -> tuple[Robot, Meddler]:
+    """A robot of which these legs run, and which has not written for a while."""
+    robot = await started_and_quiet(watchdog={"timeout_ms": 10_000}, rules={"repeats": 2})
+    meddler = Meddler(robot, monkeypatch)
+    for key in running:
+        assert robot.ask(key, START).accepted
+    await asyncio.sleep(0.5)
+    robot.controller.transfers.clear()
+    robot.reports.clear()
+    meddler.found = "mode 3"
+    return robot, meddler
+
+
+def kinds(robot: Robot) -> list[Kind | str]:
+    return [event.kind for event in robot.events() if event.kind is not Kind.COMMAND_REJECTED]
+
+
+async def test_the_look_ten_times_a_second_publishes_it_and_stops_all_legs(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, _ = await meddled(monkeypatch, LEG_3)
+    robot.conductor.check_outside()
+    assert robot.mode == Mode.BUS_FAULT
+    await asyncio.sleep(0.001)
+    assert [frame for _, frame in robot.frames] == ALL_STOPS
+    assert robot.controller.energised == set()
+    assert [(event.kind, event.detail) for event in robot.events()][:2] == [
+        (Kind.BUS_MEDDLED, "mode 3"),
+        (Kind.BUS_FAULT, "mode 3"),
+    ]
+    assert kinds(robot) == CYCLE
+    assert robot.ask(LEG_3, leg("set", 91, 91, 91)).reason is Reason.SERVO_STOPPED
+    for _ in range(3):
+        robot.conductor.check_outside()
+    assert robot.ask(LEG_3, START).accepted
+    assert kinds(robot) == CYCLE
+
+
+async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, meddler = await meddled(monkeypatch, LEG_3)
+    assert robot.conductor.shut_down()
+    meddler.found = "mode 1"
+    robot.conductor.check_outside()
+    await asyncio.sleep(1)
+    assert [frame for _, frame in robot.frames] == ALL_STOPS * 3
+    assert robot.conductor.done.is_set()
+    assert [event.detail for event in robot.events(Kind.BUS_MEDDLED)] == ["mode 3", "mode 1"]
+    assert not robot.events(Kind.BUS_FAULT)
+
+
+# ---- The preamble in the pauses of a stream, from the conductor to the controller, in virtual time
+
+
+LEG_1 = keys.leg_command(1)
+
+
+SET = leg("set", 91, 91, 91)
+SIX_STOPS = on_wire(Framing.LENGTH_PREFIXED, *map(stop_leg, LEGS))
+
+
+async def prefixed(frame_gap_us: float = 20, repeats: int = 3, **watchdog: float) -> Robot:
+    spi = {"framing": "length-prefixed", "frame_gap_us": frame_gap_us}
+    robot = await started_and_quiet(spi=spi, watchdog=watchdog, rules={"repeats": repeats})
+    await asyncio.sleep(1)  # long enough for the bus to count as synchronised by its rest
+    assert robot.controller.energised == frozenset()
+    return robot
+
+
+def runs(robot: Robot) -> list[tuple[str, float, int]]:
+    """The transfers as runs: ("zeros" or "frames", when it began in ms, how many)."""
+    found: list[tuple[str, float, int]] = []
+    for at_ns, data in robot.controller.transfers:
+        kind = "zeros" if data == ZERO else "frames"
+        if found and found[-1][0] == kind and (kind == "zeros" or at_ns / MS - found[-1][1] < 1):
+            found[-1] = (kind, found[-1][1], found[-1][2] + 1)
+        else:
+            found.append((kind, at_ns / MS, 1))
+    return found
+
+
+async def test_the_first_stops_leave_at_once_and_each_repeat_finds_its_preamble_written() -> None:
+    robot = await prefixed()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.05)
+    robot.controller.transfers.clear()
+    begun_ms = robot.now_ns() / MS
+    assert robot.ask(keys.ESTOP).stop_frames == 6
+    assert [data for _, data in robot.controller.transfers] == SIX_STOPS
+    await asyncio.sleep(1)
+    found = runs(robot)
+    assert [(kind, count) for kind, _, count in found] == [("frames", 12), *[("zeros", 16), ("frames", 12)] * 3]
+    stops_ms = [at_ms - begun_ms for kind, at_ms, _ in found if kind == "frames"]
+    assert stops_ms == pytest.approx([0, 20, 40, 60], abs=0.01)
+    for (kind, zeros_ms, _), (_, repeat_ms, _) in pairwise(found):
+        if kind == "zeros":
+            assert 2 < repeat_ms - zeros_ms < 6, "in the pause, and none too early"
+
+
+async def test_a_deaf_controller_hears_the_first_repeat() -> None:
+    for lost in range(1, 30):
+        robot = await prefixed()
+        for number in LEGS:
+            robot.put(keys.leg_command(number), START)
+        assert len(robot.controller.energised) == 18
+        await asyncio.sleep(0.03)
+        robot.controller.lose_bytes(lost)
+        assert robot.ask(keys.ESTOP).stop_frames == 6
+        await asyncio.sleep(0.02)
+        assert robot.controller.energised == frozenset()
+        robot.conductor.close()

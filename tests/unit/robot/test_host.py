@@ -1,0 +1,170 @@
+"""Small parts of the host: latencies, files, systemd, a writer to disk; how many calls a message takes."""
+
+import asyncio
+import logging
+import os
+import socket
+import sys
+from pathlib import Path
+from types import FrameType
+
+import pytest
+
+from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.ownership import Ownership
+from gateway.robot.host.servos_file import SERVOS_FILE, ServosFile
+from gateway.robot.host.systemd import PINGS_PER_TIMEOUT, SystemdNotifier
+from gateway.robot.protocol.latency import Latency
+from schemas import keys
+from tests.support.robot import Robot, leg, started_and_quiet
+
+
+@pytest.mark.parametrize(
+    ("latencies_us", "p50", "p99"),
+    [
+        ([], None, None),
+        ([30], 30, 30),
+        ([30] * 99 + [4_000], 50, 50),
+        ([30] * 98 + [4_000] * 2, 50, 4_000),
+        ([60, 150, 150, 150], 150, 150),
+        ([60, 900_000], 100, 900_000),
+    ],
+)
+def test_a_share_is_at_most_its_buckets_end_or_the_worst(
+    latencies_us: list[int], p50: float | None, p99: float | None
+) -> None:
+    latency = Latency()
+    for each_us in latencies_us:
+        latency.record(each_us * 1000)
+    assert (latency.at_most_us(0.5), latency.at_most_us(0.99)) == (p50, p99)
+
+
+# ---- The file that says on this machine whether a servo runs
+
+
+def test_what_an_earlier_run_has_left_is_taken_over(tmp_path: Path) -> None:
+    (tmp_path / SERVOS_FILE).write_text("something longer than the line, from another version\n")
+    file = ServosFile(tmp_path)
+    file.write(7, any_runs=True)
+    assert (tmp_path / SERVOS_FILE).read_text() == f"{7:020d} 1\n"
+
+
+def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    ServosFile(None).write(1, any_runs=True)
+    with caplog.at_level(logging.WARNING):
+        ServosFile(tmp_path / "none").write(1, any_runs=True)
+    assert "an upgrade cannot see whether a servo runs" in caplog.text
+
+
+# ---- The notifications to systemd, on the test's own socket
+
+
+@pytest.fixture
+def listener(tmp_path: Path) -> socket.socket:
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    listener.bind(str(tmp_path / "notify"))
+    listener.settimeout(5)
+    return listener
+
+
+def test_what_is_told(listener: socket.socket) -> None:
+    with listener:
+        notifier = SystemdNotifier({"NOTIFY_SOCKET": listener.getsockname()})
+        notifier.ready("takes commands")
+        notifier.alive()
+        notifier.stopping()
+        notifier.close()
+        assert [listener.recv(100) for _ in range(3)] == [
+            b"READY=1\nSTATUS=takes commands",
+            b"WATCHDOG=1",
+            b"STOPPING=1",
+        ]
+
+
+def test_a_manager_that_does_not_read_holds_nobody_up(listener: socket.socket) -> None:
+    with listener:
+        notifier = SystemdNotifier({"NOTIFY_SOCKET": listener.getsockname()})
+        for _ in range(10_000):
+            notifier.alive()
+        notifier.close()
+
+
+def test_without_a_manager_nothing_happens() -> None:
+    notifier = SystemdNotifier({})
+    notifier.ready("x")
+    notifier.alive()
+    assert notifier.ping_period_s is None
+
+
+@pytest.mark.parametrize(
+    ("environment", "period_s"),
+    [
+        ({"WATCHDOG_USEC": "2000000"}, 2 / PINGS_PER_TIMEOUT),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": str(os.getpid())}, 2 / PINGS_PER_TIMEOUT),
+        ({"WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}, None),
+        ({"WATCHDOG_USEC": "0"}, None),
+        ({"WATCHDOG_USEC": "soon"}, None),
+        ({}, None),
+    ],
+)
+def test_how_often_it_wants_to_hear(environment: dict[str, str], period_s: float | None) -> None:
+    notifier = SystemdNotifier({"NOTIFY_SOCKET": "/nowhere", **environment})
+    assert notifier.ping_period_s == period_s
+    notifier.close()
+
+
+# ---- What is written to a disk is written aside, and the owner of the state learns of it
+
+
+def broken() -> None:
+    raise ZeroDivisionError
+
+
+async def test_a_mistake_of_our_own_ends_the_service() -> None:
+    loop, learned = asyncio.get_running_loop(), asyncio.Future[str]()
+    loop.set_exception_handler(lambda _, context: learned.set_result(context["message"]))
+    disk = DiskWriter("disk", loop, Ownership())
+    disk.write(broken, lambda _: None)
+    assert await learned == "the thread disk failed"
+    again = asyncio.Event()
+    disk.write(lambda: None, lambda _: loop.call_soon_threadsafe(again.set))
+    await again.wait()
+
+
+# ---- How many Python calls lie between a message and the device: what is added shows here (docs/design.md, *How fast*)
+
+
+_ALL = {"legs": {str(number): leg("start", 90, 45, 120) for number in range(1, 7)}}
+
+
+def calls_to_the_device(robot: Robot, key: str, payload: object) -> int:
+    """Calls from a message to the device's first transfer that it causes."""
+    calls: list[str] = []
+
+    def note(frame: FrameType, event: str, _arg: object) -> None:
+        if event == "call":
+            calls.append(frame.f_code.co_qualname)
+
+    sys.setprofile(note)
+    try:
+        robot.put(key, payload)
+    finally:
+        sys.setprofile(None)
+    begin = next(place for place, name in enumerate(calls) if name == "Conductor.tick")
+    return next(place for place, name in enumerate(calls) if name == "ByteDevice.transfer") - begin
+
+
+@pytest.mark.virtual_time
+@pytest.mark.parametrize(
+    ("key", "payload", "most"),
+    [
+        pytest.param(keys.ESTOP, {}, 120, id="an emergency stop while a leg runs"),
+        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 60, id="a leg's setpoint"),
+        pytest.param(keys.LEGS_COMMAND, _ALL, 120, id="a start of all legs"),
+    ],
+)
+async def test_a_message_reaches_the_device_in_so_many_calls(key: str, payload: object, most: int) -> None:
+    robot = await started_and_quiet()
+    robot.put(keys.leg_command(3), leg("start", 90, 45, 120))
+    await asyncio.sleep(0.05)
+    assert calls_to_the_device(robot, key, payload) <= most
