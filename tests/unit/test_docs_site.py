@@ -13,34 +13,8 @@ import gateway.client
 from release.docs_site import PAGES, ROOT, SITE, broken_links, relinked
 
 RETURNED: Final = {"Ack", "Event", "GatewayState", "Kind", "Odometry", "Posture", "Reason", "Telemetry", "WalkState"}
-OURS: Final = {
-    "Button.leave",
-    "Client.carry",
-    "Client.lease_requests",
-    "Lease.token",
-    "Odometry.after",
-    "Stream.send",
-    "Walk.end_now",
-    "Walk.use",
-}
-PROGRAMS: Final = {
-    "AsyncClient.lease",
-    "AsyncWalk.ahead",
-    "AsyncWalk.go",
-    "AsyncWalk.turn",
-    "Ack.or_raise",
-    "Client.walk",
-    "Client.calibrate",
-    "Stream.recover",
-    "Walk.close",
-    "AsyncWalk.close",
-    "Event.kind",
-    "GatewayState.limits",
-    "Odometry.heading_rad",
-    "Walk.ahead",
-    "Walk.turn",
-    "WalkState.odometry",
-}
+OURS: Final = {"Button.leave", "Client.carry", "Lease.token", "Odometry.after", "Stream.send", "Walk.end_now"}
+PROGRAMS: Final = {"AsyncClient.lease", "AsyncWalk.go", "Ack.or_raise", "Stream.recover", "Event.kind", "Walk.turn"}
 
 
 pytestmark = pytest.mark.full

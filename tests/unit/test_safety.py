@@ -6,8 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-import pytest
-
 from gateway.robot.settings import Settings
 from tests.kernel.inside.scenes import SCENES
 
@@ -55,18 +53,3 @@ def test_each_kernel_scene_that_it_names_exists() -> None:
     named = [scene for row in re.findall(r"`make kernel`: ([^|<]+)", PAGE) for scene in re.findall(r"`([\w-]+)`", row)]
     assert named
     assert [scene for scene in named if scene not in SCENES] == []
-
-
-@pytest.mark.parametrize(
-    ("text", "skipped"),
-    [
-        ("def test_a(): ...", False),
-        ("def test_b(): ...", None),
-        ("@pytest.mark.skip(reason='later')\ndef test_a(): ...", True),
-        ("@pytest.mark.xfail\nasync def test_a(): ...", True),
-        ("pytestmark = pytest.mark.skip\ndef test_a(): ...", True),
-        ("@pytest.mark.skipif(not HERE, reason='no root')\ndef test_a(): ...", False),
-    ],
-)
-def test_one_that_is_gone_or_skipped_is_noticed(text: str, skipped: bool | None) -> None:
-    assert always_skipped(text, "test_a") is skipped

@@ -12,7 +12,7 @@ import pytest
 from gateway.model.black_box import format as form
 from gateway.model.black_box.header import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.frames import Op, ServoOp, decode
+from gateway.model.frames import decode
 from gateway.model.framing import Framing
 from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import paths
@@ -68,21 +68,6 @@ def in_force(records: ring_reader.Records, ns: int) -> int | None:
     """The revision of what was in force."""
     found = records.calibration_at(ns)
     return None if found is None else found.revision
-
-
-async def test_a_command_its_frame_and_its_decision_are_there(folder: Path) -> None:
-    robot = recorded(folder)
-    before = len(contents(folder))
-    robot.put(LEG_3, START, received_ns=77)
-    command, frame, mode = contents(folder)[before:]
-    angles = tuple(zip((31, 32, 33), (ServoOp(Op.START, cdeg) for cdeg in (90_00, 45_00, 120_00)), strict=True))
-    assert command == form.CommandRecord(1, "put", LEG_3, "anna", 0.0, angles)
-    assert frame.number == 1, "it was accepted with this frame"
-    assert decode(frame.data).servos == angles
-    assert frame.cause == Cause.COMMAND
-    assert mode == form.ModeChange("active")
-    record = ring_reader.read(folder / RING_FILE).records[before]
-    assert record.ns == 77, "the command's own time is its arrival"
 
 
 async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> None:
