@@ -3,6 +3,7 @@
 import ast
 import re
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -13,15 +14,19 @@ ROOT: Final = Path(__file__).parents[2]
 PAGE: Final = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 
 
+@cache
+def _marks(text: str) -> dict[str, list[str]]:
+    """The marks of each of a file's tests."""
+    tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return {test.name: [ast.unparse(mark) for mark in test.decorator_list] for test in tests}
+
+
 def always_skipped(text: str, function: str) -> bool | None:
     """Of a test in a file with this text; None: there is no such test."""
-    marked = None
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == function:
-            marked = [*node.decorator_list]
-    if marked is None:
+    marks = _marks(text).get(function)
+    if marks is None:
         return None
-    return any(re.search(r"mark\.(skip|xfail)\b", ast.unparse(mark)) for mark in marked) or bool(
+    return any(re.search(r"mark\.(skip|xfail)\b", mark) for mark in marks) or bool(
         re.search(r"^pytestmark\b.*\b(skip|xfail)\b|^pytest\.skip\(", text, re.MULTILINE)
     )
 

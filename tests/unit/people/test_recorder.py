@@ -41,6 +41,7 @@ def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
     return [record.content for record in records if not types or isinstance(record.content, types)]
 
 
+@pytest.mark.lengthy
 async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder: Path) -> None:
     robot = recorded(folder)
     revisions = {}

@@ -166,6 +166,7 @@ def test_a_page_that_falls_silent_stands_then_sits_and_its_last_wish_is_not_repe
     assert not ridden.running, "it wakes, with the thumb still on it"
 
 
+@pytest.mark.lengthy
 @given(after_s=st.floats(0.26, 6.5))
 @settings(max_examples=12, deadline=None)
 def test_a_page_that_wakes_goes_on_with_a_new_press_only(after_s: float) -> None:

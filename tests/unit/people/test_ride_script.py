@@ -108,6 +108,7 @@ def cover(ridden: Ridden, amount: float, *, turns: bool, late: int) -> tuple[flo
     return (end.heading_rad - begin.heading_rad if turns else math.copysign(gone_m, amount)), fastest
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("late", [0, 2])
 @pytest.mark.parametrize(
     ("gait", "amount", "turns"),

@@ -42,6 +42,7 @@ def made(robot_class: type[Robot] = WaitingRobot) -> Robot:
     return robot
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("robot_class", "moved"), [(WaitingRobot, 0), (Robot, 50)])
 async def test_of_fifty_stalls_of_half_a_second_to_ten_none_starts_anything(
     robot_class: type[Robot], moved: int
@@ -69,6 +70,7 @@ async def test_of_fifty_stalls_of_half_a_second_to_ten_none_starts_anything(
     assert found == moved
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("style", STYLES)
 async def test_fifty_ordinary_programs_of_each_style_are_not_rejected(style: str) -> None:
     """Each message comes up to 15 ms late, as over Wi-Fi, and in order; a start is written within 20 ms."""

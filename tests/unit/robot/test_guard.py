@@ -156,6 +156,7 @@ INTERVALS = ((0, 0), (1_00, 4_00), (99_50, 180_01))
 """Angles that are never sent; in the first case, none."""
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("avoid", INTERVALS)
 def test_on_every_operation_and_angle(avoid: tuple[int, int]) -> None:
     for operation in itertools.product(EDGES, range(256), EDGES):
