@@ -190,13 +190,6 @@ def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
         assert len(text.splitlines()) == 1
 
 
-@pytest.mark.parametrize("command", ["init", "issue", "list", "renew", "revoke"])
-def test_every_help_has_an_example(command: str) -> None:
-    code, text = run(command, "--help")
-    assert code == 0
-    assert f"hexapod-gateway certs {command}" in " ".join(text.split())
-
-
 # ---- for browsers
 
 

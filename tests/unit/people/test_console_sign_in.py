@@ -131,8 +131,6 @@ def test_a_nonce_serves_for_a_short_time(visitor: Visitor) -> None:
 # ---- sessions and links
 
 
-
-
 class Clock:
     """A machine's clocks; somebody may set the one on its wall, or start it anew."""
 

@@ -19,47 +19,9 @@ from gateway.people.physics.world import Sensors, World
 from gateway.people.walking import Engine, Robot
 from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.robot import SERVO_IDS
-from tests.walking.physics import SINKS_S, SUNK_M, run, stand_up
+from tests.walking.physics import run, stand_up
 
 GEOMETRY = load()
-
-
-def stood_up(world: World) -> Engine:
-    engine = Engine(Robot(GEOMETRY))
-    stand_up(world, engine, GEOMETRY)
-    return engine
-
-
-def stop(world: World) -> None:
-    for servo_id in SERVO_IDS:
-        world.drive(servo_id, None)
-
-
-def touches_the_floor(world: World) -> set[str]:
-    """The names of the links that do."""
-    model = world.model
-    pairs = [world.data.contact[number].geom for number in range(world.data.ncon)]
-    return {model.body(model.geom_bodyid[geom]).name for pair in pairs for geom in pair}
-
-
-def test_it_stands_up_and_without_its_servos_it_sinks() -> None:
-    world = World(GEOMETRY)
-    engine = stood_up(world)
-    standing = world.body()
-    assert standing.position_m[2] == pytest.approx(engine.body.height_m, abs=0.01)
-    assert standing.upright
-    assert all(standing.feet)
-    assert "base" not in touches_the_floor(world)
-    carried_nm = sum(abs(torque_nm) for torque_nm in standing.torques_nm.values())
-    assert carried_nm > 1
-    stop(world)
-    run(world, 0.15)
-    assert world.body().velocity_m_s[2] < -0.1, "it falls"
-    run(world, SINKS_S)
-    fallen = world.body()
-    assert fallen.position_m[2] < SUNK_M
-    assert "base" in touches_the_floor(world), "its legs alone do not carry it"
-    assert set(fallen.torques_nm.values()) == {0.0}
 
 
 @pytest.mark.parametrize("text", ["flat", "slope:10", "slope:-20", "rough:0.02", "step:0.02", "step:-0.1"])
