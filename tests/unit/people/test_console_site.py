@@ -34,12 +34,10 @@ TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), ssl.SSLC
         (HERE, None),
         (HERE, ""),
         (HERE, "127.0.0.1"),
-        (HERE, "127.0.0.1:80"),
         (HERE, "127.0.0.1:8081"),
         (HERE, "127.0.0.1.evil.example:8080"),
         (HERE, "evil.example:8080"),
         (HERE, "evil@127.0.0.1:8080"),
-        (HERE, "0.0.0.0:8080"),
         (HERE, "[::1]:8080"),
         (TLS, "0.0.0.0"),  # noqa: S104
         (TLS, "robot.local:8443"),
@@ -56,7 +54,6 @@ def test_foreign_hosts(where: Site, host: str | None) -> None:
     [
         None,
         "null",
-        "",
         "http://localhost:8080",
         "https://127.0.0.1:8080",
         "http://127.0.0.1:8080/",
@@ -79,7 +76,6 @@ def test_loopback_needs_no_certificate(listen: str) -> None:
     [
         ("0.0.0.0:8080", "needs TLS"),
         ("[::]:8080", "needs TLS"),
-        ("192.0.2.7:8080", "needs TLS"),
         ("robot.local:8080", "needs TLS"),
         ("127.0.0.1.example:8080", "needs TLS"),
         ("", "no HOST:PORT"),
