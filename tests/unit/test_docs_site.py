@@ -60,7 +60,7 @@ def test_each_page_is_in_the_menu_and_in_the_search() -> None:
     assert {page for page in pages if f'"{page.removesuffix(".md")}.html' not in search} == set()
     titles = {item["title"] for item in json.loads(search)["items"]}
     assert "gateway.client.Button.timeout_ms" in titles, "a field is named by its class"
-    assert {"Timeout", "Two robots", "Your own program"} <= titles
+    assert {"Timeout", "Two robots"} <= titles
 
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
