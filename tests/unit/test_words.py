@@ -59,8 +59,7 @@ INSTEAD: Final = {
     r"reads? no list|shut out: the archive": "do not check revocations",
 }
 """The words, and what stands in their place."""
-ANY: Final = re.compile("|".join(rf"\b(?:{word})\b" for word in INSTEAD), re.IGNORECASE)
-"""In most files none stands anywhere, and what is prose in them need not be found."""
+ANY: Final = re.compile("|".join(rf"(?<![\w.])(?:{word})(?![\w=(])" for word in INSTEAD), re.IGNORECASE)
 IN_PAGE: Final = re.compile(
     r"/\*.*?\*/|//[^\n]*|\"[A-Z][^\"\n]* [^\"\n]*\"|`[A-Z][^`]* [^`]*`|>[^<>{}();=]+<", re.DOTALL
 )
@@ -88,11 +87,10 @@ def prose(path: Path) -> Iterator[tuple[int, str]]:
 
 def found(path: Path) -> list[str]:
     """Where one of the words stands."""
-    if not ANY.search(path.read_text()):
-        return []
     return [
         f"{path}:{number}: {hit[0]} ({instead}): {line.strip()}"
         for number, line in prose(path)
+        if ANY.search(line)
         for word, instead in INSTEAD.items()
         for hit in re.finditer(rf"(?<![\w.])(?:{word})(?![\w=(])", line, re.IGNORECASE)
     ]
