@@ -29,9 +29,9 @@ T = TypeVar("T")
 STOPS_AT_ONCE: Final = 4
 """Stops of single legs; further ones wait until one is answered, or given up after the timeout."""
 PAGE_QUESTIONS_AT_ONCE: Final = 12
-"""Everything else: commands, the lease, the state."""
+"""All other questions: commands, the lease, the state."""
 STACK_BYTES: Final = 1_048_576
-"""Of each thread that Python starts; the system's 8 MB count as memory (`LimitDATA`), though nobody uses them."""
+"""Stack of each thread that Python starts. The system's 8 MB would count as memory (`LimitDATA`), even if unused."""
 THREADS_START_S: Final = 10.0
 
 

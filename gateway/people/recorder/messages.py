@@ -116,7 +116,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
 
 
 def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterator[RecordedMessage]:
-    """The incident, and what a start states of the time before it."""
+    """Notes of the incident, and of what a start reports about the time before it."""
     yield _noted(incident.zero_wall_ns, INCIDENT, incident.name)
     for index in taken:
         if records.kinds[index] == form.START:
@@ -124,7 +124,7 @@ def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterat
 
 
 class _Decisions:
-    """What became of each command: an accepted one names its frame, any other has a Decision."""
+    """The decision on each command: an accepted command names its frame, any other has a Decision."""
 
     def __init__(self, records: Records, taken: Sequence[int]) -> None:
         self._records = records
@@ -151,7 +151,7 @@ class _Decisions:
 
 
 def _stops_before(start: form.Record, incident: Incident) -> Iterator[RecordedMessage]:
-    """What `stop-servos` wrote before this start, after the end of the gateway before it."""
+    """The Stops that `stop-servos` wrote between the end of the former gateway and this start."""
     facts = start.content.facts if isinstance(start.content, form.Start) else {}
     match [facts.get(name) for name in form.STOP_FACTS]:
         case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
@@ -220,7 +220,7 @@ def _message(
 
 
 def _published(content: form.Calibrated | form.BodyState | form.EventPublished, time: datetime) -> tuple[str, Report]:
-    """What has its own key also outside of incidents."""
+    """Records that are also published on a key of their own."""
     match content:
         case form.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration

@@ -88,7 +88,7 @@ class JointCommands:
 
 
 class Course:
-    """Where a trajectory's joints are to be, and what its end, or its sender's, leads to. Pure: time is an argument."""
+    """The poses of a trajectory in time, and what follows its end or its sender's. Pure: time is an argument."""
 
     def __init__(
         self, geometry: Geometry, ride: Callable[[Pose], Ride], *, whole: bool = False, limp_s: float = 0.0
@@ -106,19 +106,19 @@ class Course:
         self._plan: Trajectory | None = None
         self._at_rad: dict[int, float] = {}
         self._sent: Pose = {}
-        """Of the legs that have started, what was sent last."""
+        """The last angles that were sent to the started legs."""
         self._sending: frozenset[int] = frozenset()
-        """Legs that are in what was sent last, or is being sent."""
+        """Legs of the pose that was sent last, or is being sent."""
         self._rests_s = math.inf
-        """When it sits down."""
+        """The time at which it sits down."""
         self._ride: Ride | None = None
-        """Once it sits down."""
+        """The ride that sits down; None before."""
         self._left = REPLACED
-        """Why a plan is not followed any more."""
+        """Why the plan is no longer followed."""
 
     @property
     def begun(self) -> bool:
-        """Whether there is anything to send."""
+        """Whether there is a pose to send."""
         return self._plan is not None or bool(self._at_rad)
 
     def follow(self, plan: Trajectory, now_s: float) -> None:
@@ -181,7 +181,7 @@ class Course:
         self._sent = {**self._sent, **pose}
 
     def _running_rad(self) -> dict[int, float]:
-        """Where the joints of the legs are that have started, or are being started."""
+        """The joints of the legs that have started, or are being started."""
         legs = self._sent.keys() | self._sending
         return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in legs}
 
@@ -244,7 +244,7 @@ class Following:
         self._thread.start()
 
     def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
-        """From now on; `is_there` is asked whether its sender still is."""
+        """Follow it from now on. `is_there` returns whether its sender still exists."""
         with self._changed:
             if self._error is not None:
                 raise self._error.with_traceback(None)
@@ -259,7 +259,7 @@ class Following:
             return self._course.progress(plan, time.monotonic())
 
     def hold(self, plan: Trajectory | None) -> None:
-        """Stay where this plan is now, if it is followed (None: whichever is); then sit down."""
+        """Hold where this plan is now, if it is followed (None: any); then sit down."""
         with self._changed:
             self._course.hold(plan, time.monotonic())
 
@@ -291,7 +291,7 @@ class Following:
             self._error = WalkError(str(error))
 
     def _tick(self) -> bool:
-        """Send the next setpoint; whether there is another."""
+        """Send the next setpoint. Return whether there is another."""
         with self._changed:
             self._changed.wait_for(lambda: self._course.begun or self._stops)
             pose = None if self._stops else self._course.next(time.monotonic())
@@ -310,7 +310,7 @@ class Walking:
     title = "cmd_vel"
 
     def __init__(self, client: Client, geometry: Geometry, gait: str, begins: Odometry) -> None:
-        """`begins`: where the walk before it has ended."""
+        """`begins`: where the walk before it ended."""
         self._begins = begins
         self._walk: Walk = client.walk(gait, geometry)
         self._walk.open()

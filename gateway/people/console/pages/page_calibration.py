@@ -21,11 +21,11 @@ from schemas import keys
 from schemas.telemetry import GatewayState
 
 MAX_STEPS: Final = 32
-"""Of one page, that wait; a key that is held jogs ten times a second."""
+"""Most steps of one page that wait: a held key jogs ten times a second."""
 
 
 class PageCalibration:
-    """On the event loop; its steps are taken one after the other."""
+    """The guide of one page, on the event loop. Its steps are taken one after the other."""
 
     def __init__(
         self,
