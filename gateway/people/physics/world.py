@@ -123,8 +123,8 @@ class World:
     def body(self) -> Body:
         """Return the body's present pose and velocity."""
         data = self.data
-        w, *turned = map(float, data.qpos[3:_FREE])
-        rotation = turned[0], turned[1], turned[2], w
+        w, *axis = map(float, data.qpos[3:_FREE])
+        rotation = axis[0], axis[1], axis[2], w
         touching = self._touching()
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
         return Body(

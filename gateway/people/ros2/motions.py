@@ -100,7 +100,7 @@ class Course:
         self._geometry = geometry
         self._whole = whole
         self._limp_s = limp_s
-        self._fed_s = self._looked_s = -math.inf
+        self._fed_s = self._advanced_s = -math.inf
         """When all that run have their supply; when the plan was looked at last."""
         self._make_ride = ride
         self._plan: Trajectory | None = None
@@ -123,7 +123,7 @@ class Course:
 
     def follow(self, plan: Trajectory, now_s: float) -> None:
         """Follow `plan` from the present angles. Raises JointsError if the plan cannot begin there."""
-        self._look(now_s)
+        self._advance(now_s)
         running_rad = self._running_rad()
         plan.begin(running_rad, now_s)
         self._next_start(running_rad | plan.at(now_s))
@@ -133,7 +133,7 @@ class Course:
     def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
         if plan is not self._plan:
             return GoalProgress({}, {}, self._left)
-        self._look(now_s)
+        self._advance(now_s)
         return GoalProgress(plan.at(now_s), self._rad(self._sent))
 
     def hold(self, plan: Trajectory | None, now_s: float) -> None:
@@ -142,7 +142,7 @@ class Course:
         A leg that has not started by then is not started.
         """
         if self._plan is not None and plan in (None, self._plan) and self._ride is None:
-            self._look(now_s)
+            self._advance(now_s)
             self._at_rad = self._running_rad()
             self._plan, self._rests_s, self._left = None, now_s + REST_S, "it was cancelled"
 
@@ -153,12 +153,12 @@ class Course:
 
     def leave(self, now_s: float, why: str = "the bridge was released") -> None:
         """Plan to sit down from now on; `next` returns the steps."""
-        self._look(now_s)
+        self._advance(now_s)
         self._plan, self._rests_s, self._left = None, min(self._rests_s, now_s), why
 
     def next(self, now_s: float) -> Pose | None:
         """Return the pose to send; None: the course is over, and running servos must be stopped."""
-        self._look(now_s)
+        self._advance(now_s)
         if self._limp_s and self._ride is None and not self._at_rad.keys() <= self._rad(self._sent).keys():
             self._fed_s = now_s + self._limp_s
         if self._ride is None and now_s >= self._rests_s:
@@ -195,14 +195,14 @@ class Course:
             for joint, angle_deg in enumerate(angles, start=1)
         }
 
-    def _look(self, now_s: float) -> None:
+    def _advance(self, now_s: float) -> None:
         if self._plan is not None and self._ride is None:
-            if self._looked_s < self._fed_s:  # the plan stands still until then
-                waited_s = min(now_s, self._fed_s) - self._looked_s
+            if self._advanced_s < self._fed_s:  # the plan stands still until then
+                waited_s = min(now_s, self._fed_s) - self._advanced_s
                 self._plan.postpone(waited_s)
                 self._rests_s += waited_s
             self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
-        self._looked_s = now_s
+        self._advanced_s = now_s
 
     def _sitting(self, now_s: float) -> Ride | None:
         """What lies down from where the legs are; None where it cannot: then they are stopped as they are.

@@ -78,9 +78,9 @@ def odometry(at: Odometry, velocity: Velocity, way_m: float, time_ns: int, base:
 
 def odometry_frame(at: Odometry, time_ns: int, base: str = BASE) -> Message:
     """Return odometry as the transform from `odom` to `base`."""
-    turned = _heading(at.heading_rad)
+    heading = _heading(at.heading_rad)
     return transform_message(
-        [Step(ODOM, base, (at.x_m, at.y_m, 0.0), (turned.x, turned.y, turned.z, turned.w))], time_ns
+        [Step(ODOM, base, (at.x_m, at.y_m, 0.0), (heading.x, heading.y, heading.z, heading.w))], time_ns
     )
 
 
@@ -88,9 +88,9 @@ def _heading(angle_rad: float) -> Message:
     return Quaternion(z=math.sin(angle_rad / 2), w=math.cos(angle_rad / 2))
 
 
-def _planar(moved: float, turned: float) -> tuple[float, ...]:
+def _planar(along: float, yaw: float) -> tuple[float, ...]:
     """The covariance of these standard deviations along, across and about the upright axis."""
-    sigmas = (moved, moved, _UNKNOWN, _UNKNOWN, _UNKNOWN, turned)
+    sigmas = (along, along, _UNKNOWN, _UNKNOWN, _UNKNOWN, yaw)
     return tuple(sigmas[row] ** 2 if row == column else 0.0 for row in range(6) for column in range(6))
 
 
@@ -102,9 +102,9 @@ def all_at(geometry: Geometry, angle_deg: float) -> dict[int, float]:
 def transform_message(steps: Iterable[Step], time_ns: int) -> Message:
     """Return these transforms as one TFMessage."""
     header_stamp = stamp(time_ns)
-    moved = ((step, ros.Transform(Vector3(*step.translation_m), Quaternion(*step.rotation))) for step in steps)
+    transforms = ((step, ros.Transform(Vector3(*step.translation_m), Quaternion(*step.rotation))) for step in steps)
     return ros.TFMessage(
-        tuple(ros.TransformStamped(Header(header_stamp, step.parent), step.child, to) for step, to in moved)
+        tuple(ros.TransformStamped(Header(header_stamp, step.parent), step.child, to) for step, to in transforms)
     )
 
 

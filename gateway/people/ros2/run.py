@@ -103,7 +103,7 @@ def serve(
             node.manage(partial(driving.activate, drives=drives), driving.deactivate)
             say(f"{node.get_fully_qualified_name()} is in ROS 2's graph of {node.rmw}, domain {domain}; Ctrl-C ends")
             while not ended.wait(PERIOD_S):
-                topics.turned()
+                topics.record_alive()
                 reports.tick(time.monotonic())
     return 0
 

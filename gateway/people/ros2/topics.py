@@ -72,7 +72,7 @@ class Topics:
             most = MAX_TRAJECTORY_BYTES if topic == "joint_trajectory" else _MAX_BYTES
             self._node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
 
-    def turned(self) -> None:
+    def record_alive(self) -> None:
         """Record that the process is alive. Call it at least ten times a second: else messages count as old."""
         with self._lock:
             self._ages.record_alive(time.monotonic_ns())

@@ -135,12 +135,12 @@ class _JointCubic(NamedTuple):
     def of(cls, before: Waypoint, after: Waypoint, servo_id: int) -> Self:
         """A cubic Hermite spline, or a line."""
         begin = before.positions_rad[servo_id]
-        moved = after.positions_rad[servo_id] - begin
+        change_rad = after.positions_rad[servo_id] - begin
         if before.velocities_rad_s is None or after.velocities_rad_s is None:
-            return cls(begin, moved, 0.0, 0.0)
+            return cls(begin, change_rad, 0.0, 0.0)
         length_s = after.at_s - before.at_s
         leaves, arrives = before.velocities_rad_s[servo_id] * length_s, after.velocities_rad_s[servo_id] * length_s
-        return cls(begin, leaves, 3 * moved - 2 * leaves - arrives, leaves + arrives - 2 * moved)
+        return cls(begin, leaves, 3 * change_rad - 2 * leaves - arrives, leaves + arrives - 2 * change_rad)
 
     def at(self, part: float) -> float:
         return self.begin + part * (self.first + part * (self.square + part * self.cube))

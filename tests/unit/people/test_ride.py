@@ -280,9 +280,9 @@ def test_a_servo_that_is_still_on_its_way_to_where_it_starts_keeps_the_robot_fro
 def test_a_press_is_used_up_behind_the_silence_and_not_at_its_end() -> None:
     ride = Ride(ROBOT, silences=Silences(hold_s=1.0, rest_s=8.0))
     ride.wish(Wish(3), 4.0)
-    ride.look(5.0)
+    ride.apply_silences(5.0)
     assert ride.spent == -1
-    ride.look(5.0 + BEHIND_S)
+    ride.apply_silences(5.0 + BEHIND_S)
     assert ride.spent == 3
 
 
@@ -290,9 +290,9 @@ def test_a_driver_who_presses_nothing_lets_it_sit_down_behind_the_time_and_not_a
     ride, at_s = standing().ride, 200.0
     ride.wish(Wish(1), at_s)
     ride.silences = Silences(idle_s=4.0)
-    ride.look(at_s + 4.0)
+    ride.apply_silences(at_s + 4.0)
     assert ride.detail == ""
-    ride.look(at_s + 4.0 + BEHIND_S)
+    ride.apply_silences(at_s + 4.0 + BEHIND_S)
     assert "nothing was pressed for 4 s" in ride.detail
 
 
@@ -361,23 +361,23 @@ def fallen(rest_s: float, at_s: float) -> Ride:
     ride = standing().ride
     ride.silences = Silences(rest_s=rest_s)
     ride.go(STILL, at_s)
-    ride.look(at_s)
+    ride.apply_silences(at_s)
     ride._engine.felt = ride._engine.felt._replace(fault="it has fallen")
     return ride
 
 
 def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
     ride = fallen(rest_s=1.0, at_s=200.0)
-    ride.look(201.0)
+    ride.apply_silences(201.0)
     assert not ride.over
-    ride.look(201.0 + BEHIND_S)
+    ride.apply_silences(201.0 + BEHIND_S)
     assert (ride.over, ride.detail) == (True, "it has fallen")
 
 
 def test_one_that_has_fallen_is_given_up_behind_two_seconds_and_not_at_their_end() -> None:
     ride = fallen(rest_s=8.0, at_s=200.0)
-    ride.look(202.0)
+    ride.apply_silences(202.0)
     assert phase_of(ride) is Phase.RUNS
-    ride.look(202.0 + BEHIND_S)
+    ride.apply_silences(202.0 + BEHIND_S)
     assert phase_of(ride) is Phase.FAILED
     assert str(ride.error) == "it has fallen"

@@ -87,7 +87,7 @@ class Followed:
 
     def look(self, after_ns: int) -> list[str]:
         self.now_ns += after_ns
-        return self._take(self.changes.look(self.now_ns, WALL))
+        return self._take(self.changes.poll(self.now_ns, WALL))
 
     def note(self, text: str) -> list[str]:
         return self._take(self.changes.note(text, WALL))
