@@ -70,7 +70,7 @@ def main() -> int:
 
 def _quick() -> bool:
     with _behind(["make", "--no-print-directory", "check"]) as check:
-        options = ("-q", "-n", "2", "-m", "not full and not nightly", "--hypothesis-profile=quick")
+        options = ("-q", "-n", "2", "-m", "not full and not nightly and not lengthy", "--hypothesis-profile=quick")
         unit = subprocess.run([*_PYTEST, *options, "tests/unit"], check=False)
     return unit.returncode == check.returncode == 0
 

@@ -1,12 +1,13 @@
 """What all tests share: Hypothesis's patience, and the event loop (`virtual_time`: it leaps to its next timer)."""
 
 import asyncio
+import gc
 import os
 import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
@@ -46,6 +47,16 @@ def pytest_configure(config: pytest.Config) -> None:
     _let_signals_interrupt()
     _keep_rings(config)
     config.add_cleanup(Run().close)  # what fixtures leave behind: xdist kills a worker some seconds after the signal
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """pytest's hook: what is collected stays to the end, so no collection of garbage looks at it."""
+    gc.disable()
+    result = yield
+    gc.freeze()
+    gc.enable()
+    return result
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -43,15 +43,15 @@ def transforms(geometry: Geometry, joints_rad: Mapping[int, float]) -> Iterator[
     """Yield each frame in its parent's, from the body outward. `joints_rad`: by servo id; a missing joint is at 0."""
     for leg in LEGS:
         mount = geometry.leg_mounts[leg]
-        at_m, turned = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))
+        at_m, base = mount.xyz_m, from_rpy((0.0, 0.0, mount.yaw_rad))
         parent = BASE
         for number, joint, link in zip(JOINTS, geometry.joints, LINKS, strict=True):
-            moved = about(joint.axis, joints_rad.get(10 * leg + number, 0.0))
-            origin_m = plus(at_m, rotated(turned, joint.origin_xyz_m))
-            rotation = times(times(turned, from_rpy(joint.origin_rpy_rad)), moved)
+            joint_rotation = about(joint.axis, joints_rad.get(10 * leg + number, 0.0))
+            origin_m = plus(at_m, rotated(base, joint.origin_xyz_m))
+            rotation = times(times(base, from_rpy(joint.origin_rpy_rad)), joint_rotation)
             child = link_name(leg, link)
             yield FramePose(parent, child, origin_m, rotation)
-            parent, at_m, turned = child, _ORIGIN, _UNTURNED
+            parent, at_m, base = child, _ORIGIN, _UNTURNED
         yield FramePose(parent, link_name(leg, "foot"), geometry.foot.origin_xyz_m, _UNTURNED)
 
 
@@ -80,8 +80,7 @@ def times(first: Quaternion, second: Quaternion) -> Quaternion:
 def rotated(rotation: Quaternion, vector: Vector) -> Vector:
     """Return `vector` turned by the unit quaternion `rotation`."""
     x, y, z, w = rotation
-    turned = times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))
-    return turned[:3]
+    return times(times(rotation, (*vector, 0.0)), (-x, -y, -z, w))[:3]
 
 
 def about(axis: Vector, angle_rad: float) -> Quaternion:

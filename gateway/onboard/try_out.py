@@ -79,14 +79,14 @@ def _is_ready(gateway: subprocess.Popen[bytes], notified: socket.socket) -> bool
     return False
 
 
-def _environment(given: Mapping[str, str]) -> dict[str, str]:
-    """`given` with defaults for what is recorded, where, and where the gateway listens."""
-    if "HEXAPOD_STATE__PATH" not in given:
+def _environment(variables: Mapping[str, str]) -> dict[str, str]:
+    """`variables` with defaults for what is recorded, where, and where the gateway listens."""
+    if "HEXAPOD_STATE__PATH" not in variables:
         tried().mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **given}
+    found = {"HEXAPOD_STATE__PATH": str(tried()), "HEXAPOD_TELEMETRY__FRAMES": "true", **variables}
     with suppress(ConfigError):  # the gateway's process reports it
         endpoint = own_command.plain(settings.load(None, simulated=True).zenoh.listen)
-        if endpoint not in (None, own_command.DEFAULT_ENDPOINT) or own_command.CONNECT_VARIABLE in given:
+        if endpoint not in (None, own_command.DEFAULT_ENDPOINT) or own_command.CONNECT_VARIABLE in variables:
             found[own_command.CONNECT_VARIABLE] = endpoint or own_command.DEFAULT_ENDPOINT
     return found
 

@@ -68,12 +68,8 @@ FAULTS = (
         "gateway/people/commands/decode.py",
     ),
     Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/text.py"),
-    Fault("a damaged stop.py", "echo '(' >$own/gateway/onboard/stop.py", "gateway/onboard/stop.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
-    Fault(
-        "a file that all may write", "chmod 666 $own/gateway/people/commands/decode.py", "writable by others than root"
-    ),
     Fault("a damaged command", "echo 'exit 1 # damaged' >>/usr/bin/$service", "not as installed: /usr/bin/hexapod"),
     Fault(
         "a command of the former installer",
@@ -89,7 +85,6 @@ FAULTS = (
     # user and groups
     Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
-    Fault("no group dialout", "groupdel dialout", "there is no group dialout"),
     # units
     Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service differs from this release"),
     Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
@@ -97,9 +92,6 @@ FAULTS = (
         "a unit of somebody's own",
         "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
         "replaces the package's unit",
-    ),
-    Fault(
-        "a unit of another release", "sed -i '1i # older' $unit; systemctl daemon-reload", "differs from this release's"
     ),
     Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, but systemd still", more=1),
     Fault(
@@ -127,15 +119,10 @@ FAULTS = (
     ),
     Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "changes what Stops depend on: WatchdogSec"),
     Fault("too few descriptors", "drop_in LimitNOFILE=64", "changes what Stops depend on: LimitNOFILE"),
-    Fault("another Python path", "drop_in Environment=PYTHONPATH=/x", "changes what Stops depend on: PYTHONPATH"),
-    Fault("too little memory for it", "drop_in MemoryMax=64M", "changes what Stops depend on: MemoryMax"),
     Fault(
         "a variable for all services",
         "systemctl set-environment HEXAPOD_LIMITS__LEG_RATE_HZ=20; systemctl restart $service",
         "HEXAPOD_LIMITS__LEG_RATE_HZ is in the service's environment",
-    ),
-    Fault(
-        "a Python path for all services", "systemctl set-environment PYTHONPATH=/x", "PYTHONPATH is in the service's"
     ),
     Fault(
         "forty kills",
@@ -145,7 +132,6 @@ FAULTS = (
         "systemctl status $service | head -1 | grep 'sudo hexapod-gateway check'",
         "has failed",
     ),
-    Fault("a drop-in with another user", "drop_in User=nobody", "changes what Stops depend on: User"),
     Fault(
         "a drop-in that was not read",
         "mkdir -p $units/$service.service.d; printf '[Service]\\nNice=5\\n' >$units/$service.service.d/own.conf",
@@ -183,17 +169,14 @@ FAULTS = (
         "a state directory in memory", _MEMORY.format("mode=700"), "is on tmpfs, which a boot empties", by_hand=_BACK
     ),
     Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free", by_hand=_BACK),
-    Fault("no inodes for the state directory", _MEMORY.format("nr_inodes=20"), "has room for", by_hand=_BACK),
     # the device
     Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules"),
-    Fault("another udev rule", "echo >$rules", "60-hexapod-gateway.rules"),
     Fault(
         "a device that another program has locked",
         "systemctl stop $service; setsid flock $(readlink -f /dev/spidev0.0) sleep 999 >/dev/null 2>&1 & sleep 1",
         "is locked by",
         by_hand="pkill sleep; systemctl reset-failed $service; systemctl start $service",
     ),
-    Fault("a node of another group", "chgrp audio $(readlink -f /dev/spidev0.0)", "group audio)", then=""),
     Fault("a node for root only", "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0", "may not open /dev/spidev0.0"),
     Fault(
         "a device that does not exist",
@@ -207,7 +190,6 @@ FAULTS = (
     Fault(
         "a setting that does not exist", "sed -i '1i spi.speed = 1' $toml", "spi.speed: is no setting", by_hand=_AGAIN
     ),
-    Fault("a value out of range", "sed -i '1i watchdog.timeout_ms = 1' $toml", "watchdog.timeout_ms", by_hand=_AGAIN),
     Fault("no framing", "sed -i /framing/d $toml", "spi.framing: is not set", by_hand=_AGAIN),
     Fault(
         "a configuration for root only", "chown root:root $toml; chmod 600 $toml", "cannot be read (Permission denied)"
@@ -233,8 +215,6 @@ FAULTS = (
         "old.key is the authority's key",
     ),
     Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "not only root and the service may read"),
-    Fault("a private key of another user's", "chown nobody $pki/gateway.key", "not only root and the service may"),
-    Fault("the authority's key", "install -g $service -m 640 /root/certs/ca.key $pki", "is the authority's key"),
     Fault(
         "a private key for root only",
         "chown root:root $pki/gateway.key; chmod 600 $pki/gateway.key",

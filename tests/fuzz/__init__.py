@@ -1,1 +1,1 @@
-"""Coverage-guided fuzzing of what reads foreign bytes, and the model check of the supervisor."""
+"""Fuzzing of what reads foreign bytes, and the model check of the supervisor."""

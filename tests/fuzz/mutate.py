@@ -1,4 +1,5 @@
-"""Changes to a command that leave it JSON: bytes alone seldom get past the parser, to where fields are looked at."""
+"""Changes to inputs: to their bytes; and to a command such that it stays JSON, since bytes alone seldom get past the
+parser, to where fields are looked at."""
 
 import json
 import random
@@ -9,13 +10,52 @@ WORDS = ("start", "set", "stop", "", "x" * 64, "x" * 65, "ä\n\x1b[31m", "\ud800
 NAMES = ("op", "angle_deg", "servos", "legs", "source", "sent_ms", "1", "6", "7", "[key]", "start", "a\nb", "k" * 90)
 
 
+PIECES = (
+    *(
+        b'"op"',
+        b'"stop"',
+        b'"start"',
+        b'"servos"',
+        b'"legs"',
+        b'"estop"',
+        b'"sent_ms"',
+        b'{"op":"stop"}',
+        b"{",
+        b"[",
+        b",",
+    ),
+    *(
+        b"null",
+        b"NaN",
+        b"-Infinity",
+        b"1e999",
+        b'"\\ud800"',
+        "\ufeff".encode(),
+        b"0x",
+        b"06 02",
+        b"0e01",
+        b"\0\x01",
+        b"\xff",
+    ),
+)
+
+
+def mutate(data: bytes, chance: random.Random) -> bytes:
+    """`data` with some of its bytes replaced, left out, doubled, or with a piece put in."""
+    for _ in range(chance.choice((1, 1, 2, 4))):
+        at, end = sorted(chance.randrange(len(data) + 1) for _ in range(2))
+        end = min(end, at + chance.choice((1, 1, 2, 4, 40)))
+        middle = chance.choice((chance.randbytes(end - at), b"", 2 * data[at:end], chance.choice(PIECES)))
+        data = data[:at] + middle + data[end:]
+    return data
+
+
 class Pairs(list[tuple[str, Any]]):
     """An object as its (name, value) pairs, so that a name may come twice."""
 
 
-def mutate_json(payload: bytes, seed: int) -> bytes | None:
+def mutate_json(payload: bytes, chance: random.Random) -> bytes | None:
     """`payload` with one or some of its values, names or entries changed; None if it is no JSON."""
-    chance = random.Random(seed)  # noqa: S311  a fuzzer wants to be repeatable
     try:
         document = json.loads(payload, object_pairs_hook=Pairs)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""What the fuzzer starts from: good and nearly good inputs, and the words that it may use."""
+"""What the fuzzers start from: good and nearly good inputs."""
 
 import json
 from pathlib import Path
@@ -25,14 +25,6 @@ PAYLOADS: tuple[tuple[str, object], ...] = (
     (keys.RESET, {"estop": 3} | SENDER),
     (keys.ESTOP, {"any": ["thing"]}),
 )
-WORDS = (
-    *('"op"', '"start"', '"set"', '"stop"', '"angle_deg"', '"servos"', '"legs"', '"1"', '"6"'),
-    *('"source"', '"sent_ms"', '"estop"'),
-    *("{", "}", "[", "]", ":", ",", "null", "true", "NaN", "-Infinity", "1e999", "-0.0", "180", "180.01", "1e-400"),
-    *('"\\ud800"', '"\\u0000"', "\ufeff", '{"op":"stop"}', '{"op":"set","angle_deg":1}', "0x", "06 02", "0e01"),
-)
-MAX_LEN = {"intake": 2 + MAX_PAYLOAD_BYTES + 16, "decode": 96, "simulator": 600}
-"""Bytes of one input: past the largest payload; past any frame, in hexadecimal; some forty frames and pauses."""
 
 
 def seeds(target: str) -> list[bytes]:
@@ -61,8 +53,3 @@ def seeds(target: str) -> list[bytes]:
         b"\0" + b"".join(plain[:5]),
         b"\1" + b"".join(announced[:5]),
     ]
-
-
-def dictionary() -> str:
-    """The words, as libFuzzer reads them."""
-    return "".join('"' + "".join(f"\\x{byte:02x}" for byte in word.encode()) + '"\n' for word in WORDS)

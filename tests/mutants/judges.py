@@ -185,7 +185,7 @@ JUDGES: Final = {
     "gateway/people/ros2/own_stop.py": (f"{_PEOPLE}test_ros2_own_stop.py", _TIMES),
     "gateway/people/client/confirmed_stop.py": (
         f"{_PEOPLE}test_confirmed_stop.py",
-        f"{_PEOPLE}test_stops.py",
+        f"{_PEOPLE}test_stop_status.py",
         f"{_PEOPLE}test_console_stops.py",
         _TIMES,
     ),
@@ -194,10 +194,9 @@ JUDGES: Final = {
     "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py", _TIMES),
     "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
     "gateway/people/console/pages/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
-    "gateway/people/walking/tempo.py": (f"{_PEOPLE}test_distance.py", _TIMES),
+    "gateway/people/walking/tempo.py": (f"{_PEOPLE}test_ride_script.py", _TIMES),
     "gateway/people/walking/words.py": (f"{_PEOPLE}test_words.py", _TIMES),
     "gateway/people/walking/ride.py": (
-        f"{_PEOPLE}test_ride_edges.py",
         f"{_PEOPLE}test_ride.py",
         f"{_PEOPLE}test_ride_again.py",
         f"{_PEOPLE}test_ride_course.py",

@@ -10,7 +10,7 @@ from prometheus_client.samples import Sample
 
 Described = set[tuple[str, str, frozenset[str]]]
 _DOCS: Final = Path(__file__).parents[2] / "docs" / "recordings.md"
-_OF: Final = re.compile(r"^Of a robot ", re.MULTILINE)
+_OF: Final = re.compile(r"^For a robot ", re.MULTILINE)
 
 
 def documented(robot: str = "") -> Described:

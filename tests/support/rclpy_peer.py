@@ -20,7 +20,7 @@ from typing import Any, Final, Self
 
 import pytest
 
-from gateway.people.ros2.messages import Message, Twist
+from gateway.people.ros2.messages import Message
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
@@ -79,10 +79,6 @@ class RclpyPeer:
         """One std_msgs/Empty."""
         self._ask("publish_empty", topic)
 
-    def publish_bytes(self, topic: str, data: bytes) -> None:
-        """These, as they are."""
-        self._ask("publish_bytes", topic, data.hex())
-
     def publish_serialized(self, topic: str, message: Message) -> None:
         """What `serialize_message` returns: bytes behind the last field, too."""
         self._ask("publish", topic, packed(message), True)
@@ -99,10 +95,6 @@ class RclpyPeer:
     def withdraw(self, topic: str) -> None:
         """Publish there no more."""
         self._ask("withdraw", topic)
-
-    def churn(self, topic: str, count: int) -> None:
-        """A node that comes with a publisher, and goes, so many times, ten times a second."""
-        self._ask("churn", topic, count)
 
     def change_state(self, label: str) -> bool:
         """A transition of the bridge's lifecycle, such as `deactivate`: whether it succeeded."""
@@ -192,13 +184,6 @@ class Actor:
     def withdraw(self, topic: str) -> None:
         self._node.destroy_publisher(self._publishers.pop(topic))
 
-    def churn(self, topic: str, count: int) -> None:
-        for number in range(count):
-            node = self._rclpy.create_node(f"churn_{number}")
-            node.create_publisher(_ros_type(Twist.TYPE), topic, 10)
-            threading.Event().wait(0.1)
-            node.destroy_node()
-
     def publish(self, topic: str, message: str, serialized: bool = False) -> None:
         made = self._to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's
         self._publishers[topic].publish(self._serialization.serialize_message(made) if serialized else made)
@@ -208,9 +193,6 @@ class Actor:
         publisher = self._node.create_publisher(kind, topic, 10)
         _wait(lambda: publisher.get_subscription_count() > 0)
         publisher.publish(kind())
-
-    def publish_bytes(self, topic: str, data: str) -> None:
-        self._publishers[topic].publish(bytes.fromhex(data))
 
     def subscribe(self, topic: str, kind: str, latched: bool, best_effort: bool = False) -> None:
         qos = import_module("rclpy.qos")

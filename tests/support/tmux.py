@@ -1,6 +1,5 @@
 """A real terminal: a tmux server of its own, keys sent to it, its screen read."""
 
-import itertools
 import os
 import re
 import shlex
@@ -15,8 +14,6 @@ from tests.support.gateway_process import COMMAND
 from tests.support.lacks import skip_where
 
 POLL_S: Final = 0.05
-RESIZED_S: Final = 2.0
-RESIZES: Final = 10
 LATE_S: Final = 30.0
 """For what takes milliseconds on a machine that is not busy."""
 
@@ -59,22 +56,6 @@ class Terminal:
     def close(self) -> None:
         """Close the window, as a person does."""
         self._tmux("kill-session")
-
-    def resize(self, columns: int, rows: int) -> None:
-        """Until the program's own terminal has this size: on a busy machine tmux may keep it to itself."""
-        terminal = os.open(self._tmux("display-message", "-p", "#{pane_tty}").strip(), os.O_RDONLY | os.O_NOCTTY)
-        try:
-            for attempt in itertools.count():
-                # The same size once more would be no change.
-                self._tmux("resize-window", "-x", str(columns + attempt % 2), "-y", str(rows))
-                deadline = time.monotonic() + RESIZED_S
-                while attempt % 2 == 0 and time.monotonic() < deadline:
-                    if os.get_terminal_size(terminal) == (columns, rows):
-                        return
-                    time.sleep(POLL_S)
-                assert attempt < RESIZES, "tmux does not resize its window"
-        finally:
-            os.close(terminal)
 
     @property
     def screen(self) -> str:

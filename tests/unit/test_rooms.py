@@ -1,6 +1,8 @@
 """Imports point from the outside in: which room may know which, read from the code."""
 
 import ast
+import re
+from collections import Counter
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -136,6 +138,13 @@ def test_only_the_robots_wing_and_its_commands_know_the_settings() -> None:
     settings = {"gateway.robot.settings", "gateway.host.settings_table"}
     knowing = {room_of_file(path) for path in FILES if settings & imported(path)}
     assert {room for room in knowing if not room.startswith("robot.")} == {"host", "onboard"}
+
+
+def test_each_class_has_a_name_of_its_own() -> None:
+    """A name means one thing in the gateway and the schemas."""
+    places = [*GATEWAY.rglob("*.py"), *(GATEWAY.parent / "schemas").rglob("*.py")]
+    names = Counter(name for path in places for name in re.findall(r"^ *class (\w+)", path.read_text(), re.MULTILINE))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_the_conductor_knows_no_zenoh() -> None:

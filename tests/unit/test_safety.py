@@ -3,10 +3,9 @@
 import ast
 import re
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import Final
-
-import pytest
 
 from gateway.robot.settings import Settings
 from tests.kernel.inside.scenes import SCENES
@@ -15,15 +14,19 @@ ROOT: Final = Path(__file__).parents[2]
 PAGE: Final = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
 
 
+@cache
+def _marks(text: str) -> dict[str, list[str]]:
+    """The marks of each of a file's tests."""
+    tests = [node for node in ast.parse(text).body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return {test.name: [ast.unparse(mark) for mark in test.decorator_list] for test in tests}
+
+
 def always_skipped(text: str, function: str) -> bool | None:
     """Of a test in a file with this text; None: there is no such test."""
-    marked = None
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name == function:
-            marked = [*node.decorator_list]
-    if marked is None:
+    marks = _marks(text).get(function)
+    if marks is None:
         return None
-    return any(re.search(r"mark\.(skip|xfail)\b", ast.unparse(mark)) for mark in marked) or bool(
+    return any(re.search(r"mark\.(skip|xfail)\b", mark) for mark in marks) or bool(
         re.search(r"^pytestmark\b.*\b(skip|xfail)\b|^pytest\.skip\(", text, re.MULTILINE)
     )
 
@@ -55,18 +58,3 @@ def test_each_kernel_scene_that_it_names_exists() -> None:
     named = [scene for row in re.findall(r"`make kernel`: ([^|<]+)", PAGE) for scene in re.findall(r"`([\w-]+)`", row)]
     assert named
     assert [scene for scene in named if scene not in SCENES] == []
-
-
-@pytest.mark.parametrize(
-    ("text", "skipped"),
-    [
-        ("def test_a(): ...", False),
-        ("def test_b(): ...", None),
-        ("@pytest.mark.skip(reason='later')\ndef test_a(): ...", True),
-        ("@pytest.mark.xfail\nasync def test_a(): ...", True),
-        ("pytestmark = pytest.mark.skip\ndef test_a(): ...", True),
-        ("@pytest.mark.skipif(not HERE, reason='no root')\ndef test_a(): ...", False),
-    ],
-)
-def test_one_that_is_gone_or_skipped_is_noticed(text: str, skipped: bool | None) -> None:
-    assert always_skipped(text, "test_a") is skipped

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import lacks, schedule, seconds
+from tests.support import lacks, schedule
 
 TESTS = Path(__file__).parents[1]
 TEST, ALL = "not full and not nightly", "not alone and not attended and not searches and not nightly"
@@ -55,28 +55,6 @@ def test_what_needs_root_or_packages_is_never_in_make_test(
         item.add_marker(mark)
     schedule.arrange([item])
     assert {mark.name for mark in item.iter_markers()} & {*schedule.TIERS} == tiers
-
-
-def test_a_run_says_where_its_time_went_and_what_was_skipped() -> None:
-    def case(nodeid: str, when: str, duration: float, why: str = "") -> pytest.TestReport:
-        skipped = ("a.py", 1, f"Skipped: {why}") if why else None
-        outcome = "skipped" if why else "passed"
-        return pytest.TestReport(nodeid, ("a.py", 1, ""), {}, outcome, skipped, when, duration=duration)  # type: ignore[arg-type]
-
-    cases = [
-        case("tests/hil/test_a.py::test_b[1]", "setup", 1),
-        case("tests/hil/test_a.py::test_b[1]", "call", 2),
-        case("tests/hil/test_a.py::test_b[2]", "setup", 0, "no umockdev"),
-        case("tests/unit/test_c.py::test_d", "call", 2),
-    ]
-    assert seconds.report(cases) == [
-        "slowest:",
-        "    3.0 s  tests/hil/test_a.py::test_b[1]",
-        "    2.0 s  tests/unit/test_c.py::test_d",
-        "    0.0 s  tests/hil/test_a.py::test_b[2]",
-        "seconds of tests: hil 3, unit 2",
-        "1 skipped (1: no umockdev)",
-    ]
 
 
 def test_what_is_apart_shares_nothing() -> None:

@@ -16,12 +16,10 @@ from gateway.host import wire_plugins
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.onboard.check import conformance
-from gateway.people.walking.engine import Engine
-from gateway.people.walking.motion import Posture, Velocity
 from gateway.people.walking.robot import Robot, ranges
 from gateway.robot.spi.plugin import PluginBus
 from gateway.wire import ServoWire
-from schemas.robot import JOINTS, LEGS, SERVO_IDS
+from schemas.robot import LEGS
 from schemas.telemetry import LimitsReport
 from tests.support.pca9685 import I2cBus, in_place_of_smbus2
 
@@ -155,22 +153,3 @@ def test_the_geometry_sends_what_the_kits_own_software_would(leg: int, foot_mm: 
     foot_m = x_m + cos * outward_m - sin * tangential_m, y_m + sin * outward_m + cos * tangential_m, z_m + up_m
     found = Robot(geometry, ranges(LimitsReport(), None)).angles_deg(leg, foot_m)
     assert found == pytest.approx(kits_own_deg(leg, *foot_mm), abs=0.1)
-
-
-def test_it_stands_up_walks_and_sits_down_within_its_servos_ranges() -> None:
-    engine = Engine(Robot(load(KIT / "geometry.json"), ranges(LimitsReport(), None)))
-    engine.stand()
-    for _ in range(1000):
-        engine.step(Velocity(0.0), 0.02)
-        if engine.posture is Posture.STANDING:
-            break
-    assert (engine.posture, engine.limit) == (Posture.STANDING, "")
-    for _ in range(250):
-        engine.step(Velocity(0.04), 0.02)
-        assert engine.limit == ""
-    assert engine.odometry.x_m > 0.1
-    engine.sit()
-    for _ in range(1000):
-        engine.step(Velocity(0.0), 0.02)
-    assert engine.posture is Posture.SITTING
-    assert {10 * leg + joint for leg in LEGS for joint in JOINTS} == {*SERVO_IDS}

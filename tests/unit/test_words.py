@@ -59,6 +59,7 @@ INSTEAD: Final = {
     r"reads? no list|shut out: the archive": "do not check revocations",
 }
 """The words, and what stands in their place."""
+ANY: Final = re.compile("|".join(rf"(?<![\w.])(?:{word})(?![\w=(])" for word in INSTEAD), re.IGNORECASE)
 IN_PAGE: Final = re.compile(
     r"/\*.*?\*/|//[^\n]*|\"[A-Z][^\"\n]* [^\"\n]*\"|`[A-Z][^`]* [^`]*`|>[^<>{}();=]+<", re.DOTALL
 )
@@ -89,6 +90,7 @@ def found(path: Path) -> list[str]:
     return [
         f"{path}:{number}: {hit[0]} ({instead}): {line.strip()}"
         for number, line in prose(path)
+        if ANY.search(line)
         for word, instead in INSTEAD.items()
         for hit in re.finditer(rf"(?<![\w.])(?:{word})(?![\w=(])", line, re.IGNORECASE)
     ]

@@ -58,7 +58,7 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
 
 
 def _way(endpoints: list[str], identity: Identity, *, opened: bool) -> Iterator[Result]:
-    for endpoint, findings in diagnosis.look_at_all(endpoints, identity).items():
+    for endpoint, findings in diagnosis.diagnose_all(endpoints, identity).items():
         for finding in findings:
             if opened and finding.stage is Stage.GATEWAY:
                 continue  # a tcp/ port without TLS is no fault: the session is open

@@ -70,24 +70,26 @@ class Finding:
 def why(config: zenoh.Config, timeout_s: float = TIMEOUT_S) -> list[str]:
     """Return a line for each endpoint, with the stage that fails, after `timeout_s` at most."""
     identity = Identity.of(config)
-    found = look_at_all(connect_endpoints(config), identity, timeout_s)
+    found = diagnose_all(connect_endpoints(config), identity, timeout_s)
     of_clock = [each for each in own_certificates(identity, dt.datetime.now(dt.UTC)) if each.fix]
     if of_clock:
         return [f"no gateway answers: {of_clock[0]}"]
     return [f"no gateway answers on {endpoint}: {findings[-1]}" for endpoint, findings in found.items()]
 
 
-def look_at_all(endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S) -> dict[str, list[Finding]]:
-    """Return the findings of `look` for each endpoint, in parallel. The last is the stage that was reached."""
+def diagnose_all(
+    endpoints: Sequence[str], identity: Identity, timeout_s: float = TIMEOUT_S
+) -> dict[str, list[Finding]]:
+    """Return the findings of `diagnose` for each endpoint, in parallel. The last is the stage that was reached."""
     end_s = time.monotonic() + timeout_s
     found: dict[str, list[Finding]] = {}
     threads = []
     for endpoint in dict.fromkeys(endpoints):
         findings: list[Finding] = []
         found[endpoint] = findings
-        arguments = (findings, look(endpoint, identity, end_s))
+        arguments = (findings, diagnose(endpoint, identity, end_s))
         # A daemon: the end of the program does not wait for it.
-        threads.append(threading.Thread(target=_note, args=arguments, name=f"look at {endpoint}", daemon=True))
+        threads.append(threading.Thread(target=_note, args=arguments, name=f"diagnose {endpoint}", daemon=True))
         threads[-1].start()
     for thread in threads:
         thread.join(max(0.0, end_s - time.monotonic()) + _MARGIN_S)
@@ -99,12 +101,12 @@ _MARGIN_S: Final = 0.05
 """For a finding about a timeout at the end of the time."""
 
 
-def _note(found: list[Finding], looked: Iterator[Finding]) -> None:
-    for finding in looked:
+def _note(found: list[Finding], findings: Iterator[Finding]) -> None:
+    for finding in findings:
         found.append(finding)  # one by one: the caller reads those before the end of its time
 
 
-def look(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
+def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
     """Connect to `endpoint` stage by stage until one fails, at most until `end_s` (monotonic)."""
     parsed = _ENDPOINT.fullmatch(endpoint)
     if parsed is None:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
-from gateway.people.client.silence import LOOK_EVERY_S, Silence
+from gateway.people.client.silence import CHECK_EVERY_S, Silence
 from gateway.people.client.subscriptions import KEPT_EVENTS, reports
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
@@ -75,7 +75,7 @@ class Starts:
         self._began_s = self._uptime_s = 0.0
         self._received_ns: int | None = None
 
-    def look(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
+    def judge(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
         """`time` and `uptime_s` are a state's, `received_ns` is by this machine's monotonic clock."""
         began_s = time.timestamp() - uptime_s
         order = Order.NEXT
@@ -120,7 +120,7 @@ class Receiver:
     def answered(self, client: Client) -> None:
         """The gateway has answered a query for its state."""
 
-    def looked(self, reasons: list[str]) -> None:
+    def diagnosed(self, reasons: list[str]) -> None:
         """Why no state is received: a line for each host."""
 
 
@@ -145,7 +145,7 @@ class Live:
 
     def start(self) -> None:
         """Begin to connect. The threads exist from now on."""
-        for loop in (self._open_at_last, self._ask_when_quiet, self._look_when_silent):
+        for loop in (self._open_at_last, self._ask_when_quiet, self._diagnose_when_silent):
             threading.Thread(target=loop, name=f"live {loop.__name__}", daemon=True).start()
 
     def is_silent(self, now_ns: int) -> bool:
@@ -210,7 +210,7 @@ class Live:
         self._receiver.received_state(state, received_ns)
 
     def _ask_when_quiet(self) -> None:
-        while not self._ended.wait(LOOK_EVERY_S):
+        while not self._ended.wait(CHECK_EVERY_S):
             client = self.client
             if client is not None and self._silence.is_quiet(time.monotonic_ns()):
                 with suppress(*ERRORS):
@@ -219,13 +219,13 @@ class Live:
                     self._take_state(state)
                     self._receiver.answered(client)
 
-    def _look_when_silent(self) -> None:
-        while not self._ended.wait(LOOK_EVERY_S):
-            if self._silence.must_look(time.monotonic_ns()):
+    def _diagnose_when_silent(self) -> None:
+        while not self._ended.wait(CHECK_EVERY_S):
+            if self._silence.must_diagnose(time.monotonic_ns()):
                 with suppress(*ERRORS):
                     if reasons := self._why(self.client):
-                        self._receiver.looked(reasons)
-                self._silence.looked(time.monotonic_ns())
+                        self._receiver.diagnosed(reasons)
+                self._silence.diagnosed(time.monotonic_ns())
 
     def _close(self) -> None:
         with suppress(*ERRORS):
@@ -258,7 +258,7 @@ class OnLoop(Receiver):
 
     opened: Any = _later("opened")
     not_opened: Any = _later("not_opened")
-    looked: Any = _later("looked")
+    diagnosed: Any = _later("diagnosed")
     answered: Any = _later("answered")
     received_state: Any = _later("received_state")
     received_body: Any = _later("received_body")

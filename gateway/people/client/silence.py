@@ -7,14 +7,14 @@ hangs or a cable is pulled.
 import math
 from typing import Final
 
-LOOK_EVERY_S: Final = 0.1
+CHECK_EVERY_S: Final = 0.1
 """How often to check the age of the newest state."""
 QUIET_MS: Final = 250.0
 """After this time without a state the gateway is asked for it: it may be delayed."""
 SILENT_MS: Final = 1000.0
-"""After this time without a state the cause is looked for."""
+"""After this time without a state the cause is diagnosed."""
 WHY_EVERY_S: Final = 3.0
-"""How often to look: each look is a connection to the robot."""
+"""Period of diagnoses: each connects to the robot."""
 
 
 class Silence:
@@ -32,14 +32,14 @@ class Silence:
     def __init__(self) -> None:
         self._since_ns: float | None = None
         self._has_state = False
-        self._look_ns = -math.inf
+        self._diagnose_ns = -math.inf
 
     def opened(self, now_ns: int) -> None:
         """A session is open: the silence counts from now on."""
         self._since_ns = now_ns
 
     def not_opened(self) -> None:
-        """No session: the cause may be looked for at once."""
+        """No session: the cause may be diagnosed at once."""
         if self._since_ns is None:
             self._since_ns = -math.inf
 
@@ -55,12 +55,12 @@ class Silence:
         """Whether the gateway counts as silent."""
         return self._is_older(now_ns, SILENT_MS)
 
-    def must_look(self, now_ns: int) -> bool:
-        """Whether to look for the cause now."""
-        return self.is_long(now_ns) and now_ns >= self._look_ns
+    def must_diagnose(self, now_ns: int) -> bool:
+        """Return whether to diagnose the cause now."""
+        return self.is_long(now_ns) and now_ns >= self._diagnose_ns
 
-    def looked(self, now_ns: int) -> None:
-        self._look_ns = now_ns + WHY_EVERY_S * 1e9
+    def diagnosed(self, now_ns: int) -> None:
+        self._diagnose_ns = now_ns + WHY_EVERY_S * 1e9
 
     def _is_older(self, now_ns: int, most_ms: float) -> bool:
         return self._since_ns is not None and (now_ns - self._since_ns) / 1e6 > most_ms

@@ -243,11 +243,11 @@ class Walk:
     def is_over(self) -> bool:
         """Whether it ended because its driver was silent, and all its legs are stopped. @private"""
 
-        def look(ride: Ride, now_s: float) -> bool:
-            ride.look(now_s)
+        def check(ride: Ride, now_s: float) -> bool:
+            ride.apply_silences(now_s)
             return ride.over
 
-        return self.use(look)
+        return self.use(check)
 
     hold_s: float = _silence("hold_s", "How long a velocity holds, in seconds; 0.5 by default.")
     rest_s: float = _silence("rest_s", "After how many seconds without a call it sits and is stopped; 10 by default.")
@@ -414,7 +414,7 @@ class Walk:
                 begun_s = time.monotonic()
                 step = ride.next(begun_s, self._measured.fresh(begun_s))
                 if step.do is RideTask.WAIT:
-                    self._changed.wait(min(step.look_s - begun_s, threading.TIMEOUT_MAX))
+                    self._changed.wait(min(step.wake_s - begun_s, threading.TIMEOUT_MAX))
                     continue
             try:
                 self._carry_out(ride, step)

@@ -28,7 +28,7 @@ from schemas.telemetry import Event, GatewayState
 SILENT_AFTER_NS: Final = 2 * NS_PER_S
 """Time for a question to a gateway that publishes no state, and for one lost answer (live.py: 0.4 s, 0.6 s, 0.4 s).
 The liveliness token shows the end of its process at once."""
-_LOOK_S: Final = 0.1
+_POLL_S: Final = 0.1
 _OTHERS_S: Final = 0.2
 """How long to wait for replies of other programs than the gateway."""
 
@@ -62,7 +62,7 @@ class StatusChanges:
     def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
         """Yield a line for each sentence that differs from the state before."""
         yield from self._received(now_ns, wall)
-        order = self._starts.look(state.time, state.uptime_s, now_ns)
+        order = self._starts.judge(state.time, state.uptime_s, now_ns)
         if order is Order.OVERTAKEN:
             return
         if order is Order.RESTARTED:
@@ -84,7 +84,7 @@ class StatusChanges:
         """Take an appearance (`alive`) or a loss of the gateway's liveliness token."""
         yield from self._received(now_ns, wall) if alive else self._is_silent(wall)
 
-    def look(self, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
+    def poll(self, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
         """Yield a line if the gateway has fallen silent. Call several times a second."""
         if self._received_ns is not None and now_ns - self._received_ns > SILENT_AFTER_NS:
             yield from self._is_silent(wall)
@@ -155,7 +155,7 @@ class _Follower(Receiver):
         if count > 1:
             self.say(self.changes.note(several_answer(count, keys.STATE), _wall()))
 
-    def looked(self, reasons: list[str]) -> None:
+    def diagnosed(self, reasons: list[str]) -> None:
         for each in reasons if not self.changes.receives else ():
             self.say(self.changes.note(each, _wall()))
 
@@ -185,8 +185,8 @@ def follow(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, 
         hint(f"{expiring}; {certs.renewal('NAME')}")
     with on_end_signals(ended.set):
         link.start()
-        while not ended.wait(_LOOK_S):
-            follower.say(follower.changes.look(time.monotonic_ns(), _wall()))
+        while not ended.wait(_POLL_S):
+            follower.say(follower.changes.poll(time.monotonic_ns(), _wall()))
         link.close()
     # The interpreter's own end aborts while a thread is inside Zenoh, which may take ten seconds.
     os._exit(0)

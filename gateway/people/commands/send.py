@@ -140,9 +140,9 @@ def estop(connect: Connection) -> int:
     return code
 
 
-def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
-    """Print what an emergency stop did. Returns the exit code. `look` returns the state, or raises GatewayError."""
-    alarm = _alarm(ack, look)
+def estop_report(ack: Ack, fetch_state: Callable[[], GatewayState]) -> int:
+    """Print what an emergency stop did. Return the exit code. `fetch_state` may raise GatewayError."""
+    alarm = _alarm(ack, fetch_state)
     stopped = ack.stop_frames is not None and ack.stop_frames >= len(LEGS)
     if stopped:
         power = confirmed_off(ack)
@@ -156,7 +156,7 @@ def estop_report(ack: Ack, look: Callable[[], GatewayState]) -> int:
     return 0 if stopped and not alarm else 1
 
 
-def _alarm(ack: Ack, look: Callable[[], GatewayState]) -> str:
+def _alarm(ack: Ack, fetch_state: Callable[[], GatewayState]) -> str:
     """The sentence about a Stop that the power board does not confirm; "" if the supply is to stay on.
 
     The answer to a Stop that leaves the supply on has no confirmation either: the state shows what is to be off.
@@ -165,7 +165,7 @@ def _alarm(ack: Ack, look: Callable[[], GatewayState]) -> str:
     alarm.answered(ack)
     if alarm.sentence:
         with suppress(GatewayError):
-            alarm.received_state(look(), 0)
+            alarm.received_state(fetch_state(), 0)
     return alarm.sentence
 
 
@@ -185,12 +185,12 @@ def _warn_of_others(client: Client, key: str) -> None:
         hint(several_answer(count, key))
 
 
-def command_report(ack: Ack, accepted: str, look: Callable[[], GatewayState]) -> int:
-    """Print the result of a command: `accepted` if it was. Returns the exit code. `look`: as in `estop_report`."""
+def command_report(ack: Ack, accepted: str, fetch_state: Callable[[], GatewayState]) -> int:
+    """Print the result of a command: `accepted` if it was. Return the exit code."""
     if ack.accepted:
         replaced = " (a newer command replaced it while it waited)" if ack.coalesced else ""
         say(f"{accepted}{replaced}{confirmed_off(ack)}")
-        if alarm := _alarm(ack, look):
+        if alarm := _alarm(ack, fetch_state):
             say(alarm)
         return 1 if alarm else 0
     return reach.rejected(ack)

@@ -18,7 +18,7 @@ from gateway.host.descriptors import Spare
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
-from gateway.people.client.silence import LOOK_EVERY_S
+from gateway.people.client.silence import CHECK_EVERY_S
 from gateway.people.commands import why
 from gateway.people.console.pages.page_messages import LinkMessage
 from gateway.people.console.pages.presence import GatewayPresence
@@ -29,9 +29,9 @@ T = TypeVar("T")
 STOPS_AT_ONCE: Final = 4
 """Stops of single legs; further ones wait until one is answered, or given up after the timeout."""
 PAGE_QUESTIONS_AT_ONCE: Final = 12
-"""Everything else: commands, the lease, the state."""
+"""All other questions: commands, the lease, the state."""
 STACK_BYTES: Final = 1_048_576
-"""Of each thread that Python starts; the system's 8 MB count as memory (`LimitDATA`), though nobody uses them."""
+"""Stack of each thread that Python starts. The system's 8 MB would count as memory (`LimitDATA`), even if unused."""
 THREADS_START_S: Final = 10.0
 
 
@@ -124,7 +124,7 @@ class GatewayLink(Receiver):
         while not self._failed.done():
             if self._opened.is_set():
                 self._watch()
-            await asyncio.wait([self._failed], timeout=LOOK_EVERY_S)
+            await asyncio.wait([self._failed], timeout=CHECK_EVERY_S)
         self._failed.result()
 
     async def close(self) -> None:
@@ -141,8 +141,8 @@ class GatewayLink(Receiver):
         elif not self._failed.done():
             self._failed.set_exception(error)
 
-    def looked(self, reasons: list[str]) -> None:
-        self._presence.looked(reasons)
+    def diagnosed(self, reasons: list[str]) -> None:
+        self._presence.diagnosed(reasons)
         self._announce()
 
     def received_token(self, alive: bool) -> None:

@@ -22,4 +22,4 @@ class Options:
     open_browser: bool = False
     phone: bool = False
     card: str = ""
-    """Of the page, to which the first link leads; empty: to its beginning."""
+    """The card of the page to which the first link leads; empty: the page's start."""

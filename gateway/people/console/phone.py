@@ -72,7 +72,7 @@ class Door:
 
 
 def _address() -> str:
-    """By which the network reaches this machine. Raises ConfigError."""
+    """The address by which the network reaches this machine. Raises ConfigError."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
         probe.connect(("192.0.2.1", 9))  # sends nothing; the system chooses the address of the way there
         return str(probe.getsockname()[0])
@@ -91,7 +91,7 @@ def _of_the_fleet(folder: Path, host: str) -> tuple[Path, Path] | None:
 
 
 def _made(path: Path, host: str) -> tuple[Path, Path]:
-    """One of this console's own, in one file with its key. The CA's key is not kept, so nothing else is ever signed."""
+    """A certificate of its own, in one file with its key. The CA's key is not kept, so it signs nothing else."""
     if not _is_good(path, host):
         now, hosts = dt.datetime.now(dt.UTC), [host, *LOCALHOST, "localhost"]
         made = authority.make_leaf(authority.make_ca(now, hosts), authority.CONSOLE, "phone", hosts, CONSOLE_DAYS, now)

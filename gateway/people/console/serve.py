@@ -36,13 +36,13 @@ from gateway.people.terminal import hint, on_end_signals, say
 from gateway.zenoh_config import client_config, get
 
 OWN_DESCRIPTORS: Final = 96
-"""For the Zenoh session, four more of them for STOP ALL and four for other Stops, the spare ones, and files."""
+"""Descriptors for the Zenoh session, four more sessions for STOP ALL, four for other Stops, a reserve, and files."""
 DESCRIPTORS: Final = MAX_CONNECTIONS + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
-"""More than the places for connections, so no flood of connections takes them all."""
+"""More than the places for connections, so that no flood of connections takes all."""
 
 
 class Owner(NamedTuple):
-    """By the console's certificate; without one it is the user's, with an empty common name."""
+    """The owner by the console's certificate; without one the user, with an empty common name."""
 
     person: str
     role: Role
@@ -70,7 +70,7 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
 
 
 def show(link: str) -> None:
-    """Print a link; for a browser on another machine with its QR code."""
+    """Print a link, for a browser on another machine also its QR code."""
     say(f"The console is at {link}")
     say(f"The link works once, within {LINK_S // 60} minutes, and until the console is started again.")
     if urlsplit(link).hostname not in (*LOCALHOST, "localhost") and os.isatty(1):
@@ -87,7 +87,7 @@ async def _run(
     owner: Owner,
     geometry: Geometry,
 ) -> NoReturn:
-    """`sockets`: the console's, and those of the page without TLS that leads a phone to it."""
+    """`sockets`: the console's, and those of the page without TLS that explains the warning to a phone."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(report)
     pages = Pages(owner.common_name, found.revoke)

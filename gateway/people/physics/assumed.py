@@ -18,7 +18,7 @@ MAX_ROUGH_M: Final = 0.2
 
 
 class Terrain(NamedTuple):
-    """The ground: level, rising ahead of the robot, or bumpy."""
+    """The ground: level, rising ahead of the robot, bumpy, or with a step."""
 
     slope_deg: float = 0.0
     rough_m: float = 0.0
@@ -64,7 +64,7 @@ class Assumed(NamedTuple):
     """Values that were never measured on the robot, and the ground."""
 
     mass_kg: float = MASS_KG
-    """Of the whole robot; its parts keep their shares."""
+    """Mass of the whole robot; its parts keep their shares."""
     torque_nm: float = TORQUE_NM
     friction: float = FRICTION
     terrain: Terrain = FLAT

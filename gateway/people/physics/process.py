@@ -153,7 +153,7 @@ class Link:
 
     def __init__(self) -> None:
         self.ended = threading.Event()
-        """The gateway has ended."""
+        """Set when the gateway has ended."""
         self.calibrations: SimpleQueue[RobotCalibration] = SimpleQueue()
         self.upright: SimpleQueue[zenoh.Query] = SimpleQueue()
         self._session: zenoh.Session | None = None
@@ -171,7 +171,7 @@ class Link:
 
     @property
     def anyone_listens(self) -> bool:
-        """Whether the gateway is there, and anybody watches."""
+        """Return whether the gateway is there and anybody subscribes."""
         return self._publisher is not None and bool(self._publisher.matching_status.matching)
 
     def _run(self) -> None:
@@ -254,7 +254,7 @@ def _say(sentence: str) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Ctrl-C and the terminal's end go to the gateway, whose end ends this process."""
+    """Run until the gateway ends. Ctrl-C and the end of the terminal go to the gateway."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICE)

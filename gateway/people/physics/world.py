@@ -20,20 +20,20 @@ from gateway.people.physics.model import TIMESTEP_S, built
 from schemas.robot import LEGS, SERVO_IDS
 
 FALLEN_DEG: Final = 45.0
-"""A body that leans further than this against the ground does not stand on its feet any more."""
+"""A body that leans further against the ground no longer stands on its feet."""
 _STEP_RAD: Final = math.radians(NO_LOAD_DEG_S) * TIMESTEP_S
 _DROP_M: Final = 0.02
-"""Slack legs, a little above the ground."""
+"""Height of slack legs above the ground at the start."""
 _FREE: Final = 7
-"""Of the positions, the first belong to the body: x, y, z and a quaternion (w first)."""
+"""The first positions are the body's: x, y, z and a quaternion (w first)."""
 _ABSURD: Final = 1000.0
 """m/s or rad/s. A servo turns at 6 rad/s, and a robot that falls off a table hits the floor at 4 m/s."""
 _DEEP_M: Final = 0.002
 _END_M: Final = 0.03
-"""Of a leg: what touches the ground so near to its tip is the foot."""
+"""Contacts this near to the tip of a leg are the foot's."""
 
 
-mujoco.set_mju_user_warning(lambda _: None)  # `fault` states it; MuJoCo would write a file where it was started
+mujoco.set_mju_user_warning(lambda _: None)  # `fault` reports it; MuJoCo would write a file to the working directory
 
 
 class Body(NamedTuple):
@@ -43,20 +43,20 @@ class Body(NamedTuple):
     rotation: Quaternion
     velocity_m_s: Vector
     tilt_deg: float
-    """Against the ground, which may be a slope."""
+    """Tilt against the ground, which may be a slope."""
     feet: tuple[bool, ...]
-    """Of legs 1 to 6: whether the foot touches the ground."""
+    """For legs 1 to 6: whether the foot touches the ground."""
     joints_rad: dict[int, float]
     torques_nm: dict[int, float]
 
     @property
     def upright(self) -> bool:
-        """Whether it has not fallen over."""
+        """Whether the robot has not fallen over."""
         return self.tilt_deg <= FALLEN_DEG
 
 
 class _Depth(NamedTuple):
-    """How deep one part of the robot is in another."""
+    """How deep one part of the robot is inside another."""
 
     depth_m: float
     inner: str
@@ -70,11 +70,11 @@ class World:
     """The robot, lying slack on its belly at first."""
 
     def __init__(self, geometry: Geometry, assumed: Assumed = USUAL) -> None:
-        """Raises ConfigError where MuJoCo cannot simulate it."""
+        """Raises ConfigError if MuJoCo cannot simulate the robot."""
         self.model: Any = built(geometry, assumed)
         self.data: Any = mujoco.MjData(self.model)
         self.feet = {self._tip(leg): leg for leg in LEGS}
-        """The geom that touches the ground: which leg's it is."""
+        """The leg of each geom that touches the ground."""
         self._torque_nm = assumed.torque_nm
         self._level = about((0, 1, 0), -math.radians(assumed.terrain.slope_deg))
         self._up = rotated(self._level, (0, 0, 1))
@@ -87,11 +87,11 @@ class World:
 
     @property
     def time_s(self) -> float:
-        """How long it has been simulated."""
+        """Simulated time in seconds."""
         return float(self.data.time)
 
     def drive(self, servo_id: int, joint_rad: float | None) -> None:
-        """Send a servo to an angle of its joint, starting it if need be; None: stop it."""
+        """Send a servo to this angle of its joint, and start it if it is stopped; None: stop it."""
         place = self._places[servo_id]
         if joint_rad is None:
             self.model.actuator_forcerange[place] = 0.0, 0.0
@@ -107,7 +107,7 @@ class World:
         mujoco.mj_step(self.model, self.data)
 
     def lie_down(self, joints_rad: Mapping[int, float]) -> None:
-        """Upright and at rest where it began, a little above the ground, slack, with its joints at these angles."""
+        """Put the robot at its start: upright, at rest, slack, a little above the ground, with these joint angles."""
         time_s = self.time_s
         mujoco.mj_resetData(self.model, self.data)
         self.data.time = time_s
@@ -117,14 +117,14 @@ class World:
         self._stand_at(0.0, 0.0)
 
     def set_upright(self) -> None:
-        """As somebody picks it up and puts it down on its feet where it is: legs and servos stay as they are."""
+        """Put the robot on its feet where it is, as by hand. Legs and servos keep their state."""
         self._stand_at(float(self.data.qpos[0]), float(self.data.qpos[1]))
 
     def body(self) -> Body:
-        """The body's pose and velocity now."""
+        """Return the body's present pose and velocity."""
         data = self.data
-        w, *turned = map(float, data.qpos[3:_FREE])
-        rotation = turned[0], turned[1], turned[2], w
+        w, *axis = map(float, data.qpos[3:_FREE])
+        rotation = axis[0], axis[1], axis[2], w
         touching = self._touching()
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
         return Body(
@@ -138,7 +138,7 @@ class World:
         )
 
     def feet_n(self) -> tuple[float, ...]:
-        """How hard the ground pushes against each of the six feet, square to itself."""
+        """Return the force (N) of the ground on each of the six feet, perpendicular to the ground."""
         pushes_n, force = np.zeros(self.data.ncon), np.zeros(6)
         for number in range(self.data.ncon):
             mujoco.mj_contactForce(self.model, self.data, number, force)
@@ -146,12 +146,12 @@ class World:
         return tuple(map(float, self._at_feet() @ pushes_n))
 
     def overlap(self) -> str | None:
-        """Legs that are in one another where it is now, in a sentence: nothing keeps legs of a model apart."""
+        """Return a sentence about legs that are inside each other: nothing keeps the legs of a model apart."""
         legs = [each for each in self._depths() if "leg" in each.outer and "leg" in each.inner]
         return f"{max(legs)}: look at its geometry" if legs else None
 
     def fault(self) -> str | None:
-        """Why what was simulated since the last call is nonsense, in a sentence; the robot then lies down anew."""
+        """Return why the simulation since the last call is invalid, in a sentence. Then the robot lies at its start."""
         speeds = np.abs(self.data.qvel)
         if np.all(np.isfinite(self.data.qpos)) and np.all(speeds < _ABSURD):
             self._kept = self.data.qpos.copy()
@@ -175,7 +175,7 @@ class World:
         )
 
     def _stand_at(self, x_m: float, y_m: float) -> None:
-        """Level with the ground and at rest there, a little above it."""
+        """Put the body level with the ground, at rest, a little above it."""
         data = self.data
         x, y, z, w = self._level
         data.qpos[:_FREE] = x_m, y_m, 0.0, w, x, y, z
@@ -186,16 +186,16 @@ class World:
         mujoco.mj_forward(self.model, data)
 
     def _touching(self) -> set[int]:
-        """The legs whose lower ends touch the ground: the box of a tibia that leans is lower than its tip."""
+        """The legs whose lower ends touch the ground: the box of a leaning tibia is lower than its tip."""
         return {leg for leg, touches in zip(self.feet.values(), self._at_feet().any(axis=1), strict=True) if touches}
 
     def _at_feet(self) -> Any:
-        """For each of the six feet, which contacts are near to its tip: a matrix of booleans."""
+        """For each of the six feet, the contacts near its tip: a matrix of booleans."""
         tips_m, contacts_m = self.data.geom_xpos[list(self.feet)], self.data.contact.pos
         return np.linalg.norm(tips_m[:, np.newaxis] - contacts_m, axis=2) < _END_M
 
     def _depths(self) -> Iterator["_Depth"]:
-        """How deep which part is in another one, or in the ground; parts of one leg may be."""
+        """How deep parts are inside other parts or the ground; parts of one leg may overlap."""
         model = self.model
         types = model.geom_contype.copy(), model.body_contype.copy()
         model.geom_contype[:] = model.body_contype[:] = 3  # each other, too
@@ -214,7 +214,7 @@ class World:
         return f"leg {name.split('_')[1]}" if name.startswith("leg_") else "the body"
 
     def _half_m(self, geom: int) -> float:
-        """Half a box's least side, or a sphere's radius."""
+        """Half the shortest side of a box, or the radius of a sphere."""
         sizes = self.model.geom_size[geom]
         return float(min(sizes[sizes > 0]))
 
@@ -226,7 +226,7 @@ class World:
 
 
 class Sensors:
-    """An IMU in the body's middle, a force in each foot, each servo's torque; to be read again and again."""
+    """An IMU in the middle of the body, a force sensor in each foot, and the torque of each servo."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -236,7 +236,7 @@ class Sensors:
         """Acceleration in the world's frame; a body at rest is supported against gravity."""
 
     def read(self) -> Sensed:
-        """What they feel now. The acceleration is the mean since the last call, as an IMU's filter has it."""
+        """Return what the sensors measure. The acceleration is the mean since the last call, as an IMU filters it."""
         world, data = self._world, self._world.data
         passed_s = world.time_s - self._time_s
         if passed_s > 0:

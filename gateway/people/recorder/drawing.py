@@ -105,8 +105,8 @@ class Drawing:
                 yield f"/{name}", message
         elif topic == SIM_BODY:
             self._body, self._body_ns = BodyReport.model_validate(report), time_ns
-        moved = topic == SIM_BODY or (shows_joints and topic != STATE)
-        if moved and self._due(FRAMES, time_ns, PICTURE_PERIOD_NS):
+        is_motion = topic == SIM_BODY or (shows_joints and topic != STATE)
+        if is_motion and self._due(FRAMES, time_ns, PICTURE_PERIOD_NS):
             yield from self.picture(time_ns)
         if shows_joints:
             yield JOINT_COMMANDS, self._commands(time_ns)

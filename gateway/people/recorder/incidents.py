@@ -25,14 +25,14 @@ BEFORE_NS: Final = 10_000_000_000
 """An incident includes this time before its zero."""
 CRASH: Final = "crash"
 _ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
-"""The form of an id, which is also a file's name."""
+"""The form of an id. An id is also a file's name."""
 JUST_BEFORE_NS: Final = 1_000_000_000
 NEAR_RECORDS: Final = 200
 """The cause of an incident is searched this long before it was noted, and this many records on both sides."""
 MOST: Final = 100
-"""The newest of a ring: as many as are kept. A gateway notes one in 5 s at most."""
+"""Most incidents of a ring, the newest ones. A gateway notes at most one in 5 s."""
 LAST_RECORDS: Final = 20
-"""Among these is the latest: a command's time is its arrival, which may be before that of what is recorded earlier."""
+"""The latest time is among these records: a command's time is its arrival, before it was recorded."""
 
 _TRIGGERS: Final = frozenset({*INCIDENT_NAMES, MISTAKE})
 _TELL_THE_TIME: Final = frozenset({form.START, form.CLOCK, form.INCIDENT})
@@ -40,7 +40,7 @@ _TELL_THE_TIME: Final = frozenset({form.START, form.CLOCK, form.INCIDENT})
 
 @dataclass(frozen=True, slots=True)
 class Incident:
-    """An incident: what happened, at `zero_ns`, and the time that it takes in, all by the gateway's monotonic clock."""
+    """An incident: what happened at `zero_ns`, and the time around it, by the gateway's monotonic clock."""
 
     name: str
     zero_ns: int
@@ -116,7 +116,7 @@ def _of_one_run(records: Records, run: range, *, alive: bool) -> Iterator[Incide
 
 
 def _noted(records: Records, run: range) -> Iterator[Incident]:
-    """What the gateway noted itself, newest first."""
+    """Incidents that the gateway noted itself, newest first."""
     begun = [index for index in run if records.kinds[index] == form.INCIDENT][-MOST:]
     triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
     for index in reversed(begun):
@@ -132,7 +132,7 @@ def _noted(records: Records, run: range) -> Iterator[Incident]:
 
 
 def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[int]]:
-    """Where the events are that prolong an incident, and for how long (ns) each does."""
+    """The places of events that prolong an incident, and for how long (ns)."""
     found, follow = array("L"), array("Q")
     for index in places:
         if records.kinds[index] == form.EVENT:
@@ -154,7 +154,7 @@ def _end(records: Records, triggers: Iterable[tuple[int, int]], begun_ns: int, k
 
 
 def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
-    """When it happened: the watchdog's deadline, or the arrival of the emergency stop; else when it was noted."""
+    """Return its time: the watchdog's deadline, or the emergency stop's arrival; otherwise when it was noted."""
     zero_ns = noted_ns
     for index in near:
         if not noted_ns - JUST_BEFORE_NS < records.times_ns[index] <= noted_ns:
@@ -162,7 +162,7 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
         record = records[index]
         match record.content:
             case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
-                late_ns and kind == INCIDENT_NAMES[Kind.WATCHDOG_EXPIRED]  # a landing's frames have no deadline
+                late_ns and kind == INCIDENT_NAMES[Kind.WATCHDOG_EXPIRED]  # frames of a landing have no deadline
             ):
                 zero_ns = min(zero_ns, record.ns - late_ns)
             case form.CommandRecord(key=keys.ESTOP) if kind == INCIDENT_NAMES[Kind.ESTOP_ENGAGED]:
@@ -171,7 +171,7 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
 
 
 def _crash(records: Records, run: range, killed_ns: int) -> Incident | None:
-    """The end of a gateway that recorded nothing of it; None where no record shows the time of day."""
+    """The end of a gateway that did not record it; None if no record shows the time of day."""
     for index in reversed(run):
         if records.kinds[index] not in _TELL_THE_TIME:
             continue

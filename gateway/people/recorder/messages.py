@@ -106,7 +106,9 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
             ended = False
         ended = ended or isinstance(record.content, form.End)
         last, before_ns = None if ended else taken[place], record.ns
-        topic_and_report = _message(record, decisions.of(place), _time(wall_ns), is_told=decisions.is_told(place))
+        topic_and_report = _message(
+            record, decisions.of(place), _time(wall_ns), has_command=decisions.has_command(place)
+        )
         if topic_and_report is not None:
             topic, report = topic_and_report
             yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns)
@@ -116,7 +118,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
 
 
 def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterator[RecordedMessage]:
-    """The incident, and what a start states of the time before it."""
+    """Notes of the incident, and of what a start reports about the time before it."""
     yield _noted(incident.zero_wall_ns, INCIDENT, incident.name)
     for index in taken:
         if records.kinds[index] == form.START:
@@ -124,12 +126,12 @@ def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterat
 
 
 class _Decisions:
-    """What became of each command: an accepted one names its frame, any other has a Decision."""
+    """The decision on each command: an accepted command names its frame, any other has a Decision."""
 
     def __init__(self, records: Records, taken: Sequence[int]) -> None:
         self._records = records
         self._by = array("L", bytes(len(taken) * array("L").itemsize))  # of each command: 1 + the place in `records`
-        self._told = bytearray(len(taken))  # of each Decision: whether it is a command's here
+        self._has_command = bytearray(len(taken))  # of each Decision: whether it is a command's here
         waiting: dict[int | str, int] = {}
         for place, index in enumerate(taken):
             match records[index].content:
@@ -137,7 +139,7 @@ class _Decisions:
                     waiting[number or key] = place
                 case form.Decision(number=number, key=key) if (number or key) in waiting:
                     self._by[waiting.pop(number or key)] = index + 1
-                    self._told[place] = True
+                    self._has_command[place] = True
                 case form.FrameWritten(number=number) if number in waiting:
                     self._by[waiting.pop(number)] = index + 1
 
@@ -145,13 +147,13 @@ class _Decisions:
         """Return the frame or Decision of the command at this place; None: unknown."""
         return self._records[self._by[place] - 1] if self._by[place] else None
 
-    def is_told(self, place: int) -> bool:
+    def has_command(self, place: int) -> bool:
         """Return whether the record at this place is included in a command's message."""
-        return bool(self._told[place])
+        return bool(self._has_command[place])
 
 
 def _stops_before(start: form.Record, incident: Incident) -> Iterator[RecordedMessage]:
-    """What `stop-servos` wrote before this start, after the end of the gateway before it."""
+    """The Stops that `stop-servos` wrote between the end of the former gateway and this start."""
     facts = start.content.facts if isinstance(start.content, form.Start) else {}
     match [facts.get(name) for name in form.STOP_FACTS]:
         case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
@@ -169,7 +171,7 @@ def _noted(wall_ns: int, what: str, detail: str) -> RecordedMessage:
 
 
 def _message(
-    record: form.Record, decided: form.Record | None, time: datetime, *, is_told: bool
+    record: form.Record, decided: form.Record | None, time: datetime, *, has_command: bool
 ) -> tuple[str, Report] | None:
     source: str | None = None
     key: str | None = None
@@ -201,7 +203,7 @@ def _message(
             )
         case form.Calibrated() | form.BodyState() | form.EventPublished() as published:
             return _published(published, time)
-        case form.Decision(number=0, verdict=detail, key=key, source=source) if not is_told:
+        case form.Decision(number=0, verdict=detail, key=key, source=source) if not has_command:
             what = "rejected"
         case form.Start(facts=facts):
             what = "start"
@@ -220,7 +222,7 @@ def _message(
 
 
 def _published(content: form.Calibrated | form.BodyState | form.EventPublished, time: datetime) -> tuple[str, Report]:
-    """What has its own key also outside of incidents."""
+    """Records that are also published on a key of their own."""
     match content:
         case form.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration

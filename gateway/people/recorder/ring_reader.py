@@ -41,11 +41,11 @@ _EMPTY: Final = bytes(form.SLOT)
 
 
 class NoRingError(GatewayError):
-    """There is no black box to read."""
+    """The black box cannot be read."""
 
 
 class Records:
-    """Records in the order in which they were written. Each is decoded when it is asked for."""
+    """Records in the order in which they were written. Each is decoded at its use."""
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class _Decoded:
         """Sequence number of the newest record taken."""
 
     def take(self, file: "_Slots", numbers: Iterable[int]) -> int:
-        """Add these of a file's records. Returns how many cannot be decoded."""
+        """Add these records of a file. Returns how many cannot be decoded."""
         damaged, begin = 0, len(self._numbers)
         self._files.append(file)
         for place, number in enumerate(numbers):
@@ -242,7 +242,7 @@ class _Slots:
             else:
                 self.damaged += 1
         self.newest = max(self._sequences)
-        # What is more than a round behind was overwritten in part: a slot that was left over means nothing.
+        # Records more than a round old are partly overwritten, so a leftover slot does not count.
         self.oldest = next(self.numbers(max(1, self.newest - slots + 1), self.newest + 1), 0)
 
     def numbers(self, begin: int, end: int) -> Iterator[int]:
@@ -253,7 +253,7 @@ class _Slots:
 
     @property
     def in_force(self) -> Calibration | None:
-        """The calibration in the header; None: it states nothing, or what no gateway publishes."""
+        """The calibration in the header; None: it has none, or an impossible one."""
         try:
             content = decode(form.CALIBRATION, 0, header.calibration(self._data[: form.HEADER_BYTES]))
         except form.DamagedRingError:
@@ -313,7 +313,7 @@ def _start(rest: bytes) -> form.Start:
     facts = json.loads(rest[form.WALL.size :])
     if not isinstance(facts, dict):
         raise form.DamagedRingError("a start without facts")
-    # JSON can write half a character, which no file and no terminal takes, and lists in lists without end.
+    # JSON may contain half a character, which files and terminals reject, and endlessly nested lists.
     if not all(isinstance(fact, str | int | float | None) for fact in facts.values()):
         raise form.DamagedRingError("a fact is no single value")
     "".join(f"{name}{fact}" for name, fact in facts.items()).encode()
@@ -371,14 +371,14 @@ def _calibrated(rest: bytes) -> form.Calibrated:
 
 
 def _about(rest: bytes) -> form.About:
-    facts = from_json(rest, allow_inf_nan=False)  # unlike json's, it has an end to lists within lists
+    facts = from_json(rest, allow_inf_nan=False)  # unlike json, it limits nested lists
     if not isinstance(facts, dict):
         raise form.DamagedRingError("versions and settings that have no names")
     return form.About(facts)
 
 
 def _op(value: int) -> ServoOp:
-    """Raises FrameError, a ValueError, for what is no operation."""
+    """Raises FrameError, a ValueError, if it is no operation."""
     if value == form.STOP_CODE:
         return ServoOp(Op.STOP)
     if value <= MAX_ANGLE_CDEG:

@@ -40,41 +40,41 @@ WORDS: Final = {
     "mistake": "a mistake in the gateway ended it",
     "crash": "the gateway ended without a word",
 }
-"""By how ids end. A list names first what is further down, where several happened."""
+"""Words by the end of an id. If several happened, later rows come first."""
 _RANKS: Final = {ending: rank for rank, ending in enumerate(WORDS)}
 _EVENTS: Final[dict[object, str]] = {
     Kind.WATCHDOG_EXPIRED: "watchdog",
     Kind.ESTOP_ENGAGED: "emergency stop",
     Kind.ESTOP_RESET: "emergency stop reset",
 }
-"""Those that are not named as their kind is."""
+"""Events that have another name than their kind."""
 _AT_ZERO: Final[dict[str, str]] = {"watchdog": Kind.WATCHDOG_EXPIRED, "estop": Kind.ESTOP_ENGAGED}
-"""Events that are reported after their Stops are written, though what they report came before."""
+"""Events that are published after their Stops are written, although they happened before."""
 _ENDINGS: Final[dict[str, str]] = {
     **{str(kind): ending for kind, ending in INCIDENT_NAMES.items()},
     MISTAKE: MISTAKE,
     "killed": "crash",
 }
-"""What an event's kind or a note's `what` is in an incident's id."""
+"""The end of an incident's id for an event's kind, or a note's `what`."""
 STOOD_NS: Final = 100_000_000
-"""A loop that is so late at the time of a stop is the reason for it."""
+"""A loop that is later than this at a stop is the reason for the stop."""
 CAME_NS: Final = 500_000_000
-"""What was published while nobody read is there by then."""
+"""Messages that were published while nobody read have arrived by then."""
 
 
 FrameIn = tuple[RecordedMessage, Frame]
-"""A frame of a recording, and the message that has it."""
+"""A frame, and its message in the recording."""
 
 
 class Line(NamedTuple):
-    """When (ns since the incident), and what."""
+    """A time (ns since the incident), and a text."""
 
     at_ns: int
     text: str
 
 
 def story(messages: list[RecordedMessage]) -> list[str]:
-    """The lines to print of an incident's messages."""
+    """Return the lines to print for an incident's messages."""
     zero = _zero(messages)
     name = str(zero.content.get("detail"))
     reported = [each._replace(time_ns=each.time_ns - zero.time_ns) for each in messages if each is not zero]
@@ -122,7 +122,7 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
 
 
 def _zero(messages: Iterable[RecordedMessage]) -> RecordedMessage:
-    """Of an incident's messages the one that is about itself."""
+    """The note about the incident itself."""
     return next(each for each in messages if each.topic == RECORDER and each.content.get("what") == INCIDENT)
 
 
@@ -135,7 +135,7 @@ def _is_headline(message: RecordedMessage) -> bool:
 
 
 def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero_ns: int) -> str:
-    """Where a leg was silent since nobody read its commands; empty, where the gateway ran."""
+    """A sentence if a leg was silent because the gateway stood still; empty if the gateway ran."""
     for note in notes:
         if note.content.get("what") != "lag":
             continue
@@ -291,7 +291,7 @@ def _events(messages: list[RecordedMessage], name: str) -> Iterator[Line]:
 
 
 def _stops(frames: Iterable[FrameIn]) -> Iterator[Line]:
-    """Stops: those of one cause that follow each other are one line. Frames that move are in the summary's commands."""
+    """Stops; consecutive ones of one cause are one line. Frames that move are in the commands of the summary."""
     group: list[FrameIn] = []
     for message, frame in frames:
         if not frame.is_stop:
@@ -336,7 +336,7 @@ def _landings(messages: Iterable[RecordedMessage], frames: Iterable[FrameIn]) ->
 
 
 def _measured(messages: Iterable[RecordedMessage]) -> Iterator[Line]:
-    """What the robot measured when it happened, and when its body was tilted most and its battery lowest."""
+    """Measurements at the incident, at the largest tilt and at the lowest battery."""
     found = [
         (each.time_ns, Telemetry.model_validate(each.content)) for each in messages if each.topic == keys.TELEMETRY
     ]
@@ -400,7 +400,7 @@ def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
 
 
 def frames_in(messages: Iterable[RecordedMessage]) -> Iterator[FrameIn]:
-    """Their frames in users' angles, as far as known."""
+    """Return their frames in users' angles, if these are known."""
     angles = UserAngles()
     for message in messages:
         angles.take(message.topic, message.content)

@@ -57,7 +57,7 @@ class CommandedJoints:
         self._geometry = geometry
         self._angles = UserAngles()
         self.deg: dict[int, float] = {}
-        """Users' angles by servo. One that was never commanded is not among them; a stopped one is as it was."""
+        """Users' angles by servo, without servos that were never commanded. A stopped servo keeps its last angle."""
         self.rad: dict[int, float] = {}
         """The same as angles of the robot's joints."""
         self.running: dict[int, bool] = {}

@@ -1,5 +1,6 @@
-"""Whether the bridge drives, and what of it moves the robot. Nothing is taken before somebody calls `drive`, and while
-the node is not active nobody may.
+"""Whether the bridge drives, and which of its motions moves the robot.
+
+Nothing is accepted before somebody calls `drive`. While the node is inactive nobody may call it.
 
 `drive` acquires the lease; `release` sits down and gives it back. What ends a motion by a fault ends the driving, too:
 a Stop of anybody's, an emergency stop, the watchdog, a lost lease or link. After that `drive` must be called again.
@@ -49,13 +50,13 @@ class Driving:
         self._lease: Lease | None = None
         self._motion: Motion | None = None
         self._estop = 0
-        """The latest when it began to drive."""
+        """The latest emergency stop's number when it began to drive."""
         self._own = OwnStop()
         self._received: GatewayState | None = None
         self._estopped = False
         self._gait = "tripod"
         self._went = ORIGIN
-        """By all walks that have ended."""
+        """The odometry of all walks that have ended."""
         self._held_as = name
         self._closed = False
         self._why_not = self._inactive = NOT_ACTIVE
@@ -168,7 +169,7 @@ class Driving:
     # ---- topics; each raises NotTakenError
 
     def joints(self, at_rad: dict[int, float]) -> None:
-        """Servo → radians, of whole legs."""
+        """Command these joints: servo → radians, whole legs only."""
         with self._taking():
             motion = self._using(JointCommands, lambda: JointCommands(self._client, self._geometry))
             try:
@@ -179,12 +180,12 @@ class Driving:
                 raise NotTakenError(str(error)) from error
 
     def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
-        """A trajectory; `is_there` is asked whether its sender still is."""
+        """Follow a trajectory. `is_there` returns whether its sender still exists."""
         with self._taking():
             self._using(Following, lambda: Following(self._client, self._geometry)).follow(plan, is_there)
 
     def progress(self, plan: Trajectory) -> GoalProgress:
-        """How far a trajectory is; waits for nothing that moves the robot."""
+        """Return the progress of a trajectory. Never waits for a motion."""
         motion = self._motion
         if isinstance(motion, Following):
             return motion.progress(plan)
@@ -192,13 +193,13 @@ class Driving:
         return GoalProgress({}, {}, ended if self.drives else self._why_not)
 
     def hold(self, plan: Trajectory | None = None) -> None:
-        """Stay where this trajectory is now, if it is followed (None: any); waits for nothing that moves the robot."""
+        """Hold where this trajectory is now, if it is followed (None: any). Never waits for a motion."""
         motion = self._motion
         if isinstance(motion, Following):
             motion.hold(plan)
 
     def go(self, velocity: Velocity) -> None:
-        """A velocity, for half a second."""
+        """Walk at this velocity for half a second."""
         with self._taking():
             if velocity.moves or isinstance(self._motion, Walking):
                 self._walking().go(velocity)
@@ -206,7 +207,7 @@ class Driving:
     def stand(
         self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
     ) -> None:
-        """The body's height, which stands it up; its lean, once it stands."""
+        """Set the body's height, which makes it stand up, or its lean while it stands."""
         with self._taking():
             if height_m is not None or isinstance(self._motion, Walking):
                 self._walking().stand(height_m=height_m, roll_rad=roll_rad, pitch_rad=pitch_rad)
@@ -214,7 +215,7 @@ class Driving:
                 raise NotTakenError(DOES_NOT_STAND)
 
     def walk_as(self, gait: str) -> None:
-        """The gait, for as long as it drives."""
+        """Set the gait, until it drives no more."""
         with self._taking():
             self._gait = gait
             if isinstance(self._motion, Walking):
@@ -223,7 +224,7 @@ class Driving:
     # ---- looked after by a thread
 
     def check(self) -> None:
-        """Ten times a second and more: what is over is ended, and what was stopped ends the driving."""
+        """End a motion that is over, and the driving after a Stop. Call it at least ten times a second."""
         with self._lock:
             try:
                 self._end_what_is_over()
@@ -236,14 +237,14 @@ class Driving:
                 self._fail(error)
 
     def receive(self, state: GatewayState) -> None:
-        """A state that the gateway has published; waits for nothing."""
+        """Take a published state. Never waits."""
         self._received = state
         self._estopped = state.mode == Mode.ESTOPPED
 
     # ---- inside, with the lock
 
     def _check_estop(self, state: GatewayState) -> None:
-        """So that after a reset nothing goes on by itself, also where nothing moved. Raises StoppedError."""
+        """Raise StoppedError after an emergency stop, also if nothing moved: a reset must not resume a motion."""
         if state.estop != self._estop:  # a gateway that was started again counts anew
             raise StoppedError("an emergency stop was engaged, or the gateway started again", ())
 
@@ -261,8 +262,8 @@ class Driving:
                 raise NotTakenError(self._why_not) from error
 
     def _using(self, kind: type[M], make: Callable[[], M]) -> M:
-        """The motion of this kind, a new one where there is none. Raises NotTakenError while another moves it."""
-        self._end_what_is_over()  # it takes no message any more, and nobody has looked since
+        """The present motion of this kind, or a new one. Raises NotTakenError while another motion moves the robot."""
+        self._end_what_is_over()  # it has ended since the last check
         motion = self._motion
         if isinstance(motion, kind):
             return motion
@@ -276,7 +277,7 @@ class Driving:
         return self._using(Walking, lambda: Walking(self._client, self._geometry, self._gait, self._went))
 
     def _end_what_is_over(self) -> None:
-        """Raises what has ended it."""
+        """Raise the error that has ended it."""
         if self._motion is not None and not self._motion.check(time.monotonic()):
             self._end_motion(sits=False)
 
@@ -301,7 +302,7 @@ class Driving:
             lease.release()
 
     def _lost(self, error: LeaseLostError) -> None:
-        """On a thread of the lease's own."""
+        """Called on a thread of the lease."""
         with self._lock:
             if self._lease is not None and self._lease.lost is error:
                 self._fail(error)

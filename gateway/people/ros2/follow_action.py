@@ -23,14 +23,14 @@ NAME: Final = "follow_joint_trajectory"
 FEEDBACK_S: Final = 0.05
 """As joint_trajectory_controller's action_monitor_rate: 20 Hz."""
 _RESULT_KEPT_S: Final = 60
-"""How long the result of a goal that has ended can be asked for."""
+"""How long the result of an ended goal is kept."""
 
 
 class FollowAction:
-    """Called by the executor's threads: each goal has one until it ends."""
+    """The action server. The executor calls it, on one thread for each goal until it ends."""
 
     def __init__(self, node: Node, driving: Driving, topics: Topics) -> None:
-        """Raises ConfigError where this ROS 2 has no control_msgs."""
+        """Raises ConfigError if this ROS 2 has no control_msgs."""
         self._node = node
         self._driving = driving
         self._topics = topics
@@ -73,7 +73,7 @@ class FollowAction:
         return self._type.Result(**result._asdict())
 
     def _begin(self, handle: Any) -> Followed:
-        """Raises JointsError, NotTakenError; then the goal before it goes on."""
+        """Begin a goal. Raises JointsError or NotTakenError; then the goal before it continues."""
         is_there = presence(b"", self._callers)
         with self._lock:
             if not is_there():
@@ -85,7 +85,7 @@ class FollowAction:
         return followed
 
     def _follow(self, handle: Any, followed: Followed) -> tuple[Any, GoalResult]:
-        """What ends the goal, and its result."""
+        """Wait for the end of the goal, and return its result."""
         while True:
             now_s = time.monotonic()
             progress = self._driving.progress(followed.plan)

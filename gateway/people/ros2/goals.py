@@ -1,6 +1,6 @@
 """A goal of FollowJointTrajectory: its progress and its result. Pure.
 
-As joint_trajectory_controller has it: a cancelled one holds where it is. Nothing comes back from the servos, so
+As in joint_trajectory_controller, a cancelled goal holds where it is. Nothing comes back from the servos, so
 `actual` is what was sent, and a tolerance is exceeded where sending falls behind.
 """
 
@@ -12,7 +12,7 @@ from gateway.people.ros2.joints import JointNames, JointsError, NamesError
 from gateway.people.ros2.trajectory import OverError, Trajectory, seconds
 
 _SENT_RAD: Final = 1e-6
-"""Without a tolerance, the last point itself has to be sent; this is what rounding may add."""
+"""Without a tolerance the last point itself must be sent, to within rounding."""
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS = 0, -1, -2
 OLD_HEADER_TIMESTAMP, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = -3, -4, -5
 
@@ -32,9 +32,9 @@ class GoalProgress(NamedTuple):
     """Progress of a trajectory: angles in radians by servo."""
 
     desired_rad: Mapping[int, float]
-    """By its plan, now."""
+    """The present angles by the plan."""
     sent_rad: Mapping[int, float]
-    """Of the joints that run."""
+    """The angles that were sent to running joints."""
     ended: str = ""
     """Why the trajectory is no longer followed, in one sentence; empty while followed."""
 
@@ -77,7 +77,7 @@ class Followed:
         return None
 
     def _exceeding(self, progress: GoalProgress, tolerances: Mapping[int, float], otherwise: float) -> str:
-        """The first joint that is further off than its tolerance, as a sentence, or nothing."""
+        """A sentence about the first joint beyond its tolerance; "": none is."""
         for name, servo_id in zip(self.names, self._servos, strict=True):
             most = tolerances.get(servo_id, otherwise)
             off = abs(progress.desired_rad[servo_id] - progress.sent_rad.get(servo_id, math.inf))
@@ -94,7 +94,7 @@ def error_code(error: Exception) -> int:
 
 
 def _tolerances(servos: Mapping[str, int], found: Sequence[Any]) -> dict[int, float]:
-    """Servo → radians. 0 is none given, and -1 none at all; velocities and accelerations are not measured."""
+    """Servo → radians. 0 means not given, -1 no limit. Velocities and accelerations are not measured."""
     tolerances = {}
     for each in found:
         if each.name not in servos:

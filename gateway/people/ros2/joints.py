@@ -9,12 +9,12 @@ from gateway.geometry import Geometry, joint_name
 from schemas.robot import JOINTS, MAX_DEG, SERVO_IDS
 
 Degrees = tuple[float, float, float]
-"""Of a leg's joints 1, 2 and 3."""
+"""The degrees of a leg's joints 1, 2 and 3."""
 _PATTERN: Final = re.compile(r"(\{leg\}|\{joint\}|[\w./-]){1,64}", re.ASCII)
 
 
 class JointsError(ValueError):
-    """What a controller asks for is not possible; one sentence."""
+    """A controller requests something impossible; one sentence."""
 
 
 class NamesError(JointsError):
@@ -77,7 +77,7 @@ def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict
 
 
 def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
-    """Raises JointsError if a servo would leave 0 to 180°."""
+    """Raise JointsError if a servo would leave 0 to 180°."""
     for servo_id, position in at_rad.items():
         angle_deg = geometry.servos[servo_id].servo_deg(position)
         if not 0.0 <= angle_deg <= MAX_DEG:

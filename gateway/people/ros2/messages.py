@@ -12,7 +12,7 @@ class Message(SimpleNamespace):
     """A message, of a type that `message_type` has made. Sequences are tuples."""
 
     TYPE: ClassVar[str]
-    """As ROS 2 names it, such as `std_msgs/msg/String`."""
+    """The type's name in ROS 2, such as `std_msgs/msg/String`."""
     FIELDS: ClassVar[Mapping[str, Any]]
     """Field → its default, in their order."""
 

@@ -88,7 +88,7 @@ class JointCommands:
 
 
 class Course:
-    """Where a trajectory's joints are to be, and what its end, or its sender's, leads to. Pure: time is an argument."""
+    """The poses of a trajectory in time, and what follows its end or its sender's. Pure: time is an argument."""
 
     def __init__(
         self, geometry: Geometry, ride: Callable[[Pose], Ride], *, whole: bool = False, limp_s: float = 0.0
@@ -100,30 +100,30 @@ class Course:
         self._geometry = geometry
         self._whole = whole
         self._limp_s = limp_s
-        self._fed_s = self._looked_s = -math.inf
+        self._fed_s = self._advanced_s = -math.inf
         """When all that run have their supply; when the plan was looked at last."""
         self._make_ride = ride
         self._plan: Trajectory | None = None
         self._at_rad: dict[int, float] = {}
         self._sent: Pose = {}
-        """Of the legs that have started, what was sent last."""
+        """The last angles that were sent to the started legs."""
         self._sending: frozenset[int] = frozenset()
-        """Legs that are in what was sent last, or is being sent."""
+        """Legs of the pose that was sent last, or is being sent."""
         self._rests_s = math.inf
-        """When it sits down."""
+        """The time at which it sits down."""
         self._ride: Ride | None = None
-        """Once it sits down."""
+        """The ride that sits down; None before."""
         self._left = REPLACED
-        """Why a plan is not followed any more."""
+        """Why the plan is no longer followed."""
 
     @property
     def begun(self) -> bool:
-        """Whether there is anything to send."""
+        """Whether there is a pose to send."""
         return self._plan is not None or bool(self._at_rad)
 
     def follow(self, plan: Trajectory, now_s: float) -> None:
         """Follow `plan` from the present angles. Raises JointsError if the plan cannot begin there."""
-        self._look(now_s)
+        self._advance(now_s)
         running_rad = self._running_rad()
         plan.begin(running_rad, now_s)
         self._next_start(running_rad | plan.at(now_s))
@@ -133,7 +133,7 @@ class Course:
     def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
         if plan is not self._plan:
             return GoalProgress({}, {}, self._left)
-        self._look(now_s)
+        self._advance(now_s)
         return GoalProgress(plan.at(now_s), self._rad(self._sent))
 
     def hold(self, plan: Trajectory | None, now_s: float) -> None:
@@ -142,7 +142,7 @@ class Course:
         A leg that has not started by then is not started.
         """
         if self._plan is not None and plan in (None, self._plan) and self._ride is None:
-            self._look(now_s)
+            self._advance(now_s)
             self._at_rad = self._running_rad()
             self._plan, self._rests_s, self._left = None, now_s + REST_S, "it was cancelled"
 
@@ -153,12 +153,12 @@ class Course:
 
     def leave(self, now_s: float, why: str = "the bridge was released") -> None:
         """Plan to sit down from now on; `next` returns the steps."""
-        self._look(now_s)
+        self._advance(now_s)
         self._plan, self._rests_s, self._left = None, min(self._rests_s, now_s), why
 
     def next(self, now_s: float) -> Pose | None:
         """Return the pose to send; None: the course is over, and running servos must be stopped."""
-        self._look(now_s)
+        self._advance(now_s)
         if self._limp_s and self._ride is None and not self._at_rad.keys() <= self._rad(self._sent).keys():
             self._fed_s = now_s + self._limp_s
         if self._ride is None and now_s >= self._rests_s:
@@ -181,7 +181,7 @@ class Course:
         self._sent = {**self._sent, **pose}
 
     def _running_rad(self) -> dict[int, float]:
-        """Where the joints of the legs are that have started, or are being started."""
+        """The joints of the legs that have started, or are being started."""
         legs = self._sent.keys() | self._sending
         return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in legs}
 
@@ -195,14 +195,14 @@ class Course:
             for joint, angle_deg in enumerate(angles, start=1)
         }
 
-    def _look(self, now_s: float) -> None:
+    def _advance(self, now_s: float) -> None:
         if self._plan is not None and self._ride is None:
-            if self._looked_s < self._fed_s:  # the plan stands still until then
-                waited_s = min(now_s, self._fed_s) - self._looked_s
+            if self._advanced_s < self._fed_s:  # the plan stands still until then
+                waited_s = min(now_s, self._fed_s) - self._advanced_s
                 self._plan.postpone(waited_s)
                 self._rests_s += waited_s
             self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
-        self._looked_s = now_s
+        self._advanced_s = now_s
 
     def _sitting(self, now_s: float) -> Ride | None:
         """What lies down from where the legs are; None where it cannot: then they are stopped as they are.
@@ -244,7 +244,7 @@ class Following:
         self._thread.start()
 
     def follow(self, plan: Trajectory, is_there: Callable[[], bool]) -> None:
-        """From now on; `is_there` is asked whether its sender still is."""
+        """Follow it from now on. `is_there` returns whether its sender still exists."""
         with self._changed:
             if self._error is not None:
                 raise self._error.with_traceback(None)
@@ -259,7 +259,7 @@ class Following:
             return self._course.progress(plan, time.monotonic())
 
     def hold(self, plan: Trajectory | None) -> None:
-        """Stay where this plan is now, if it is followed (None: whichever is); then sit down."""
+        """Hold where this plan is now, if it is followed (None: any); then sit down."""
         with self._changed:
             self._course.hold(plan, time.monotonic())
 
@@ -291,7 +291,7 @@ class Following:
             self._error = WalkError(str(error))
 
     def _tick(self) -> bool:
-        """Send the next setpoint; whether there is another."""
+        """Send the next setpoint. Return whether there is another."""
         with self._changed:
             self._changed.wait_for(lambda: self._course.begun or self._stops)
             pose = None if self._stops else self._course.next(time.monotonic())
@@ -310,7 +310,7 @@ class Walking:
     title = "cmd_vel"
 
     def __init__(self, client: Client, geometry: Geometry, gait: str, begins: Odometry) -> None:
-        """`begins`: where the walk before it has ended."""
+        """`begins`: where the walk before it ended."""
         self._begins = begins
         self._walk: Walk = client.walk(gait, geometry)
         self._walk.open()

@@ -44,11 +44,11 @@ SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"
 _JOIN_S: Final = 1.0
 _SPIN_S: Final = 0.5
 _THREADS: Final = 4
-"""Of the executor: a goal that is followed keeps one, a transition another."""
+"""Threads of the executor: a goal that is followed keeps one, a transition another."""
 _GID_BYTES: Final = 16
-"""Of the GID's bytes that have a meaning; before Jazzy there are 24."""
+"""Bytes of a GID that count; before Jazzy there are 24."""
 _REQUESTS: Final = 16
-"""Of one service that wait; of more, the oldest have no answer. An emergency stop is engaged all the same."""
+"""Most pending requests of one service. With more, the oldest get no answer; an emergency stop is engaged anyway."""
 _STREAMS: Final = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 """Sensor data: received best effort, which matches every publisher, and repeats nothing that a link has lost."""
 _INACTIVE: Final = "the node is not active: its lifecycle is managed, and nobody has activated it"
@@ -161,12 +161,12 @@ class Node(LifecycleNode):  # type: ignore[misc]
             self._listen(service, Empty, lambda _: _attempt(call))
 
     def senders(self, topic: str) -> Present:
-        """Return who publishes on a topic, at each call."""
+        """Return a function that returns who publishes on a topic now."""
         infos = self.get_publishers_info_by_topic
         return _present(lambda: (bytes(each.endpoint_gid[:_GID_BYTES]) for each in infos(topic)))
 
     def callers(self, service: str) -> Present:
-        """Return how many may call a service, at each call: rclpy reports no GIDs of clients."""
+        """Return a function that returns how many may call a service now: rclpy reports no GIDs of clients."""
         name = self.resolve_service_name(service)
         return _present(lambda: (b"%d" % number for number in range(self.count_clients(name))))
 
@@ -279,7 +279,7 @@ class Node(LifecycleNode):  # type: ignore[misc]
 
 
 def _log_somewhere() -> None:
-    """Have ROS 2 write its log files where it can: it does not start for a user without a home."""
+    """Choose a writable folder for ROS 2's log files: it does not start for a user without a home."""
     if not os.access(os.environ.get("HOME", ""), os.W_OK):
         os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="hexapod-ros2-"))
 
@@ -309,7 +309,7 @@ def ros_value(value: Any) -> Any:
 
 
 def _attempt(call: Callable[[], str]) -> tuple[bool, str]:
-    """Success and message of a service that has done `call`."""
+    """Do `call`. Return success and message of the service."""
     try:
         return True, call()
     except GatewayError as error:
@@ -317,7 +317,7 @@ def _attempt(call: Callable[[], str]) -> tuple[bool, str]:
 
 
 class _OwnThreads(CallbackGroup):  # type: ignore[misc]
-    """What threads of ours wait for, and no executor."""
+    """Entities that our own threads wait for, instead of an executor."""
 
     def can_execute(self, entity: Any) -> bool:
         del entity
@@ -344,13 +344,13 @@ def _keep_time_real(parameters: list[Any]) -> Any:
 
 
 def _gid(info: dict[str, Any]) -> bytes:
-    """The sender's; rclpy before Kilted does not report it."""
+    """The sender's GID; rclpy before Kilted does not report it."""
     found = info.get("publisher_gid")
     return bytes(found["data"][:_GID_BYTES]) if found else b""
 
 
 def _own_addresses() -> Iterator[str]:
-    """The addresses of this process's sockets; any, if the system does not show them."""
+    """The addresses of this process's sockets; the any address, if the system does not show them."""
     try:
         names = os.listdir("/proc/self/fd")
     except OSError:

@@ -1,7 +1,7 @@
-"""Which emergency stop ROS may leave: one that ROS alone has engaged, while the bridge drove. Pure.
+"""Which emergency stop ROS may end: one that ROS alone engaged while the bridge drove. Pure.
 
-The gateway numbers emergency stops. The bridge has read the latest number when it began to drive, while none was
-engaged; if the next number is its own request's, nobody else has engaged one in between.
+The gateway numbers emergency stops. The bridge reads the latest number when it begins to drive, while none is engaged.
+If the next number is of its own request, nobody else has engaged one in between.
 """
 
 from typing import Final
@@ -13,7 +13,7 @@ SAME_RUN_S: Final = 1.0
 
 
 class OwnStop:
-    """What is not certain counts as somebody else's: then a person leaves the emergency stop, at the robot."""
+    """Decides whether ROS may end the emergency stop. In doubt it is somebody else's, and a person ends it."""
 
     def __init__(self) -> None:  # mutants accepted (Forget, Step): set before it is read
         self._latest: int | None = None

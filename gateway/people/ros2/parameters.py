@@ -1,4 +1,4 @@
-"""What of the bridge's reports can be set: by options of the command; over rclpy also as ROS parameters of the node."""
+"""Settings of the bridge's reports: options of the command, and ROS parameters of the node."""
 
 import math
 import re

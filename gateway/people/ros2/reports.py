@@ -28,11 +28,11 @@ from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
 PERIOD_S: Final = 0.02
-"""Of `tick`: the most joint states a second are 50."""
+"""Period of `tick`: at most 50 joint states a second."""
 SILENT_S: Final = 1.0
 """A gateway publishes its state ten times a second."""
 CHANGED_S: Final = 0.1
-"""Between diagnostics, where the mode has changed, or what the bridge does: sooner."""
+"""Shorter period of diagnostics after a change of the mode or of what the bridge does."""
 OPEN: Final = "; the graph is open: all who reach it can drive the robot"
 CHANNELS: Final[dict[str, Any]] = {
     keys.CALIBRATION: RingChannel(1),
@@ -40,7 +40,7 @@ CHANNELS: Final[dict[str, Any]] = {
     keys.TELEMETRY: RingChannel(8),  # at its highest rate, those of four periods
     keys.FRAME: RingChannel(256),  # of six legs at 50 Hz, those of 0.8 s
 }
-"""What it reads of the gateway's keys; the newest is enough."""
+"""The gateway's keys that it reads; only the newest report counts."""
 
 R = TypeVar("R", bound=BaseModel)
 
@@ -48,7 +48,7 @@ R = TypeVar("R", bound=BaseModel)
 def _publisher(
     node: Node, topic: str, kind: type[ros.Message], *, needed: bool = False
 ) -> Callable[[ros.Message], None]:
-    """What publishes on a topic; nothing where this ROS 2 lacks its type, unless it is `needed`. Raises ConfigError."""
+    """A publisher on a topic; None if this ROS 2 lacks the type. Raises ConfigError if the topic is `needed`."""
     try:
         return node.publisher(topic, kind)
     except ConfigError:
@@ -89,7 +89,7 @@ class Reports:
         self._state: GatewayState | None = None
         self._received_s = self._diagnosed_s = self._published_s = 0.0
         self._moved = False
-        """Since the latest joint states."""
+        """Whether a joint has moved since the latest joint states."""
         self._diagnosed: object = None
         self._joint_states = node.publisher("joint_states", ros.JointState)
         self._diagnostics = node.publisher("diagnostics", ros.DiagnosticArray, always=True)
@@ -98,7 +98,7 @@ class Reports:
         self._tf = _publisher(node, "/tf", ros.TFMessage, needed=with_tf)
         self._odom = _publisher(node, robot.ODOM, ros.Odometry)
         self._at, self._way_m = ORIGIN, 0.0
-        """Where its odometry was last, and how long its way was until then."""
+        """The last odometry, and the length of the way until then (m)."""
         text = robot.description(geometry, topics.joints.of, parameters.base_frame)
         node.publisher("robot_description", ros.String, latched=True)(text)
 
@@ -145,7 +145,7 @@ class Reports:
         self._tf(robot.odometry_frame(at, time_ns, base))
 
     def _take(self, key: str, kind: type[R], read: Callable[[bytes], R | None] | None = None) -> R | None:
-        """The next report on a key, if it is one: without access control, anybody may publish there."""
+        """The next valid report on a key: without access control anybody may publish there."""
         sample = self._received[key].handler.try_recv()
         if sample is None:
             return None

@@ -17,7 +17,7 @@ UNKNOWN_DEG: Final = 90.0
 """The angle at which a never commanded servo is drawn."""
 _HEXAPOD: Final = "hexapod"
 _MARK_M: Final = 0.035
-"""A little thicker than a leg is drawn."""
+"""A little thicker than a drawn leg."""
 _OFF: Final = ros.ColorRGBA(0.9, 0.15, 0.1, 0.85)
 MEASURED: Final[Mapping[str, type[Message]]] = {
     "battery_state": ros.BatteryState,
@@ -25,20 +25,20 @@ MEASURED: Final[Mapping[str, type[Message]]] = {
     "temperature": ros.Temperature,
     "foot_forces": ros.Float64MultiArray,
 }
-"""Topic → the type of its messages: what a robot may measure."""
+"""The measurements that a robot may have: topic → type of its messages."""
 _MOST_AGE_MS: Final = 60_000.0
-"""By which a measurement's stamp is put back; without access control anybody may publish any age."""
+"""Most by which a measurement's stamp is put back: without access control anybody may publish any age."""
 _MOST_FLOAT32: Final = 3.4e38
 _NONE: Final = (-1.0, *(0.0,) * 8)
-"""The covariance of a value that is none; that of one whose accuracy is not known is all zeros."""
+"""The covariance of a missing value. With unknown accuracy the covariance is all zeros."""
 ODOM: Final = "odom"
 A_TURN_M: Final = 0.5
-"""A radian that it turns makes odometry as unsure as this way: a turn of 69° was off by 3.7° (docs/walking.md)."""
+"""A radian of turning makes odometry as uncertain as this way: a turn of 69° was off by 3.7° (docs/walking.md)."""
 _START_M, _START_RAD, _OFF_COURSE, _TURNED_RAD_M = 0.01, 0.01, 0.1, math.radians(5)
 """Standard deviations of odometry: at its beginning, of a metre's way, and of the heading after it. A simulated robot's
 walks are judged by 10 % of the way and 5° (docs/walking.md); that a foot slips is not noticed."""
 _SLOW_M_S, _SLOW_RAD_S, _OFF_SPEED = 0.01, 0.02, 0.2
-"""Of its velocity, which is uneven within a step."""
+"""Standard deviations of its velocity, which is uneven within a step."""
 _UNKNOWN: Final = 1e3
 _LEVELS: Final[dict[str, int]] = {Mode.IDLE: OK, Mode.ACTIVE: OK, Mode.ESTOPPED: ERROR, Mode.BUS_FAULT: ERROR}
 
@@ -78,9 +78,9 @@ def odometry(at: Odometry, velocity: Velocity, way_m: float, time_ns: int, base:
 
 def odometry_frame(at: Odometry, time_ns: int, base: str = BASE) -> Message:
     """Return odometry as the transform from `odom` to `base`."""
-    turned = _heading(at.heading_rad)
+    heading = _heading(at.heading_rad)
     return transform_message(
-        [Step(ODOM, base, (at.x_m, at.y_m, 0.0), (turned.x, turned.y, turned.z, turned.w))], time_ns
+        [Step(ODOM, base, (at.x_m, at.y_m, 0.0), (heading.x, heading.y, heading.z, heading.w))], time_ns
     )
 
 
@@ -88,9 +88,9 @@ def _heading(angle_rad: float) -> Message:
     return Quaternion(z=math.sin(angle_rad / 2), w=math.cos(angle_rad / 2))
 
 
-def _planar(moved: float, turned: float) -> tuple[float, ...]:
-    """A covariance of these standard deviations along and aside, and about the upright axis."""
-    sigmas = (moved, moved, _UNKNOWN, _UNKNOWN, _UNKNOWN, turned)
+def _planar(along: float, yaw: float) -> tuple[float, ...]:
+    """The covariance of these standard deviations along, across and about the upright axis."""
+    sigmas = (along, along, _UNKNOWN, _UNKNOWN, _UNKNOWN, yaw)
     return tuple(sigmas[row] ** 2 if row == column else 0.0 for row in range(6) for column in range(6))
 
 
@@ -102,14 +102,14 @@ def all_at(geometry: Geometry, angle_deg: float) -> dict[int, float]:
 def transform_message(steps: Iterable[Step], time_ns: int) -> Message:
     """Return these transforms as one TFMessage."""
     header_stamp = stamp(time_ns)
-    moved = ((step, ros.Transform(Vector3(*step.translation_m), Quaternion(*step.rotation))) for step in steps)
+    transforms = ((step, ros.Transform(Vector3(*step.translation_m), Quaternion(*step.rotation))) for step in steps)
     return ros.TFMessage(
-        tuple(ros.TransformStamped(Header(header_stamp, step.parent), step.child, to) for step, to in moved)
+        tuple(ros.TransformStamped(Header(header_stamp, step.parent), step.child, to) for step, to in transforms)
     )
 
 
 def servos_off(servos: Collection[int], time_ns: int) -> Message:
-    """Marks on the joints of these servos, in place of any before; and the word, at a leg whose servos are all off."""
+    """Return marks on the joints of these servos, and a word at each leg that is off. They replace earlier marks."""
     header_stamp = stamp(time_ns)
     marks = [Marker(Header(header_stamp, BASE), "servos off", action=ros.DELETEALL)]
     shown: dict[str, Any] = {"color": _OFF, "frame_locked": True}
@@ -239,5 +239,5 @@ def diagnostic_array(statuses: tuple[Message, ...], time_ns: int, hardware_id: s
 
 
 def _text(value: object) -> str:
-    """Without the zeros that a CDR string cannot have: a name from outside is in it."""
+    """The text without zeros, which a CDR string cannot have: it contains foreign names."""
     return str(value).replace("\0", "\ufffd")

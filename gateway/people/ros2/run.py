@@ -30,7 +30,7 @@ except ImportError as error:
 
 _NAME: Final = "ros2"
 OPEN_NAME: Final = "ros2 (open graph)"
-"""Where other machines may reach the graph: the gateway's state and events show it by this name."""
+"""The driver's name in state and events if other machines may reach the graph."""
 WATCH_S: Final = 0.05
 
 
@@ -99,11 +99,11 @@ def serve(
             watch.start()
             at_the_end.callback(watch.join)
             at_the_end.callback(ended.set)
-            at_the_end.callback(driving.close)  # first: what it moves is stopped before anything is waited for
+            at_the_end.callback(driving.close)  # first: its legs are stopped before it waits for anything
             node.manage(partial(driving.activate, drives=drives), driving.deactivate)
             say(f"{node.get_fully_qualified_name()} is in ROS 2's graph of {node.rmw}, domain {domain}; Ctrl-C ends")
             while not ended.wait(PERIOD_S):
-                topics.turned()
+                topics.record_alive()
                 reports.tick(time.monotonic())
     return 0
 

@@ -1,4 +1,4 @@
-"""What comes from ROS peers: checked, read and handed to `Driving`; what is not taken is counted, with its reason."""
+"""Check and read messages of ROS peers, and hand them to `Driving`; rejections are counted by reason."""
 
 import threading
 import time
@@ -19,18 +19,18 @@ from gateway.people.walking import Velocity
 from gateway.people.walking.gaits import NUMBERS
 
 _MAX_BYTES: Final = 4096
-"""As a command to the gateway; 18 joints with velocity and effort have 1000."""
+"""The limit of a command to the gateway; 18 joints with velocity and effort take 1000."""
 MAX_TRAJECTORY_BYTES: Final = 1_000_000
-"""2000 points of 18 joints with velocities have 650 000."""
+"""2000 points of 18 joints with velocities take 650 000."""
 MAX_AGE_MS: Final = 500.0
-"""As `limits.max_age_ms`: what a link held back for longer is not taken."""
+"""As `limits.max_age_ms`: messages that a link held back for longer are rejected."""
 
 _MOST_APART_NS: Final = 10 * 365 * 86_400_000_000_000
 """Ten years: no clock that was ever set is so far off, and no bag is so old. Simulated time, and the clock of a machine
 that knows no time yet, begin in 1970."""
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
 _MOST_SHOWN: Final = 200
-"""Reasons that have a line: other programs choose the names in some of them."""
+"""Most reasons that get a line: other programs choose the names in some of them."""
 
 
 class Topics:
@@ -39,7 +39,7 @@ class Topics:
     def __init__(
         self, node: Node, driving: Driving, geometry: Geometry, joints: JointNames, show: Callable[[str], None]
     ) -> None:
-        """`show` takes lines for a person, each reason once."""
+        """`show` receives lines for a person, each reason once."""
         self._driving = driving
         self._geometry = geometry
         self.joints = joints
@@ -72,7 +72,7 @@ class Topics:
             most = MAX_TRAJECTORY_BYTES if topic == "joint_trajectory" else _MAX_BYTES
             self._node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
 
-    def turned(self) -> None:
+    def record_alive(self) -> None:
         """Record that the process is alive. Call it at least ten times a second: else messages count as old."""
         with self._lock:
             self._ages.record_alive(time.monotonic_ns())
@@ -130,7 +130,7 @@ class Topics:
             self.taken[topic] += 1
 
     def _check_age(self, arrived: Arrived) -> None:
-        """Raises NotTakenError where a link held it back, or its sender's clock was never set."""
+        """Raise NotTakenError if a link held the message back, or its sender's clock was never set."""
         _check_time(arrived.time_ns, "was sent at a time")
         with self._lock:
             now_ns = time.monotonic_ns()
@@ -149,7 +149,7 @@ class Topics:
 
 
 def _check_time(time_ns: int, what: str) -> None:
-    """Raises NotTakenError for a time since 1970 that cannot be: `what` happened then."""
+    """Raise NotTakenError for an impossible time (since 1970) of `what`."""
     if abs(time.time_ns() - time_ns) > _MOST_APART_NS:
         day = datetime.fromtimestamp(time_ns // 1_000_000_000, UTC).date()
         raise NotTakenError(f"it {what} of {day}, by its sender's clock: is that set, or its time simulated?")

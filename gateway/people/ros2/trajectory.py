@@ -16,25 +16,25 @@ from gateway.people.ros2.joints import JointNames, JointsError, check_reach, of_
 MAX_POINTS: Final = 2000
 """Forty seconds at 50 Hz; a longer plan is better sent in pieces."""
 MAX_S: Final = 60.0
-"""Nobody plans further ahead for a robot that people stand next to; and a plan in milliseconds is noticed."""
+"""Long enough for a robot that people stand next to, and short enough to notice a plan in milliseconds."""
 
 MAX_RAD_S: Final = math.radians(MAX_SPEED_DEG_S)
 SETPOINT_S: Final = 0.02
-"""At 50 Hz. What changes within one setpoint has no speed of its own."""
+"""Period at 50 Hz. A change within one setpoint has no speed of its own."""
 MAX_RAD_S2: Final = MAX_RAD_S / SETPOINT_S
 """From rest to full speed within one setpoint. Accelerations are checked, but do not bend the way."""
 _SPARE: Final = 1.001
-"""Of the speed: what rounding to nanoseconds and floats may add."""
+"""Part of the speed that rounding to nanoseconds and floats may add."""
 _END: Final = 1e-6
-"""Of a way: nearer to its ends than this it is at a point, which is checked itself."""
+"""Part of a way. Nearer to an end than this it is at a point, which is checked itself."""
 
 
 class OverError(JointsError):
-    """A trajectory's end is past, by its stamp."""
+    """The trajectory's end is past, by its stamp."""
 
 
 class Waypoint(NamedTuple):
-    """Where the joints are to be, and when, in seconds from the trajectory's start."""
+    """A pose of the joints, and its time in seconds from the trajectory's start."""
 
     at_s: float
     positions_rad: Mapping[int, float]
@@ -135,29 +135,29 @@ class _JointCubic(NamedTuple):
     def of(cls, before: Waypoint, after: Waypoint, servo_id: int) -> Self:
         """A cubic Hermite spline, or a line."""
         begin = before.positions_rad[servo_id]
-        moved = after.positions_rad[servo_id] - begin
+        change_rad = after.positions_rad[servo_id] - begin
         if before.velocities_rad_s is None or after.velocities_rad_s is None:
-            return cls(begin, moved, 0.0, 0.0)
+            return cls(begin, change_rad, 0.0, 0.0)
         length_s = after.at_s - before.at_s
         leaves, arrives = before.velocities_rad_s[servo_id] * length_s, after.velocities_rad_s[servo_id] * length_s
-        return cls(begin, leaves, 3 * moved - 2 * leaves - arrives, leaves + arrives - 2 * moved)
+        return cls(begin, leaves, 3 * change_rad - 2 * leaves - arrives, leaves + arrives - 2 * change_rad)
 
     def at(self, part: float) -> float:
         return self.begin + part * (self.first + part * (self.square + part * self.cube))
 
     def speed(self, part: float) -> float:
-        """In radians for the whole way."""
+        """Speed in radians for the whole way."""
         return self.first + part * (2 * self.square + part * 3 * self.cube)
 
     def turns(self) -> Iterator[float]:
-        """The parts at which it turns round, but the ends: where the speed, a p² + 2 b p + c, is zero."""
+        """The parts between the ends at which it reverses: where the speed, a p² + 2 b p + c, is zero."""
         a, b, c = 3 * self.cube, self.square, self.first
         if (under := b * b - a * c) >= 0:
             q = -(b + math.copysign(math.sqrt(under), b))  # no difference of numbers that are nearly equal
             yield from (over / below for over, below in ((q, a), (c, q)) if below and _END < over / below < 1 - _END)
 
     def fastest(self) -> float:
-        """The largest speed of the whole way, with its sign; there or at an end the acceleration changes its sign."""
+        """The highest speed on the way, with its sign: at an end, or where the acceleration changes its sign."""
         parts = [0.0, 1.0]
         if self.cube and 0 < (middle := -self.square / (3 * self.cube)) < 1:
             parts.append(middle)
@@ -165,7 +165,7 @@ class _JointCubic(NamedTuple):
 
 
 def _check_between(geometry: Geometry, before: Waypoint, after: Waypoint) -> None:
-    """Raises JointsError where a servo would go too far or too fast on the way to `after`."""
+    """Raise JointsError if a servo would go too far or too fast on the way to `after`."""
     for servo_id in after.positions_rad:
         way = _JointCubic.of(before, after, servo_id)
         _check_speed(servo_id, way.fastest() / (after.at_s - before.at_s), "on the way there")
@@ -182,7 +182,7 @@ def _check_speed(servo_id: int, speed_rad_s: float, where: str) -> None:
 def _bounded(
     what: str, servos: tuple[int, ...], values: Sequence[float], most: float, unit: str
 ) -> Mapping[int, float]:
-    """Servo → value, or none at all. Raises JointsError."""
+    """Servo → value, for all servos or for none. Raises JointsError."""
     found = of_joints(what, servos, values) if values else {}
     for servo_id, value in found.items():
         if abs(value) > most * _SPARE:
@@ -193,7 +193,7 @@ def _bounded(
 
 
 def _elapsed_s(message: Any, length_s: float, since_1970_ns: int) -> float:
-    """How long ago it began: it has a stamp, or begins now. Raises JointsError."""
+    """Seconds since its start: by its stamp, else 0. Raises JointsError."""
     begins_ns = stamp_ns(message.header)
     if begins_ns == 0:
         return 0.0

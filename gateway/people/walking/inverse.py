@@ -23,9 +23,9 @@ from gateway.people.walking.motion import (
     minus,
     perpendicular,
     product,
+    rotation_by,
     scaled,
     spun,
-    turned,
     wrapped,
 )
 
@@ -138,7 +138,7 @@ class Limb:
             first = min(choices, key=lambda angle: abs(angle - (low + high) / 2))
         else:
             first = 0.0
-        straight = apply(turned(axis, -first), level)
+        straight = apply(rotation_by(axis, -first), level)
         span = self._in_plane(back(self._turns[1], minus(straight, self._origins_m[1])))
         femur_m, tibia_m = abs(self._femur), abs(self._tibia)
         distance_m = abs(span)

@@ -65,7 +65,7 @@ def matrix(rotation: Quaternion) -> Matrix:
     return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
 
 
-def turned(axis: Vector, angle: float) -> Matrix:
+def rotation_by(axis: Vector, angle: float) -> Matrix:
     """The rotation by an angle about an axis of length 1."""
     if axis == (0.0, 0.0, 1.0):
         cosine, sine = math.cos(angle), math.sin(angle)
@@ -76,7 +76,7 @@ def turned(axis: Vector, angle: float) -> Matrix:
 def spun(first: Matrix, axis: Vector, angle: float) -> Matrix:
     """`first`, followed by a rotation by an angle about an axis of its frame: most joints turn about z."""
     if axis != (0.0, 0.0, 1.0):
-        return product(first, turned(axis, angle))
+        return product(first, rotation_by(axis, angle))
     cosine, sine = math.cos(angle), math.sin(angle)
     (a, b, c), (d, e, f), (g, h, i) = first
     return (

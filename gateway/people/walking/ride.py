@@ -88,7 +88,7 @@ class RideTask(Enum):
     """What the shell does next; see `RideStep`."""
 
     WAIT = auto()
-    """Wait until `look_s`, or until there is something to report."""
+    """Wait until `wake_s`, or until there is something to report."""
     FIND = auto()
     """Ask the gateway for its state, and call `found`."""
     SEND = auto()
@@ -105,7 +105,7 @@ class RideStep(NamedTuple):
 
     do: RideTask
     pose: Pose = _NO_LEGS
-    look_s: float = math.inf
+    wake_s: float = math.inf
 
 
 class Ride:
@@ -199,7 +199,7 @@ class Ride:
 
     def wish(self, wish: Wish, now_s: float) -> None:
         """Carry out what has changed. With a used press a wish only shows that the driver is there. Raises nothing."""
-        self.look(now_s)
+        self.apply_silences(now_s)
         self._said_s = now_s
         if wish.press > self._press:
             self._press, self._pressed_s, self.detail = wish.press, now_s, ""
@@ -229,13 +229,13 @@ class Ride:
 
     def next(self, now_s: float, telemetry: Telemetry | None = None) -> RideStep:
         """What to do now. `telemetry`: None if none is fresh."""
-        self.look(now_s)
+        self.apply_silences(now_s)
         if self._wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
         pose = _NO_LEGS
         if self.phase in (Phase.RUNS, Phase.HALTED):
             pose = self._tick(now_s, telemetry)
-            self.look(now_s)  # it may have sat down by this tick
+            self.apply_silences(now_s)  # it may have sat down by this tick
         elif self.phase is Phase.STARTS and not self._found:
             return RideStep(RideTask.FIND)
         elif self.phase is Phase.STARTS:
@@ -245,11 +245,11 @@ class Ride:
                 return RideStep(RideTask.STOP)
             case Phase.RESTS | Phase.FAILED:
                 waits = self.phase is Phase.RESTS and not self.over
-                return RideStep(RideTask.WAIT, look_s=self._said_s + self.silences.rest_s if waits else math.inf)
+                return RideStep(RideTask.WAIT, wake_s=self._said_s + self.silences.rest_s if waits else math.inf)
         self._ours = True
         return RideStep(RideTask.SEND, pose)
 
-    def look(self, now_s: float) -> None:  # mutants accepted (Step): 1 s later
+    def apply_silences(self, now_s: float) -> None:  # mutants accepted (Step): 1 s later
         """Apply the silences. If the ride ends, its running legs are to be stopped."""
         if self._found and now_s - self._started_s > self.robot.limp_s > 0:
             self._run_if_started()

@@ -218,9 +218,9 @@ class Robot:
     def _angle_deg(self, servo_id: int, joint_rad: float, spare_deg: float) -> float:
         angle_deg = self.geometry.servos[servo_id].servo_deg(joint_rad)
         allowed = self.ranges[servo_id]
-        for turned in (angle_deg, angle_deg - 360.0, angle_deg + 360.0):
-            if allowed.min_deg + spare_deg <= turned <= allowed.max_deg - spare_deg:
-                return turned
+        for candidate_deg in (angle_deg, angle_deg - 360.0, angle_deg + 360.0):
+            if allowed.min_deg + spare_deg <= candidate_deg <= allowed.max_deg - spare_deg:
+                return candidate_deg
         raise WalkError(
             f"servo {servo_id} would stand at {angle_deg:.1f} degrees, and may go from {allowed.min_deg:g} to "
             f"{allowed.max_deg:g}"
@@ -251,13 +251,14 @@ def check_mirrored_once(geometry: Geometry, calibration: Calibration | None) -> 
         return
     for joint in JOINTS:
         names = [str(10 * leg + joint) for leg in LEGS]
-        turned = [name for name in names if name in calibration.servos and calibration.servos[name].inverted]
+        inverted = [name for name in names if name in calibration.servos and calibration.servos[name].inverted]
         directions = {name: geometry.servos[int(name)].direction for name in names}
-        ways = {directions[name] for name in turned}, {directions[name] for name in names if name not in turned}
+        ways = {directions[name] for name in inverted}, {directions[name] for name in names if name not in inverted}
         if all(len(way) == 1 for way in ways) and ways[0] != ways[1]:
             raise WalkError(
-                f"servos {', '.join(turned)} are turned round by the calibration, and by the geometry {geometry.name} "
-                "once more; --geometry names a file that counts as commands do, such as examples/elkapod/geometry.json"
+                f"servos {', '.join(inverted)} are turned round by the calibration, and by the geometry "
+                f"{geometry.name} once more; --geometry names a file that counts as commands do, such as "
+                "examples/elkapod/geometry.json"
             )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from gateway.model.framing import Framing
-from tests.kernel.inside import batches, failures, i2c, power, service
+from tests.kernel.inside import batches, failures, power, service
 
 
 class Scene(NamedTuple):
@@ -40,7 +40,6 @@ SCENES: Final = {
     "power-estop": Scene("socketcan: an emergency stop takes the supply, and is confirmed", power.estop),
     "power-others": Scene("socketcan: masks of other programs on this computer, and stop-servos", power.others),
     "power-down": Scene("socketcan: the interface goes while legs run, and returns", power.down),
-    "i2c": Scene("i2c-stub: the example of PCA9685 boards, by a service, and stop-servos", i2c.service),
     "bufsiz": Scene(
         "with a buffer of 512 bytes, shorter lists and the same bytes", batches.small_buffer, "spidev.bufsiz=512"
     ),

@@ -157,6 +157,7 @@ def test_a_source_is_forgotten_only_after_a_minute_of_silence(staleness: Stalene
     assert first.arrives(begun_ms + 100 + FORGET_MS, sent_at_ms=begun_ms + FORGET_MS - 200) is not None
 
 
+@pytest.mark.lengthy
 def test_memory_is_bounded(staleness: Staleness) -> None:
     tracemalloc.start()
     try:

@@ -1,5 +1,7 @@
 """A robot's computer as a folder, for `setup`, with systemd as an object: its units are properties in a dictionary."""
 
+import contextlib
+import io
 import os
 import subprocess
 from collections.abc import Callable, Sequence
@@ -76,6 +78,9 @@ class Computer:
         """Everything below the folder."""
         return {str(each.relative_to(self.root)): each.read_bytes() for each in self.root.rglob("*") if each.is_file()}
 
-    def set_up(self, *, dry: bool = False, force: bool = False, **wanted: Any) -> int:
+    def says(self, *, dry: bool = False, force: bool = False, **wanted: Any) -> list[str]:
+        """The lines that `setup` prints, which ends with 0."""
         machine = _Checked(self.root, self.systemd, lambda: self.busy, dry=dry, force=force)
-        return setup(machine, Wanted(**wanted))
+        with contextlib.redirect_stdout(io.StringIO()) as stdout:
+            assert setup(machine, Wanted(**wanted)) == 0
+        return stdout.getvalue().splitlines()

@@ -2,7 +2,6 @@
 
 import os
 import re
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -150,12 +149,6 @@ def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
     robot = Installed(tmp_path)
     plant(robot)
     assert found(robot) == []
-
-
-def test_a_state_directory_in_memory_is_known() -> None:
-    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
-        lines = results(PROBES, Installed(Path(folder)))
-        assert "is on tmpfs, which a boot empties" in " ".join(each.sentence for each in lines)
 
 
 def test_settings_that_are_new_are_named(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from gateway.onboard.check import wire
 from gateway.onboard.check.move import ServoCurrents
 from gateway.onboard.check.table import CheckedRobot, Result, results
 from gateway.robot.settings import Settings
-from gateway.robot.spi.uart import SerialUart
 from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.telemetry import ServoTelemetry, Telemetry
 from tests.support.machine_tree import MachineTree
@@ -85,16 +84,6 @@ def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: 
     if verdict != "ok" or terminal.robot.gateway_runs:
         assert list(results(wire.CONTROLLER[1:], terminal.robot)) == []
         assert terminal.unread() == BYTES
-
-
-def test_a_uart_that_another_program_holds(terminal: Terminal) -> None:
-    other = SerialUart(terminal.path)
-    (held,) = results(wire.CONTROLLER[:1], terminal.robot)
-    assert (held.verdict, held.sentence) == ("failure", f"{terminal.path} is held by another program")
-    assert held.fix.endswith(f"sudo fuser -v {terminal.path}")
-    other.close()
-    (free,) = results(wire.CONTROLLER[:1], terminal.robot)
-    assert free.verdict == "ok"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """`setup` on a folder as the robot's computer: what it writes, what it leaves alone, and in which sentences."""
 
+import datetime as dt
 import re
 import shutil
 import stat
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway import certs
-from gateway.certs import zenoh_files
+from gateway.certs import authority, zenoh_files
 from gateway.errors import ConfigError, GatewayError
 from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_overlay, with_spi, without_console
 from gateway.onboard.setup.configuration import with_value
@@ -19,6 +20,7 @@ from gateway.people.commands import certs as commands
 from tests.unit.onboard.computer import CONFIG_TXT, TEMPLATE, TOML, Computer
 
 ZENOH = "/etc/hexapod-gateway/zenoh"
+ROBOTS_FILES = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")
 STOCK = "# Raspberry Pi OS\n#dtparam=spi=on\ndtoverlay=vc4-kms-v3d\n"
 
 
@@ -107,16 +109,13 @@ def test_the_console_leaves_the_controllers_uart_alone() -> None:
 # ---- a whole run
 
 
-def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_new_pi(computer: Computer) -> None:
     """A dry run states the same changes and makes none; a second run has nothing to change."""
     computer.write(CONFIG_TXT, STOCK)
     before = computer.files()
-    assert computer.set_up(dry=True, framing="plain") == 0
-    promised = capsys.readouterr().out.splitlines()
-    assert computer.files() == before
-    assert computer.systemd.calls == []
-    assert computer.set_up(framing="plain") == 0
-    done = capsys.readouterr().out.splitlines()
+    promised = computer.says(dry=True, framing="plain")
+    assert (computer.files(), computer.systemd.calls) == (before, [])
+    done = computer.says(framing="plain")
     assert done[:-1] == promised[:-1]
     assert done == [
         f'write {TOML}: with spi.framing = "plain"',
@@ -128,8 +127,7 @@ def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> Non
     assert computer.read(TOML) == TEMPLATE.read_text().replace('# framing = "plain"', 'framing = "plain"')
     assert spi_is_on(computer.read(CONFIG_TXT))
     changed = computer.files()
-    computer.set_up()
-    assert capsys.readouterr().out.splitlines() == [
+    assert computer.says() == [
         f'{TOML} states spi.framing = "plain"',
         f"SPI is on in {CONFIG_TXT}, but /dev/spidev0.0 is not there: a reboot is due",
         "the service starts with the reboot",
@@ -138,33 +136,32 @@ def test_a_new_pi(computer: Computer, capsys: pytest.CaptureFixture[str]) -> Non
     assert computer.files() == changed
 
 
-def test_after_the_reboot_it_starts_the_service_and_checks(
-    computer: Computer, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_after_the_reboot_it_starts_the_service_and_checks(computer: Computer) -> None:
     computer.write("/dev/spidev0.0", "")
-    computer.set_up(framing="plain")
-    assert capsys.readouterr().out.splitlines()[-2:] == ["start the service", "(check)"]
+    assert computer.says(framing="plain")[-2:] == ["start the service", "(check)"]
     assert computer.systemd.calls[-1] == "restart hexapod-gateway"
     calls = list(computer.systemd.calls)
-    computer.set_up()
-    assert "the service runs with this setup" in capsys.readouterr().out.splitlines()
+    assert "the service runs with this setup" in computer.says()
     assert computer.systemd.calls == calls
 
 
-def test_another_framing_restarts_the_service(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
-    computer.write(TOML, '# mine\nspi.framing = "plain"\n', 0o640)
-    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled")
-    computer.set_up(framing="length-prefixed")
-    assert computer.read(TOML) == '# mine\nspi.framing = "length-prefixed"\n'
-    assert "restart the service: all legs stop" in capsys.readouterr().out.splitlines()
-
-
-def test_a_restart_that_an_interrupted_setup_left_out(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
-    computer.write(TOML, 'spi.framing = "plain"\n', 0o640)
-    computer.write("/run/hexapod-gateway/gateway.toml", "")
-    computer.systemd.unit("hexapod-gateway", ActiveState="active", UnitFileState="enabled")
-    computer.set_up()
-    assert "restart the service: all legs stop" in capsys.readouterr().out.splitlines()
+@pytest.mark.parametrize(
+    ("state", "files", "options", "line"),
+    [
+        ("active", {}, {"framing": "length-prefixed"}, "restart the service: all legs stop"),
+        ("active", {"/run/hexapod-gateway/gateway.toml": ""}, {}, "restart the service: all legs stop"),
+        ("activating", {"/dev/spidev0.0": ""}, {}, "start the service"),
+    ],
+    ids=["another framing", "an interrupted setup left it out", "it is tried again and again"],
+)
+def test_what_becomes_of_the_service(
+    computer: Computer, state: str, files: dict[str, str], options: dict[str, Any], line: str
+) -> None:
+    for path, text in {TOML: '# mine\nspi.framing = "plain"\n', **files}.items():
+        computer.write(path, text, 0o640)
+    computer.systemd.unit("hexapod-gateway", ActiveState=state, UnitFileState="enabled")
+    assert line in computer.says(**options)
+    assert computer.read(TOML) == f'# mine\nspi.framing = "{options.get("framing", "plain")}"\n'
 
 
 def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
@@ -173,11 +170,11 @@ def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
     computer.busy = "a servo runs"
     before = computer.files()
     with pytest.raises(GatewayError, match="a servo runs, and a restart would stop it: stop the robot"):
-        computer.set_up(framing="plain")
+        computer.says(framing="plain")
     assert computer.files() == before
-    assert computer.set_up(framing="plain", force=True) == 0
+    computer.says(framing="plain", force=True)
     assert computer.systemd.calls[-1] == "restart hexapod-gateway"
-    assert computer.set_up(framing="plain") == 0, "there is nothing to restart it for"
+    computer.says(framing="plain")  # there is nothing to restart it for
 
 
 @pytest.mark.parametrize(
@@ -195,24 +192,21 @@ def test_while_a_servo_runs_nothing_changes(computer: Computer) -> None:
 def test_what_it_rejects_in_a_sentence(computer: Computer, text: str, options: dict[str, Any], fault: str) -> None:
     computer.write(TOML, text or TEMPLATE.read_text(), 0o640)
     with pytest.raises(ConfigError, match=fault):
-        computer.set_up(**options)
+        computer.says(**options)
     assert computer.systemd.calls == []
 
 
-def test_at_a_terminal_it_asks_until_the_answer_is_one(
-    computer: Computer, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_at_a_terminal_it_asks_until_the_answer_is_one(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wire and framing, with what each means; and no question whose answer the file has."""
     answers = ["spi", "hexapod-1.0", "", "plain"]
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda _: answers.pop(0))
-    computer.set_up()
-    said = capsys.readouterr().out
+    said = "\n".join(computer.says())
     assert said.index("Which wire does the controller need?") < said.index("Which framing does the controller need?")
     assert "length-prefixed  the published STM32 firmware" in said
     tables = tomllib.loads(computer.read(TOML))
     assert (tables["spi"], tables["wire"]) == ({"framing": "plain"}, {"name": "hexapod-1.0"})
-    computer.set_up()
+    computer.says()
     assert answers == []
 
 
@@ -223,23 +217,13 @@ def test_nobody_answers(computer: Computer, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", end)
     with pytest.raises(ConfigError, match="nobody answered: use --wire"):
-        computer.set_up()
-
-
-def test_a_service_that_is_tried_again_and_again_is_started(
-    computer: Computer, capsys: pytest.CaptureFixture[str]
-) -> None:
-    computer.write("/dev/spidev0.0", "")
-    computer.write(TOML, 'spi.framing = "plain"\n', 0o640)
-    computer.systemd.unit("hexapod-gateway", ActiveState="activating", UnitFileState="enabled")
-    computer.set_up()
-    assert "start the service" in capsys.readouterr().out.splitlines()
+        computer.says()
 
 
 def test_an_empty_file_is_made_anew(computer: Computer) -> None:
     """A power cut leaves some files empty, or full of zeros."""
     computer.write(TOML, "\0" * 100, 0o640)
-    computer.set_up(framing="plain")
+    computer.says(framing="plain")
     assert tomllib.loads(computer.read(TOML))["spi"] == {"framing": "plain"}
 
 
@@ -248,55 +232,47 @@ def test_a_service_that_does_not_start(computer: Computer) -> None:
     computer.systemd.is_broken = lambda: True
     computer.systemd.journal = "hexapod-gateway: spi.speed_hz is too fast\nsomething else\n"
     with pytest.raises(GatewayError, match=r"hexapod-gateway does not start: spi.speed_hz is too fast; journalctl"):
-        computer.set_up(framing="plain")
+        computer.says(framing="plain")
 
 
-def test_the_elkapod_on_a_pi_5(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_elkapod_on_a_pi_5(computer: Computer) -> None:
     """Its UART is switched on, and freed of console and login."""
     computer.write(CONFIG_TXT, "dtparam=spi=on\n")
     computer.write("/proc/device-tree/model", "Raspberry Pi 5 Model B Rev 1.0\0")
     computer.write("/boot/firmware/cmdline.txt", "console=ttyAMA1,115200 console=tty1 root=PARTUUID=1\n")
     computer.systemd.unit("serial-getty@ttyAMA1.service", ActiveState="active")
-    computer.set_up(wire="elkapod-2025")
+    computer.says(wire="elkapod-2025")
     assert tomllib.loads(computer.read(TOML))["wire"] == {"name": "elkapod-2025"}
     assert overlay_is_on(computer.read(CONFIG_TXT), "uart1-pi5")
     assert computer.read("/boot/firmware/cmdline.txt") == "console=tty1 root=PARTUUID=1\n"
     assert "disable --quiet --now serial-getty@ttyAMA1.service" in computer.systemd.calls
-    capsys.readouterr()
-    computer.set_up(dry=True)
-    assert (
-        "/dev/ttyAMA1 is on in /boot/firmware/config.txt, but is not there: a reboot is due" in capsys.readouterr().out
-    )
+    assert f"/dev/ttyAMA1 is on in {CONFIG_TXT}, but is not there: a reboot is due" in computer.says(dry=True)
 
 
 def test_what_the_former_installer_left(computer: Computer) -> None:
     """Its units would go before the package's; without a package they are what runs."""
     unit = computer.write("/etc/systemd/system/hexapod-gateway.service", "")
     computer.write("/opt/hexapod-gateway/venv-1/bin/hexapod-gateway", "")
-    computer.set_up(framing="plain")
+    computer.says(framing="plain")
     assert unit.exists()
     computer.write("/usr/lib/systemd/system/hexapod-gateway.service", "")
-    computer.set_up()
+    computer.says()
     assert not unit.exists()
     assert not (computer.root / "opt/hexapod-gateway").exists()
     assert "daemon-reload" in computer.systemd.calls
 
 
-def test_the_console(computer: Computer, capsys: pytest.CaptureFixture[str]) -> None:
-    computer.set_up(dry=True, framing="plain", console=True)
-    assert capsys.readouterr().out.splitlines()[-4:-1] == [
+def test_the_console(computer: Computer) -> None:
+    assert computer.says(dry=True, framing="plain", console=True)[-4:-1] == [
         "write /etc/hexapod-console/console.conf",
         "enable hexapod-console.service and hexapod-console.socket: starts with the machine",
         "start the console; a link for a browser: sudo hexapod-gateway console --link",
     ]
-    future = computer.write("/var/lib/hexapod-console/console-8080.json", "")
-    assert future.exists()
-    computer.set_up(framing="plain", console=True)
+    computer.write("/var/lib/hexapod-console/console-8080.json", "")  # it listens
+    computer.says(framing="plain", console=True)
     assert "CONSOLE_OPTIONS=" in computer.read("/etc/hexapod-console/console.conf")
     assert "restart hexapod-console.service" in computer.systemd.calls
-    capsys.readouterr()
-    computer.set_up()
-    assert "the console runs" in capsys.readouterr().out.splitlines()
+    assert "the console runs" in computer.says()
 
 
 # ---- certificates
@@ -304,103 +280,72 @@ def test_the_console(computer: Computer, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture(scope="module")
 def people(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of certificates: the first robot, a second one, and a laptop."""
+    """A folder of certificates: the first robot, a second one, a laptop, and another authority."""
     folder = tmp_path_factory.mktemp("people") / "certs"
     certs.folder.init(folder, ["robot.local"])
     certs.folder.issue(folder, "robot-2", "robot", hosts=["robot-2.local"], bundle=folder / "robot-2.zip")
     certs.folder.issue(folder, "anna", "operator", bundle=folder / "anna.zip")
+    (folder / "other.pem").write_bytes(authority.make_ca(dt.datetime.now(dt.UTC)).certificate_pem())
     return folder
 
 
 @pytest.mark.parametrize("source", [".", "robot-2", "robot-2.zip"])
-def test_certificates_come_at_any_time(
-    computer: Computer, people: Path, source: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    computer.set_up(framing="plain")
-    capsys.readouterr()
-    computer.set_up(certs=people / source)
-    said = capsys.readouterr().out
-    assert ("has ca.key" in said) == (source == ".")
+def test_certificates_come_at_any_time(computer: Computer, people: Path, source: str) -> None:
+    computer.says(framing="plain")
+    said = computer.says(certs=people / source)
+    assert any("has ca.key" in line for line in said) == (source == ".")
     assert tomllib.loads(computer.read(TOML))["zenoh"]["config"] == f"{ZENOH}/gateway.json5"
-    for name in ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5"):
+    for name in ROBOTS_FILES:
         assert stat.S_IMODE((computer.root / ZENOH.lstrip("/") / name).stat().st_mode) == 0o640
-    computer.set_up(certs=people / source)
-    again = capsys.readouterr().out.splitlines()
+    again = computer.says(certs=people / source)
     assert not [line for line in again if line.startswith("write ")]
     assert f"{ZENOH}/gateway.pem is the same" in again
 
 
-def _of_a_laptop(folder: Path, people: Path) -> None:
-    for name in ("gateway.key", "ca.pem", "gateway.json5"):
-        (folder / name).write_bytes((people / name).read_bytes())
-    (folder / "gateway.pem").write_bytes((people / "anna.pem").read_bytes())
-
-
-def _of_two_robots(folder: Path, people: Path) -> None:
-    for name in ("gateway.key", "ca.pem", "gateway.json5"):
-        (folder / name).write_bytes((people / name).read_bytes())
-    (folder / "gateway.pem").write_bytes((people / "robot-2/gateway.pem").read_bytes())
-
-
-def _of_two_authorities(folder: Path, people: Path) -> None:
-    certs.folder.init(folder, ["robot.local"])
-    (folder / "ca.pem").write_bytes((people / "ca.pem").read_bytes())
-
-
-def _unzipped(folder: Path, people: Path) -> None:
-    (folder / "anna.pem").write_bytes((people / "anna.pem").read_bytes())
-
-
 @pytest.mark.parametrize(
-    ("make", "fault"),
+    ("files", "fault"),
     [
         (
-            _of_a_laptop,
+            {**dict.fromkeys(ROBOTS_FILES, "."), "gateway.pem": "anna.pem"},
             "is the certificate of anna, role operator; a robot needs its own files: make them where ca.key",
         ),
-        (_of_two_robots, "is not the key of its gateway.pem"),
-        (_of_two_authorities, "is of another authority than its ca.pem"),
-        (_unzipped, "has no gateway.pem .*It has the certificate of anna, role operator"),
-        (lambda folder, _: folder.rmdir() or folder.write_text("no zip"), "is neither a folder nor a zip"),
+        ({**dict.fromkeys(ROBOTS_FILES, "."), "gateway.pem": "robot-2/gateway.pem"}, "not the key of its gateway.pem"),
+        ({**dict.fromkeys(ROBOTS_FILES, "robot-2"), "ca.pem": "other.pem"}, "is of another authority than its ca.pem"),
+        ({"anna.pem": "anna.pem"}, "has no gateway.pem .*It has the certificate of anna, role operator"),
+        ("anna.pem", "is neither a folder nor a zip"),
+        ("anna.zip", r"anna\.zip has no gateway\.pem.*It has the certificate of anna, role operator"),
     ],
+    ids=["a laptop's", "of two robots", "of two authorities", "unzipped", "no zip", "a laptop's zip"],
 )
 def test_others_certificates_are_rejected_before_anything_changes(
-    computer: Computer, people: Path, tmp_path_factory: pytest.TempPathFactory, make: object, fault: str
+    computer: Computer, people: Path, tmp_path_factory: pytest.TempPathFactory, files: dict[str, str] | str, fault: str
 ) -> None:
-    folder = tmp_path_factory.mktemp("other")
-    make(folder, people)  # type: ignore[operator]
-    computer.set_up(framing="plain")
+    """What stands at each name: a file, or that of the same name in a folder."""
+    given = people / files if isinstance(files, str) else tmp_path_factory.mktemp("other")
+    for name, source in files.items() if isinstance(files, dict) else ():
+        found = people / source
+        shutil.copy(found / name if found.is_dir() else found, given / name)
+    computer.says(framing="plain")
     before = computer.files()
     with pytest.raises(ConfigError, match=fault):
-        computer.set_up(certs=folder)
+        computer.says(certs=given)
     assert computer.files() == before
 
 
-def test_a_laptops_zip_in_a_robots_place(computer: Computer, people: Path) -> None:
-    with pytest.raises(
-        ConfigError, match=r"anna\.zip has no gateway\.pem.*It has the certificate of anna, role operator"
-    ):
-        computer.set_up(framing="plain", certs=people / "anna.zip")
-
-
-def test_an_unedited_zenoh_file_gets_new_access_rules(
-    computer: Computer, people: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unedited_zenoh_file_gets_new_access_rules(computer: Computer, people: Path) -> None:
     """An edited one stays, whatever comes."""
-    computer.set_up(framing="plain", certs=people)
+    computer.says(framing="plain", certs=people)
     made = computer.read(f"{ZENOH}/gateway.json5")
     older = zenoh_files.marked(made.partition("// `setup`")[0].replace("hexapod/reset", "hexapod/older").encode())
     file = computer.root / ZENOH.lstrip("/") / "gateway.json5"
     file.write_bytes(older)
     assert zenoh_files.is_unedited(older)
-    computer.set_up()
+    computer.says()
     assert computer.read(f"{ZENOH}/gateway.json5") == made
     edited = made.replace("7447", "7448")
     file.write_text(edited)
-    capsys.readouterr()
-    computer.set_up(certs=people)
+    assert f"keep {ZENOH}/gateway.json5, which somebody has edited" in computer.says(certs=people)
     assert computer.read(f"{ZENOH}/gateway.json5") == edited
-    assert f"keep {ZENOH}/gateway.json5, which somebody has edited" in capsys.readouterr().out.splitlines()
 
 
 def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
@@ -408,8 +353,7 @@ def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
 ) -> None:
     """By `init`, `issue` and `renew`: the files that it names, by its `setup` command."""
     folder = tmp_path / "made"
-    computer.set_up(framing="plain")
-    capsys.readouterr()
+    computer.says(framing="plain")
     second: dict[str, Any] = {"directory": folder, "host": ["robot-2.local"], "bundle": Path("robot-2.zip")}
     steps: dict[str, Callable[[], None]] = {
         "init": lambda: commands.init(["robot.local"], directory=folder),
@@ -431,6 +375,5 @@ def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
         for each in copied[1].split():
             if Path(each) != Path(taken[1]):
                 shutil.copy(each, home / copied[2])
-        computer.set_up(certs=Path(taken[1]))
-        assert "(check)" in capsys.readouterr().out.splitlines(), name
+        assert "(check)" in computer.says(certs=Path(taken[1])), name
     assert certs.folder.hosts_of(computer.root / "etc/hexapod-gateway/zenoh/gateway.pem") == ["robot-3.local"]

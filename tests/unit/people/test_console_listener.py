@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
-from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth, SignedIn, proof
-from gateway.people.console.server.listener import MAX_CONNECTIONS, READ_BYTES, UNKNOWN_BYTES, HttpListener, WebSocket
+from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import Sessions, SignIn
 from gateway.people.console.server.site import Site
 
@@ -84,14 +83,6 @@ async def stand(tmp_path: Path) -> AsyncIterator[Stand]:
         await asyncio.gather(serving, return_exceptions=True)
 
 
-async def test_one_request_for_each_connection(stand: Stand) -> None:
-    request = "GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n"
-    answer = await stand.ask(request)
-    assert answer.startswith(b"HTTP/1.1 403 ")
-    assert b"Connection: close" in answer
-    assert (await stand.ask(request * 3)).count(b"HTTP/1.1") == 1, "what comes behind a request is not answered"
-
-
 @pytest.mark.parametrize(
     "request_text",
     [
@@ -111,24 +102,6 @@ async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text
     except ConnectionError:
         return
     assert not answer or answer.split()[1] in (b"400", b"403", b"405", b"414", b"431")
-
-
-async def test_bytes_that_come_one_by_one_are_bounded(stand: Stand) -> None:
-    reader, writer = await asyncio.open_connection(*stand.address[:2])
-    ended = asyncio.create_task(reader.read())
-    sent, reads = 0, UNKNOWN_BYTES // READ_BYTES
-    while not ended.done() and sent < 10 * reads:
-        writer.write(b"G")
-        sent += 1
-        await asyncio.sleep(0.001)
-    await asyncio.gather(ended, return_exceptions=True)
-    assert sent < 10 * reads
-    writer.close()
-
-
-async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listener, "UNKNOWN_S", 0.1)
-    assert await stand.ask("GET / HTTP/1.1\r\n") == b""
 
 
 async def test_who_comes_ends_the_oldest(stand: Stand) -> None:

@@ -70,31 +70,22 @@ async def robot() -> AsyncIterator[Robot]:
     await turns()
 
 
-async def test_a_press_is_asked_at_once_and_confirmed(robot: Robot) -> None:
+async def test_a_press_is_asked_at_once_and_again_until_it_is_answered(robot: Robot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Page()
     stops.press(page, 7, "anna (page 1)")
     assert [(message.answered, message.attempts) for message in page.heard] == [(False, 0)]
-    await turns()
-    await robot.answer(0)
-    assert (page.heard[-1].answered, page.heard[-1].stop_frames, page.heard[-1].attempts) == (True, 6, 1)
-    assert len(robot.requests) == 1, "nobody waits any more"
-    assert not stops.unconfirmed
-
-
-async def test_it_is_asked_again_until_it_is_answered(robot: Robot) -> None:
-    stops, page = Stops(robot.estop, send_stopping), Page()
-    stops.press(page, 7, "anna (page 1)")
     for number in range(5):
         await turns()
         assert len(robot.requests) == number + 1
         await robot.fail(number)
-        assert (page.heard[-1].answered, page.heard[-1].attempts) == (False, number + 1)
-        assert page.heard[-1].error == "no answer"
+        newest = page.heard[-1]
+        assert (newest.answered, newest.attempts, newest.error) == (False, number + 1, "no answer")
         assert stops.unconfirmed
         await asyncio.sleep(AGAIN_S)
     await turns()
     await robot.answer(5)
-    assert page.answered() == [7]
+    assert (page.answered(), page.heard[-1].stop_frames, page.heard[-1].attempts) == ([7], 6, 6)
+    assert (len(robot.requests), stops.unconfirmed) == (6, False), "nobody waits any more"
 
 
 async def test_a_press_outlives_its_page(robot: Robot) -> None:

@@ -21,7 +21,7 @@ from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
 from tests.support.published import event, state
-from tests.unit.people.test_console_telemetry import OpenPage
+from tests.unit.people.test_console_pages import OpenPage
 
 MS = 1_000_000
 STOPPED = Ack(accepted=True, stop_frames=6, latency_us=812.4, estop=5)

@@ -13,7 +13,7 @@ import pytest
 from gateway import certs
 from gateway.certs import authority
 from gateway.certs.files import read_certificate, read_key
-from gateway.people.client.diagnosis import Stage, look, validity
+from gateway.people.client.diagnosis import Stage, diagnose, validity
 from gateway.people.client.requests import Identity
 from gateway.people.commands import why
 
@@ -51,7 +51,7 @@ def test_a_certificate_and_a_clock(now: dt.datetime, said: str, fix: str) -> Non
 
 @pytest.mark.parametrize("endpoint", ["tls/[2001:db8::7]:7447", "quic/robot:7447", "robot:7447", "tls/robot"])
 def test_what_is_not_dialled_is_reported_at_once(endpoint: str) -> None:
-    (finding,) = look(endpoint, Identity(), time.monotonic() + 1)
+    (finding,) = diagnose(endpoint, Identity(), time.monotonic() + 1)
     assert finding.stage is Stage.ENDPOINT
     assert finding.fix
 
@@ -83,7 +83,7 @@ def test_a_robot_with_a_wrong_certificate(role: str, sentence: str, fix: str, tm
 
         threading.Thread(target=shake_hands, daemon=True).start()
         identity = Identity(tmp_path / "anna.pem", tmp_path / "anna.key", tmp_path / "ca.pem")
-        *_, last = look(f"tls/127.0.0.1:{robot.getsockname()[1]}", identity, time.monotonic() + 10)
+        *_, last = diagnose(f"tls/127.0.0.1:{robot.getsockname()[1]}", identity, time.monotonic() + 10)
     assert last.sentence == sentence
     assert fix in last.fix
 

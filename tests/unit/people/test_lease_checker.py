@@ -3,7 +3,7 @@
 import base64
 import datetime as dt
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,6 +35,7 @@ OTHER_CA = authority.make_ca(NOW)
 ANNA = authority.make_leaf(CA, "operator", "anna", (), 30, NOW)
 BERT = authority.make_leaf(CA, "operator", "bert", (), 30, NOW)
 CHECKER = ProofChecker([CA.certificate])
+SIGNED = ANNA.certificate.tbs_certificate_bytes
 
 
 def pem(certificate: x509.Certificate) -> str:
@@ -56,17 +57,11 @@ def proof(
 
 def own_certificate(key: Any, name: x509.Name, **changes: Any) -> x509.Certificate:
     """What somebody's own tools make with this gateway's CA."""
-    given_changes = {"start": NOW - DAY, "end": NOW + DAY, "issuer": CA, **changes}
-    return (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(given_changes["issuer"].certificate.subject)
-        .public_key(key.public_key())
-        .serial_number(7)
-        .not_valid_before(given_changes["start"])
-        .not_valid_after(given_changes["end"])
-        .sign(given_changes["issuer"].key, hashes.SHA256())
-    )
+    issuer = changes.get("issuer", CA)
+    made = x509.CertificateBuilder().subject_name(name).issuer_name(issuer.certificate.subject)
+    made = made.public_key(key.public_key()).serial_number(7)
+    made = made.not_valid_before(changes.get("start", NOW - DAY)).not_valid_after(NOW + DAY)
+    return made.sign(issuer.key, hashes.SHA256())
 
 
 def name_of(role: str, person: str) -> x509.Name:
@@ -118,63 +113,51 @@ def test_who_may_watch_with_a_hand_on_a_stop_and_under_which_names(
 
 SELF_SIGNED = ec.generate_private_key(ec.SECP256R1())
 ED = ed25519.Ed25519PrivateKey.generate()
+OPERATOR = name_of("operator", "anna")
+
+
+def issued(
+    role: str = "operator", ca: authority.KeyPair = CA, now: dt.datetime = NOW, hosts: Sequence[str] = ()
+) -> Proof:
+    return proof(authority.make_leaf(ca, role, "" if hosts else "anna", hosts, 30, now))
+
+
+def by_own_tools(name: x509.Name = OPERATOR, key: Any = ANNA.key, **changes: Any) -> Proof:
+    return proof(certificate=pem(own_certificate(key, name, **changes)))
+
+
+def armoured(text: str) -> Proof:
+    return proof(certificate=f"-----BEGIN CERTIFICATE-----\n{text}\n-----END CERTIFICATE-----\n")
+
+
+UNSIGNED, FORGED = "is not signed by this gateway's CA", "proof.signature is not made"
+NO_OPERATOR, NO_PEM = "not that of an operator", "no X.509 certificate in PEM form"
 BAD: dict[str, tuple[Callable[[], Proof], str]] = {
-    "another verb's": (lambda: proof(do="ask"), "proof.signature is not made"),
-    "another nonce's": (lambda: proof(nonce="f" * 32).model_copy(update={"nonce": NONCE}), "proof.signature"),
+    "another verb's": (lambda: proof(do="ask"), FORGED),
+    "another nonce's": (lambda: proof(nonce="f" * 32).model_copy(update={"nonce": NONCE}), FORGED),
     "another person's name": (lambda: proof(BERT), "source is not the person"),
-    "another person's key": (lambda: proof(BERT, certificate=pem(ANNA.certificate)), "proof.signature is not made"),
-    "another CA's": (
-        lambda: proof(authority.make_leaf(OTHER_CA, "operator", "anna", (), 30, NOW)),
-        "is not signed by this gateway's CA",
-    ),
+    "another person's key": (lambda: proof(BERT, certificate=pem(ANNA.certificate)), FORGED),
+    "another CA's": (lambda: issued(ca=OTHER_CA), UNSIGNED),
     "one that only names the CA": (
-        lambda: proof(
-            certificate=pem(
-                own_certificate(
-                    SELF_SIGNED,
-                    name_of("operator", "anna"),
-                    issuer=authority.KeyPair(CA.certificate, SELF_SIGNED),
-                )
-            )
-        ),
-        "is not signed by this gateway's CA",
+        lambda: by_own_tools(key=SELF_SIGNED, issuer=authority.KeyPair(CA.certificate, SELF_SIGNED)),
+        UNSIGNED,
     ),
-    "the CA itself": (lambda: proof(CA), "not that of an operator"),
-    "an observer's": (
-        lambda: proof(authority.make_leaf(CA, "observer", "anna", (), 9, NOW)),
-        "not that of an operator",
-    ),
-    "the gateway's": (
-        lambda: proof(authority.make_leaf(CA, "gateway", "", ["anna"], 30, NOW)),
-        "not that of an operator",
-    ),
-    "an expired one's": (
-        lambda: proof(authority.make_leaf(CA, "operator", "anna", (), 30, NOW - 31 * DAY)),
-        "expired at",
-    ),
+    "the CA itself": (lambda: proof(CA), NO_OPERATOR),
+    "an observer's": (lambda: issued("observer"), NO_OPERATOR),
+    "the gateway's": (lambda: issued("gateway", hosts=["anna"]), NO_OPERATOR),
+    "an expired one's": (lambda: issued(now=NOW - 31 * DAY), "expired at"),
     "one of tomorrow": (
-        lambda: proof(
-            authority.KeyPair(own_certificate(ANNA.key, name_of("operator", "anna"), start=NOW + DAY / 2), ANNA.key)
-        ),
+        lambda: by_own_tools(start=NOW + DAY / 2),
         "is valid from 2026-11-22 12:00 UTC; the robot's clock states 2026-11-22 00:00",
     ),
-    "without a person": (
-        lambda: proof(certificate=pem(own_certificate(ANNA.key, x509.Name(name_of("operator", "x").rdns[:1])))),
-        "source is not the person",
-    ),
-    "of a key of another kind": (
-        lambda: proof(certificate=pem(own_certificate(ED, name_of("operator", "anna")))),
-        "proof.signature is not made",
-    ),
-    "4 KB of rubbish": (lambda: proof(certificate="x" * 4000), "no X.509 certificate in PEM form"),
-    "rubbish in PEM": (
-        lambda: proof(certificate="-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"),
-        "no X.509 certificate in PEM form",
-    ),
-    "nothing": (lambda: proof(certificate="", signature=""), "no X.509 certificate in PEM form"),
-    "no base64": (lambda: proof(signature=f"§{proof().signature}"), "proof.signature is not made"),
-    "base64 with more in it": (lambda: proof(signature=f"!{proof().signature}"), "proof.signature is not made"),
-    "an empty signature": (lambda: proof(signature=""), "proof.signature is not made"),
+    "without a person": (lambda: by_own_tools(x509.Name(OPERATOR.rdns[:1])), "source is not the person"),
+    "of a key of another kind": (lambda: by_own_tools(key=ED), FORGED),
+    "4 KB of rubbish": (lambda: proof(certificate="x" * 4000), NO_PEM),
+    "rubbish in PEM": (lambda: armoured("AAAA"), NO_PEM),
+    "nothing": (lambda: proof(certificate="", signature=""), NO_PEM),
+    "no base64": (lambda: proof(signature=f"§{proof().signature}"), FORGED),
+    "base64 with more in it": (lambda: proof(signature=f"!{proof().signature}"), FORGED),
+    "an empty signature": (lambda: proof(signature=""), FORGED),
 }
 
 
@@ -200,9 +183,7 @@ def test_of_a_certificate_with_one_bit_changed_only_what_the_ca_signed_is_taken(
     for changed in with_one_bit_changed(pem(ANNA.certificate).encode()):
         fault = CHECKER.fault(made.model_copy(update={"certificate": changed.decode()}), "acquire", "anna", NOW)
         if fault is None:  # the bit has no meaning: how many bits of the signature's last byte are unused
-            assert (
-                x509.load_pem_x509_certificate(changed).tbs_certificate_bytes == ANNA.certificate.tbs_certificate_bytes
-            )
+            assert x509.load_pem_x509_certificate(changed).tbs_certificate_bytes == SIGNED
 
 
 # ---- nonces
@@ -301,24 +282,18 @@ def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(
 def test_who_has_not_is_denied(case: str, sentence: str) -> None:
     desk = Desk()
     nonce = desk.nonce()
-    made: Proof | None = proof(nonce=nonce)
-    if case == "none":
-        made = None
-    elif case == "replayed":
-        desk.claim("acquire", made)
-        desk.requests.clear()
-    elif case == "replayed after it failed":
-        desk.claim("acquire", proof(BERT, nonce=nonce))
-        desk.rejected.clear()
-    elif case == "stale":
-        desk.now_ns += NONCE_NS
-    elif case == "unknown":
-        made = proof()
-    elif case == "forged":
-        made = proof(BERT, nonce=nonce, certificate=pem(ANNA.certificate))
+    made = {
+        "none": None,
+        "unknown": proof(),
+        "forged": proof(BERT, nonce=nonce, certificate=pem(ANNA.certificate)),
+    }.get(case, proof(nonce=nonce))
+    if case.startswith("replayed"):
+        desk.claim("acquire", proof(BERT, nonce=nonce) if "failed" in case else made)
+    desk.now_ns += NONCE_NS if case == "stale" else 0
+    accepted = len(desk.requests)
     desk.claim("acquire", made)
-    assert not desk.requests
-    ((source, reason, detail),) = desk.rejected
+    assert len(desk.requests) == accepted
+    source, reason, detail = desk.rejected[-1]
     assert (source, reason) == ("anna", Reason.LEASE_DENIED)
     assert sentence in detail
 

@@ -1,14 +1,23 @@
 """How a client holds a lease: renewed by itself, lost only by the gateway's word or its silence, never told twice."""
 
+import datetime as dt
+import json
 import threading
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 
-from gateway.errors import DisconnectedError, LeaseError, LeaseLostError
+from gateway import certs
+from gateway.errors import ConfigError, DisconnectedError, LeaseError, LeaseLostError
 from gateway.people.client.lease import Lease
+from gateway.people.client.requests import Identity
 from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Event, Kind, Reason
 from tests.support.published import event
@@ -32,8 +41,6 @@ class Robot:
         self.acquired = deque(acquired or (GRANTED,))
         self.renewed: LeaseAck | None = DONE
         self.released = DONE
-        self.meanwhile: Callable[[], object] = lambda: None
-        """What happens before a release is answered."""
         self.name = "anna's laptop"
         self.carried_lease: Lease | None = None
         self.lease_requests: Any = self
@@ -80,7 +87,6 @@ class Robot:
         del timeout_s
         assert token == TOKEN
         self.note("release" if to is None else f"release to {to}")
-        self.meanwhile()
         return self.released
 
 
@@ -119,15 +125,6 @@ def test_it_renews_by_itself_and_releases_at_the_end() -> None:
     assert (lease.held, lease.token, lease.lost, robot.hears) == (False, None, None, None)
 
 
-def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
-    robot, told = Robot(), Told()
-    with lease_of(robot, told) as lease:
-        robot.renewed = SILENCE
-        assert told.once.wait(LATE_S)
-        assert told.lost[0].reason == Reason.NO_LEASE
-        assert not lease.elsewhere, "the legs may still be ours, and are stopped at a stream's end"
-
-
 @pytest.mark.parametrize("kind", [Kind.LEASE_TAKEN, Kind.LEASE_EXPIRED, Kind.LEASE_RELEASED])
 def test_an_event_only_raises_a_doubt_and_the_gateways_answer_decides(kind: Kind) -> None:
     robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
@@ -162,17 +159,6 @@ def test_who_asks_is_told_and_may_be_handed_it_from_the_callback() -> None:
         with pytest.raises(LeaseError, match="not held"):
             lease.hand_over("bert")
     assert robot.asked[-1] == "release to bert"
-    assert told.lost == []
-
-
-def test_a_renewal_that_crosses_the_hand_over_is_no_loss() -> None:
-    robot, told = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000})), Told()
-    with lease_of(robot, told) as lease:
-        robot.renewed = TAKEN
-        robot.meanwhile = lease.confirm
-        lease.hand_over("bert")
-        assert (lease.held, lease.elsewhere, lease.lost) == (False, True, None)
-        lease.check()
     assert told.lost == []
 
 
@@ -219,9 +205,72 @@ def test_a_client_holds_one_at_a_time() -> None:
         assert robot.asked.count("acquire") == 1
 
 
-def test_nothing_that_can_be_printed_has_the_token() -> None:
+@pytest.mark.parametrize(("renewed", "reason"), [(TAKEN, Reason.NOT_HOLDER), (SILENCE, Reason.NO_LEASE)])
+def test_nothing_that_can_be_printed_of_a_lease_that_is_lost_has_the_token(
+    renewed: LeaseAck | None, reason: Reason
+) -> None:
     robot, told = Robot(), Told()
     with lease_of(robot, told) as lease:
-        robot.renewed = TAKEN
+        robot.renewed = renewed
         assert told.once.wait(LATE_S)
+        assert told.lost[0].reason == reason
         assert TOKEN not in f"{lease} {lease!r} {told.lost[0]!r} {told.lost[0]} {GRANTED!r} {GRANTED}"
+
+
+# ---- who it is: its certificate, and a nonce signed with the key of it
+
+
+NONCE = "0123456789abcdef" * 2
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("certs") / "D"
+    certs.folder.init(made, ["robot.local"])
+    certs.folder.issue(made, "anna", "operator")
+    return made
+
+
+def anna(folder: Path) -> Identity:
+    return Identity(folder / "anna.pem", folder / "anna.key")
+
+
+def test_it_is_the_person_of_the_certificate_that_the_zenoh_file_names(folder: Path) -> None:
+    config = zenoh.Config()
+    assert not Identity.of(config).proves
+    for name, file in (("connect_certificate", "anna.pem"), ("connect_private_key", "anna.key")):
+        config.insert_json5(f"transport/link/tls/{name}", json.dumps(str(folder / file)))
+    found = Identity.of(config)
+    assert (found, found.proves) == (anna(folder), True)
+    assert found.person() == "anna"
+
+
+def test_it_fits_into_a_payload(folder: Path) -> None:
+    request = {"do": "acquire", "source": "a" * 64, "proof": anna(folder).prove("acquire", "a" * 64, NONCE)}
+    assert len(json.dumps(request)) < 2048
+
+
+def test_a_key_that_cannot_sign_is_one_sentence(folder: Path, tmp_path: Path) -> None:
+    key = ec.generate_private_key(ec.SECP256R1())
+    pem = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
+    locked = serialization.BestAvailableEncryption(b"secret")
+    for name, content, said in (
+        ("locked.key", key.private_bytes(*pem, locked), "no unencrypted key"),
+        ("rubbish.key", b"rubbish", "no unencrypted key"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ConfigError, match=said):
+            Identity(folder / "anna.pem", tmp_path / name).prove("ask", "anna", NONCE)
+    with pytest.raises(ConfigError, match="cannot read the key"):
+        Identity(folder / "anna.pem", tmp_path / "absent.key").prove("ask", "anna", NONCE)
+
+
+def test_a_certificate_without_a_person_is_one_sentence(tmp_path: Path) -> None:
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "operator")])
+    made = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
+    now = dt.datetime.now(dt.UTC)
+    made = made.serial_number(1).not_valid_before(now).not_valid_after(now + dt.timedelta(days=1))
+    (tmp_path / "nobody.pem").write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    with pytest.raises(ConfigError, match="names no person"):
+        Identity(tmp_path / "nobody.pem", tmp_path / "nobody.key").person()

@@ -28,7 +28,7 @@ class OnThisLoop(Receiver):
     def not_opened(self, error: Exception) -> None:
         self.calls.append((error,))
 
-    def looked(self, reasons: list[str]) -> None:
+    def diagnosed(self, reasons: list[str]) -> None:
         self.calls.append((reasons,))
 
     def answered(self, client: Client) -> None:
@@ -62,7 +62,7 @@ def test_a_busy_loop_gets_the_newest_state_and_a_bounded_number_of_events() -> N
                 to_loop.received_event(event(Kind.STOPPING, str(number)))
                 to_loop.received_telemetry(Telemetry(time=WALL, age_ms=0.0, tilt_deg=number))
             to_loop.received_token(False)
-            to_loop.looked(["nobody is there"])
+            to_loop.diagnosed(["nobody is there"])
 
         thread = threading.Thread(target=flood)
         thread.start()

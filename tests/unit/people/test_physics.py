@@ -9,53 +9,19 @@ from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.geometry.kinematics import about, rotated
 from gateway.geometry.model import MASSES
+from gateway.host.shared_page import Sensed, SensedPage
+from gateway.model import elkapod
 from gateway.model.calibration import RobotCalibration, ServoMapping
+from gateway.model.elkapod import Measured
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
 from gateway.people.physics.process import MOST_BEHIND_S, WINDOW_S, Pace, Simulated
-from gateway.people.physics.world import World
+from gateway.people.physics.world import Sensors, World
 from gateway.people.walking import Engine, Robot
+from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.robot import SERVO_IDS
-from tests.walking.physics import SINKS_S, SUNK_M, run, stand_up
+from tests.walking.physics import run, stand_up
 
 GEOMETRY = load()
-
-
-def stood_up(world: World) -> Engine:
-    engine = Engine(Robot(GEOMETRY))
-    stand_up(world, engine, GEOMETRY)
-    return engine
-
-
-def stop(world: World) -> None:
-    for servo_id in SERVO_IDS:
-        world.drive(servo_id, None)
-
-
-def touches_the_floor(world: World) -> set[str]:
-    """The names of the links that do."""
-    model = world.model
-    pairs = [world.data.contact[number].geom for number in range(world.data.ncon)]
-    return {model.body(model.geom_bodyid[geom]).name for pair in pairs for geom in pair}
-
-
-def test_it_stands_up_and_without_its_servos_it_sinks() -> None:
-    world = World(GEOMETRY)
-    engine = stood_up(world)
-    standing = world.body()
-    assert standing.position_m[2] == pytest.approx(engine.body.height_m, abs=0.01)
-    assert standing.upright
-    assert all(standing.feet)
-    assert "base" not in touches_the_floor(world)
-    carried_nm = sum(abs(torque_nm) for torque_nm in standing.torques_nm.values())
-    assert carried_nm > 1
-    stop(world)
-    run(world, 0.15)
-    assert world.body().velocity_m_s[2] < -0.1, "it falls"
-    run(world, SINKS_S)
-    fallen = world.body()
-    assert fallen.position_m[2] < SUNK_M
-    assert "base" in touches_the_floor(world), "its legs alone do not carry it"
-    assert set(fallen.torques_nm.values()) == {0.0}
 
 
 @pytest.mark.parametrize("text", ["flat", "slope:10", "slope:-20", "rough:0.02", "step:0.02", "step:-0.1"])
@@ -173,3 +139,41 @@ def test_help_says_the_defaults() -> None:
     assert shown["friction"].startswith(f"{FRICTION}:")
     assert pytest.approx(MASSES.total_kg, abs=0.01) == MASS_KG
     assert shown["terrain"] == str(assumed(None, None, None, None).terrain)
+
+
+# ---- what its sensors feel
+
+
+G = 9.81
+
+
+def standing(terrain: str = "flat") -> tuple[World, Sensors]:
+    world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(terrain)))
+    stand_up(world, Engine(Robot(GEOMETRY)), GEOMETRY)
+    sensors = Sensors(world)
+    run(world, 0.1)
+    return world, sensors
+
+
+def on_the_wire(sensed: Sensed) -> Measured:
+    """What a controller with this body answers: its bytes, read again."""
+    page = SensedPage()
+    page.write(sensed)
+    controller = SimulatedElkapod(clock=lambda: 0, sensed=page)
+    controller.exchange(bytes(elkapod.FRAME_BYTES))
+    return elkapod.measured(controller.exchange(bytes(elkapod.FRAME_BYTES)))
+
+
+def test_between_two_steps_it_feels_what_it_felt() -> None:
+    world = World(GEOMETRY)
+    sensors = Sensors(world)
+    assert sensors.read().linear_acceleration_m_s2 == pytest.approx((0, 0, G))
+    run(world, 0.02)
+    assert sensors.read() == sensors.read()
+
+
+def test_who_carries_more_finds_its_battery_lower() -> None:
+    _, sensors = standing()
+    held = sensors.read()
+    slack = held._replace(torques_nm=(0.0,) * len(SERVO_IDS))
+    assert on_the_wire(held).voltage_v < on_the_wire(slack).voltage_v - 0.05

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.errors import WalkError
+from gateway.errors import RejectedError, WalkError
 from gateway.people.commands.walk import screen
 from gateway.people.console.pages.page_walk import SILENCES as PAGE
-from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, Silences, Velocity, Wish
+from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
 from gateway.people.walking.ride import GIVES_UP_S
 from gateway.people.walking.robot import FEED_S
 from schemas.robot import LEGS
@@ -127,26 +127,6 @@ def test_each_driver_has_the_silences_that_its_docs_state() -> None:
     assert (screen.KEYS_HOLD_S, screen.KEYS_REST_S) == (0.25, 60.0)
 
 
-def test_it_stands_walks_while_held_stands_when_let_go_and_sits() -> None:
-    pad = held()
-    pad.let_go()
-    pad.until(Posture.STANDING)
-    pad.hold(gait="wave", height_m=0.13)
-    pad.until(Posture.STANDING)
-    pad.run(3.0)
-    state = pad.ridden.ride.state
-    assert (state.posture, state.gait) == (Posture.STANDING, "wave")
-    assert state.height_m == pytest.approx(0.13)
-    pad.hold()
-    pad.run(3.0)
-    assert pad.ridden.ride.state.height_m == pytest.approx(ROBOT.usual_m)
-    pad.hold(sits=True)
-    pad.run(5.0)
-    assert pad.ridden.ride.over
-    assert not pad.ridden.running
-    assert pad.ridden.ride.detail == ""
-
-
 def test_a_page_that_falls_silent_stands_then_sits_and_its_last_wish_is_not_repeated() -> None:
     pad = held()
     ridden, silent_s = pad.ridden, pad.ridden.now_s
@@ -166,6 +146,7 @@ def test_a_page_that_falls_silent_stands_then_sits_and_its_last_wish_is_not_repe
     assert not ridden.running, "it wakes, with the thumb still on it"
 
 
+@pytest.mark.lengthy
 @given(after_s=st.floats(0.26, 6.5))
 @settings(max_examples=12, deadline=None)
 def test_a_page_that_wakes_goes_on_with_a_new_press_only(after_s: float) -> None:
@@ -215,17 +196,6 @@ def test_after_a_lost_leg_only_a_new_press_goes_on_and_after_an_emergency_stop_i
     assert not pad.ridden.running
 
 
-def test_a_leg_that_is_lost_on_the_way_up_leaves_a_way_that_a_new_press_goes_on_with() -> None:
-    pad = Pad()
-    pad.run(1.5)
-    pad.ridden.stop([3])
-    pad.run(0.4)
-    pad.hold()
-    pad.run(4.0)
-    assert pad.ridden.posture is Posture.STANDING
-    assert -ROBOT.foot_m(1, pad.ridden.sent[-1][1])[2] == pytest.approx(ROBOT.usual_m, abs=0.002)
-
-
 def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
     pad = held()
     pad.ridden.stop([3])
@@ -266,16 +236,6 @@ def test_a_robot_that_has_fallen_is_left_to_the_gateways_watchdog_although_its_d
     assert len(ridden.sent) == sent
 
 
-def test_a_robot_that_leans_for_a_moment_and_is_set_upright_goes_on() -> None:
-    ridden = Ridden(terrain="adapt")
-    for number in range(900):
-        ridden.ride.go(AHEAD if number < 400 else STILL, ridden.now_s)
-        ridden.telemetry = FELL if 300 <= number < 380 or 500 <= number < 580 else None
-        ridden.tick()
-    assert ridden.ride.phase is Phase.RUNS
-    assert ridden.ride.error is None
-
-
 # ---- a power board that feeds one servo after another
 
 
@@ -288,3 +248,136 @@ def test_nothing_moves_before_the_board_has_fed_the_last_servo() -> None:
     ridden.until(lambda: moved(ridden, first), 3 * FEED_S)
     assert ridden.now_s - last_s == pytest.approx(FEED_S, abs=3 * TICK_S)
     ridden.until(lambda: ridden.posture is Posture.STANDING)
+
+
+# ---- to the second and to the number: what each silence does at its time and just behind it
+
+
+BEHIND_S: Final = 2**-10
+"""A time just behind another one: of numbers that a float holds exactly."""
+
+
+# ---- how it begins
+
+
+def test_a_servo_that_is_still_on_its_way_to_where_it_starts_keeps_the_robot_from_standing_up() -> None:
+    ride = Ride(ROBOT)
+    ride.stand(None, 0.0)
+    assert ride.next(0.0).do is RideTask.FIND
+    ride.found(ROBOT, {}, 0.0)
+    for tick in range(1, 60):
+        step = ride.next(tick / 50)
+        assert step.do is RideTask.SEND
+        ride.sent(step.pose, arrived=False)
+    assert (len(step.pose), ride.phase) == (6, Phase.STARTS)
+    ride.sent(step.pose)
+    assert ride.phase is Phase.RUNS
+
+
+# ---- the silences
+
+
+def test_a_press_is_used_up_behind_the_silence_and_not_at_its_end() -> None:
+    ride = Ride(ROBOT, silences=Silences(hold_s=1.0, rest_s=8.0))
+    ride.wish(Wish(3), 4.0)
+    ride.apply_silences(5.0)
+    assert ride.spent == -1
+    ride.apply_silences(5.0 + BEHIND_S)
+    assert ride.spent == 3
+
+
+def test_a_driver_who_presses_nothing_lets_it_sit_down_behind_the_time_and_not_at_its_end() -> None:
+    ride, at_s = standing().ride, 200.0
+    ride.wish(Wish(1), at_s)
+    ride.silences = Silences(idle_s=4.0)
+    ride.apply_silences(at_s + 4.0)
+    assert ride.detail == ""
+    ride.apply_silences(at_s + 4.0 + BEHIND_S)
+    assert "nothing was pressed for 4 s" in ride.detail
+
+
+# ---- wishes
+
+
+def test_a_wish_changes_what_differs_from_the_wish_before_and_nothing_else() -> None:
+    ridden = standing()
+    ride = ridden.ride
+    ride.wish(Wish(1, gait="wave"), ridden.now_s)
+    ridden.run(1.0)
+    assert ride.state.gait == "wave"
+    ride.wish(Wish(2, gait="wave", height_m=0.18), ridden.now_s)
+    ridden.run(1.0)
+    assert ride.body.height_m == pytest.approx(0.18), ride.detail
+    ride.walk_as("ripple", ridden.now_s)
+    ridden.run(1.0)
+    ride.wish(Wish(3, gait="wave", height_m=0.18), ridden.now_s)
+    ridden.run(1.0)
+    assert ride.state.gait == "ripple", "what another part of the program has changed stays"
+
+
+def test_a_wish_for_what_the_legs_cannot_do_uses_its_press_up_and_says_why() -> None:
+    ridden = standing()
+    for press in (4, 5):
+        ridden.ride.wish(Wish(press, height_m=9.0), ridden.now_s)
+        assert ridden.ride.spent == press
+        assert ridden.ride.detail
+    ridden.ride.wish(Wish(6, AHEAD), ridden.now_s)
+    assert ridden.ride.detail == ""
+    assert ridden.ride.body.height_m == pytest.approx(ROBOT.usual_m)
+
+
+def test_a_driver_who_sits_down_has_ended_the_ride_and_a_program_has_not() -> None:
+    """A program may stand up again from there without another start of its legs."""
+    driven, programmed = standing(), standing()
+    driven.ride.wish(Wish(0), driven.now_s)
+    driven.ride.wish(Wish(0, sits=True), driven.now_s)
+    programmed.ride.sit(programmed.now_s)
+    driven.run(4.0)
+    programmed.until(lambda: programmed.posture is Posture.SITTING)
+    programmed.run(0.1)
+    assert (driven.ride.over, programmed.ride.over) == (True, False)
+
+
+# ---- again
+
+
+def test_where_starting_again_failed_the_press_is_used_up_and_the_reason_is_said() -> None:
+    ride = Ride(ROBOT)
+    ride.wish(Wish(2), 0.0)
+    ride.failed(RejectedError("estopped", "engaged"))
+    ride.wish(Wish(3), 1.0)
+    assert ride.wants_again
+    ride.not_again(RejectedError("estopped", "still engaged"))
+    assert (ride.wants_again, ride.spent, ride.detail) == (False, 3, "rejected: estopped: still engaged")
+
+
+def phase_of(ride: Ride) -> Phase:
+    """Now: a checker of types takes an attribute for what it was."""
+    return ride.phase
+
+
+def fallen(rest_s: float, at_s: float) -> Ride:
+    """It stands, and has fallen at this time, right behind a command."""
+    ride = standing().ride
+    ride.silences = Silences(rest_s=rest_s)
+    ride.go(STILL, at_s)
+    ride.apply_silences(at_s)
+    ride._engine.felt = ride._engine.felt._replace(fault="it has fallen")
+    return ride
+
+
+def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
+    ride = fallen(rest_s=1.0, at_s=200.0)
+    ride.apply_silences(201.0)
+    assert not ride.over
+    ride.apply_silences(201.0 + BEHIND_S)
+    assert (ride.over, ride.detail) == (True, "it has fallen")
+
+
+def test_one_that_has_fallen_is_given_up_behind_two_seconds_and_not_at_their_end() -> None:
+    ride = fallen(rest_s=8.0, at_s=200.0)
+    ride.apply_silences(202.0)
+    assert phase_of(ride) is Phase.RUNS
+    ride.apply_silences(202.0 + BEHIND_S)
+    assert phase_of(ride) is Phase.FAILED
+    assert str(ride.error) == "it has fallen"

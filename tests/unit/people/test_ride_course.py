@@ -1,6 +1,7 @@
 """A trajectory's end and its sender's, in virtual time: what was still to come is not followed; the robot sits down."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -72,18 +73,13 @@ def followed(*points: tuple[float, float]) -> Followed:
     return begun
 
 
-def test_legs_start_one_after_the_other_and_the_points_are_followed() -> None:
-    one = followed((1.0, 0.0), (2.0, 0.2)).run(0.2)
-    assert [len(pose) for pose in one.sent[:7]] == [1, 2, 3, 4, 5, 6, 6]
-    one.run(1.3)
-    half = GEOMETRY.servos[11].servo_deg(rad(STOOD)[11] + 0.1)
-    assert one.first_deg == pytest.approx(half, abs=0.3)
-
-
-def test_a_sender_that_is_lost_has_it_sit_down_at_once_and_the_rest_of_its_plan_is_not_followed() -> None:
+@pytest.mark.parametrize("ends", [Course.lose_sender, Course.leave])
+def test_a_sender_that_is_lost_or_leaves_has_it_sit_down_at_once_and_the_rest_of_its_plan_is_not_followed(
+    ends: Callable[[Course, float], None],
+) -> None:
     one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
     here = one.first_deg
-    one.course.lose_sender(one.now_s)
+    ends(one.course, one.now_s)
     one.run(SITS_WITHIN_S)
     assert one.sinks
     assert one.over_s < 1.0 + SITS_WITHIN_S
@@ -95,13 +91,6 @@ def test_a_sender_that_is_lost_behind_its_plans_end_changes_nothing() -> None:
     one.course.lose_sender(one.now_s)
     one.run(9.4)
     assert not one.sinks
-
-
-def test_what_is_released_sits_down_at_once() -> None:
-    one = followed((0.5, 0.0), (50.0, 1.0)).run(1.0)
-    one.course.leave(one.now_s)
-    one.course.leave(one.now_s)
-    assert one.run(SITS_WITHIN_S).over_s < 1.0 + SITS_WITHIN_S
 
 
 @pytest.mark.parametrize(("legs", "seconds"), [((1, 2), 1.0), (tuple(LEGS), 0.06)], ids=["two", "six, three started"])
@@ -152,13 +141,6 @@ def test_what_is_held_early_keeps_the_legs_that_have_started_or_are_being_starte
     one.course.hold(way, 3 * TICK_S)
     one.course.sent(pose)
     assert {tuple(pose) for pose in one.run(1.0).sent[2:]} == {(1, 2, 3)}
-
-
-def test_before_its_first_start_nothing_is_left_to_hold() -> None:
-    one = Followed()
-    one.course.follow(way := plan(0.0, (1.0, 0.0)), 0.0)
-    one.course.hold(way, 0.0)
-    assert not one.course.begun
 
 
 def test_a_plan_for_some_legs_starts_none_of_the_one_before() -> None:

@@ -1,15 +1,19 @@
 """`walk --seconds`, in virtual time: how long it walks, and how it is ended early."""
 
+import math
+from collections import deque
 from collections.abc import Callable
 from typing import Final, cast
 
 import pytest
 
+from gateway.errors import WalkError
 from gateway.people.client.walk import Walk
 from gateway.people.commands.walk.script import AtOnce, EndRequests, go
-from gateway.people.walking import Posture, Velocity, WalkState
+from gateway.people.walking import LONGEST_S, STILL, Distance, Odometry, Posture, Ride, Velocity, WalkState
 from gateway.people.walking.motion import BodyPose
-from tests.support.ridden import Ridden
+from gateway.people.walking.tempo import MOST_M, MOST_RAD, SLEW_M_S2
+from tests.support.ridden import TICK_S, Ridden, standing
 
 AHEAD: Final = Velocity(0.1)
 
@@ -83,3 +87,90 @@ def test_asked_twice_it_is_cut_but_not_while_its_stops_are_sent() -> None:
     other.stops()
     other.ask()
     other.ask()
+
+
+# ---- so many metres ahead, so many radians round
+
+
+def cover(ridden: Ridden, amount: float, *, turns: bool, late: int) -> tuple[float, float]:
+    """What of it is covered when it stands again, and how fast it was; velocities have effect so many ticks late."""
+    distance, begin, fastest = Distance(amount, turns=turns), ridden.ride.state.odometry, 0.0
+    waiting: deque[Velocity] = deque([STILL] * late)
+    while (velocity := distance.next(ridden.ride.state, ridden.now_s)) is not None:
+        waiting.append(velocity)
+        ridden.ride.go(waiting.popleft(), ridden.now_s)
+        ridden.tick()
+        fastest = max(fastest, math.hypot(*ridden.ride.state.scaled))
+    ridden.ride.stand(None, ridden.now_s)
+    ridden.until(lambda: ridden.posture is Posture.STANDING)
+    end = ridden.ride.state.odometry
+    gone_m = math.hypot(end.x_m - begin.x_m, end.y_m - begin.y_m)
+    return (end.heading_rad - begin.heading_rad if turns else math.copysign(gone_m, amount)), fastest
+
+
+@pytest.mark.lengthy
+@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize(
+    ("gait", "amount", "turns"),
+    [("tripod", 0.3, False), ("ripple", -0.05, False), ("wave", 0.1, False), ("tripod", math.pi / 2, True)],
+)
+def test_it_ends_within_half_a_millimetre_or_a_seventh_of_a_degree(
+    gait: str, amount: float, turns: bool, late: int
+) -> None:
+    ridden = Ridden()  # it lies, and stands up first
+    ridden.ride.walk_as(gait, ridden.now_s)
+    covered, fastest = cover(ridden, amount, turns=turns, late=late)
+    assert covered == pytest.approx(amount, abs=0.0025 if turns else 0.0005)
+    assert fastest <= (0.25 if turns else 0.08)
+
+
+def test_nothing_is_far_and_then_it_stands() -> None:
+    assert cover(Ridden(), 0.0, turns=False, late=0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("amount", "turns", "why"),
+    [
+        (200, False, "metres is 200, and at most 20 are taken; are these millimetres"),
+        (-90, True, r"radians is -90, and at most 12.57 are taken; are these degrees"),
+        (math.nan, False, "metres is nan; a distance is a finite number"),
+        (-math.inf, True, "radians is -inf"),
+        (True, False, "metres is True"),
+        ("1", False, "metres is '1'"),
+    ],
+)
+def test_what_is_no_distance_is_rejected(amount: float, turns: bool, why: str) -> None:
+    with pytest.raises(WalkError, match=why):
+        Distance(amount, turns=turns)
+    for most in (MOST_RAD, -MOST_RAD) if turns else (MOST_M, -MOST_M):
+        Distance(most, turns=turns)
+
+
+def test_it_does_not_wait_for_ever_for_a_robot_that_comes_no_nearer() -> None:
+    ride: Ride = standing().ride
+    distance = Distance(1.0, turns=False)
+    now_s = 0.0
+    while now_s <= LONGEST_S:
+        assert distance.next(ride.state, now_s) is not None
+        now_s += TICK_S
+    with pytest.raises(WalkError, match="it has come no nearer for 30 s: it is standing"):
+        distance.next(ride.state, now_s)
+
+
+def at(x_m: float, y_m: float = 0.0, heading_rad: float = 0.0) -> WalkState:
+    return WalkState(Posture.WALKING, "tripod", 0.15, STILL, STILL, "", Odometry(x_m, y_m, heading_rad), ())
+
+
+def test_ahead_is_where_it_looks_and_it_slows_down_gently_before_the_end() -> None:
+    distance = Distance(0.1, turns=False)
+    assert distance.next(at(1.0, 2.0, 1.0), 0.0) == Velocity(forward_m_s=0.08)
+    near = at(1.0 + 0.098 * math.cos(1.0), 2.0 + 0.098 * math.sin(1.0), 1.0)
+    velocity = distance.next(near, 1.0)
+    assert velocity is not None
+    assert velocity.forward_m_s == pytest.approx(math.sqrt(SLEW_M_S2 * 0.002)), "half of what the engine can"
+    assert distance.next(at(1.0 + 0.1 * math.cos(1.0), 2.0 + 0.1 * math.sin(1.0), 1.0), 2.0) is None
+
+
+def test_half_a_millimetre_is_a_distance_and_less_is_none() -> None:
+    assert Distance(0.0005, turns=False).next(at(0.0), 0.0) is not None
+    assert Distance(0.0004, turns=False).next(at(0.0), 0.0) is None

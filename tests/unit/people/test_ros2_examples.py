@@ -7,13 +7,6 @@ import pytest
 from ruamel.yaml import YAML
 
 FOLDER: Final = Path(__file__).parents[3] / "examples/ros2"
-ELKAPOD: Final = {
-    "nav_vel": (10, 0.5),
-    "key_vel": (90, 0.5),
-    "app_vel": (100, 0.5),
-    "joy_vel": (110, 0.5),
-    "emergency_vel": (255, 0.2),
-}
 """Priorities and seconds, as elkapod_core has them."""
 
 
@@ -23,12 +16,6 @@ def mux() -> dict[str, Any]:
     assert found.keys() == {"twist_mux"}
     parameters: dict[str, Any] = found["twist_mux"]["ros__parameters"]
     return parameters
-
-
-def test_twist_mux_has_the_elkapods_priorities(mux: dict[str, Any]) -> None:
-    assert {each["topic"]: (each["priority"], each["timeout"]) for each in mux["topics"].values()} == ELKAPOD
-    assert [each["topic"] for each in mux["locks"].values()] == ["e_stop_lock"]
-    assert all(each["priority"] == 255 for each in mux["locks"].values()), "it stops all"
 
 
 def test_what_twist_mux_publishes_is_what_the_bridge_takes(mux: dict[str, Any]) -> None:

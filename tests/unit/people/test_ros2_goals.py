@@ -50,6 +50,7 @@ def read(goal: Message) -> Followed:
 
 
 WAY: Final = FollowGoal(trajectory((1.0, 0.0), (2.0, 0.4)))
+SEVERAL_DOF: Final = MultiDOFJointTrajectory(points=(object(),))
 
 
 def sent(followed: Followed, now_s: float, behind_rad: float = 0.0) -> GoalProgress:
@@ -123,26 +124,10 @@ def test_feedback_has_the_goals_order_of_joints() -> None:
         (FollowGoal(trajectory((1, 9.0))), goals.INVALID_GOAL, "joint_11 at 9 rad"),
         (FollowGoal(trajectory((1, 0.0), stamp=Time(998))), goals.OLD_HEADER_TIMESTAMP, "over 1.0 s ago"),
         (FollowGoal(trajectory((1, 0.0), stamp=Time(1))), goals.OLD_HEADER_TIMESTAMP, "does its clock agree"),
-        (
-            replace(WAY, path_tolerance=(JointTolerance("joint_21", 0.1),)),
-            goals.INVALID_JOINTS,
-            "a tolerance for 'joint_21'",
-        ),
-        (
-            replace(WAY, goal_tolerance=(JointTolerance("joint_11", math.nan),)),
-            goals.INVALID_GOAL,
-            "tolerance of joint_11 is nan",
-        ),
-        (
-            replace(WAY, goal_tolerance=(JointTolerance("joint_11", -2.0),)),
-            goals.INVALID_GOAL,
-            "tolerance of joint_11 is -2.0",
-        ),
-        (
-            replace(WAY, multi_dof_trajectory=MultiDOFJointTrajectory(points=(object(),))),
-            goals.INVALID_GOAL,
-            "one degree of freedom",
-        ),
+        (replace(WAY, path_tolerance=(JointTolerance("joint_21", 0.1),)), goals.INVALID_JOINTS, "for 'joint_21'"),
+        (replace(WAY, goal_tolerance=(JointTolerance("joint_11", math.nan),)), goals.INVALID_GOAL, "joint_11 is nan"),
+        (replace(WAY, goal_tolerance=(JointTolerance("joint_11", -2.0),)), goals.INVALID_GOAL, "joint_11 is -2.0"),
+        (replace(WAY, multi_dof_trajectory=SEVERAL_DOF), goals.INVALID_GOAL, "one degree of freedom"),
     ],
 )
 def test_why_a_goal_cannot_be_followed(goal: Message, code: int, why: str) -> None:

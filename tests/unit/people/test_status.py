@@ -1,10 +1,28 @@
 """`hexapod-gateway status`: the state in sentences."""
 
+from collections.abc import Iterator, Mapping
+from datetime import timedelta
+
 import pytest
 
+from gateway import certs
+from gateway.people.client.dangers import UNCONFIRMED
+from gateway.people.commands.follow import SILENT_AFTER_NS, NewsLine, StatusChanges
 from gateway.people.commands.status import sentences
-from schemas.telemetry import Battery, ButtonsReport, ControllerReport, LeaseReport, Mode, WireReport
-from tests.support.published import state
+from schemas.telemetry import (
+    Battery,
+    ButtonsReport,
+    CalibrationReport,
+    CertificateReport,
+    ControllerReport,
+    Event,
+    GatewayState,
+    LeaseReport,
+    Mode,
+    PowerReport,
+    WireReport,
+)
+from tests.support.published import NS_PER_MS, WALL, rejected, state
 
 
 @pytest.mark.parametrize("mode", [*Mode, "dancing"])
@@ -36,3 +54,108 @@ def test_a_controller_that_answers_and_its_battery(alive: bool, age_ms: float | 
     assert sentence in found
     assert "Battery: 7.40 V, 80 %." in found
     assert not [line for line in sentences(state()) if line.startswith(("The controller", "Battery"))]
+
+
+# ---- --follow: which lines come of states, events and silence
+
+
+class Followed:
+    """What is printed, 100 ms after each other."""
+
+    def __init__(self) -> None:
+        self.changes = StatusChanges()
+        self.now_ns = 0
+        self.lines: list[NewsLine] = []
+
+    def _take(self, lines: Iterator[NewsLine]) -> list[str]:
+        found = list(lines)
+        self.lines += found
+        return [line.text for line in found]
+
+    def state(self, published: GatewayState | None = None, changed: Mapping[str, object] | None = None) -> list[str]:
+        """A state comes, of a gateway that has been up since the beginning."""
+        self.now_ns += 100 * NS_PER_MS
+        if published is None:
+            published = state(self.now_ns / 1e9)
+        return self._take(self.changes.received_state(published.model_copy(update=changed or {}), self.now_ns, WALL))
+
+    def event(self, published: Event) -> list[str]:
+        return self._take(self.changes.received_event(published, self.now_ns, WALL))
+
+    def token(self, alive: bool) -> list[str]:
+        return self._take(self.changes.received_token(alive, self.now_ns, WALL))
+
+    def look(self, after_ns: int) -> list[str]:
+        self.now_ns += after_ns
+        return self._take(self.changes.poll(self.now_ns, WALL))
+
+    def note(self, text: str) -> list[str]:
+        return self._take(self.changes.note(text, WALL))
+
+
+@pytest.fixture
+def followed() -> Followed:
+    return Followed()
+
+
+X = WireReport(name="x")
+
+
+@pytest.mark.parametrize(
+    ("changed", "lines"),
+    [
+        ({"lease": LeaseReport(holder="anna", held_s=1.0)}, ["anna drives."]),
+        ({"lease": LeaseReport(holder="bert")}, ["bert is handed the lease."]),
+        ({"buttons": ButtonsReport(alive=1, required=2)}, ["Stop buttons: 1 alive, 2 required."]),
+        ({"calibration": CalibrationReport(fault="it is torn")}, ["Nothing can be started: it is torn"]),
+        ({"mode": Mode.ESTOPPED, "estop_source": "bert"}, ["Emergency stop by bert: nothing runs until a reset."]),
+        ({"controller": ControllerReport(alive=True, age_ms=3.0), "wire": X}, ["The controller (x) is alive."]),
+        ({"controller": ControllerReport(alive=False, age_ms=9.0), "wire": X}, ["The controller (x) is SILENT."]),
+        (
+            {"power": PowerReport(interface="can0", alive=False, age_ms=3000.0)},
+            ["Power (can0): does not answer.", UNCONFIRMED],
+        ),
+        (
+            {"certificate": CertificateReport(file="gateway.pem", expires=WALL + timedelta(days=3))},
+            [f"The robot's gateway.pem expires on 2026-01-05, in 2 days; {certs.renewal('gateway')}"],
+        ),
+    ],
+)
+def test_each_change_is_a_line_once(followed: Followed, changed: dict[str, object], lines: list[str]) -> None:
+    followed.state()
+    assert followed.state(changed=changed) == lines
+    assert followed.state(changed=changed) == []
+
+
+def test_no_source_controls_the_terminal(followed: Followed) -> None:
+    followed.event(rejected("\x1b[2Janna", "a\nb"))
+    assert followed.lines[0].plain.endswith(r"command_rejected   \x1b[2Janna: invalid: a\nb")
+
+
+@pytest.mark.parametrize("how", ["its token goes", "nothing comes"])
+def test_a_gateway_that_falls_silent_and_comes_back(followed: Followed, how: str) -> None:
+    assert followed.look(SILENT_AFTER_NS) == [], "none was there yet"
+    followed.state()
+    assert followed.look(SILENT_AFTER_NS) == []
+    silent = ["The gateway is SILENT: what the robot does is not known."]
+    assert (followed.token(alive=False) if how == "its token goes" else followed.look(1)) == silent
+    assert followed.look(SILENT_AFTER_NS) == [], "once"
+    assert followed.token(alive=True)[0].startswith("The gateway publishes again, after ")
+    assert followed.state() == []
+
+
+def test_a_gateway_that_was_started_again(followed: Followed) -> None:
+    followed.state(state(100.0))
+    assert followed.state(state(0.1, started_s=100.0)) == ["The gateway was started again."]
+
+
+def test_an_answer_that_was_overtaken_changes_nothing(followed: Followed) -> None:
+    followed.state(state(10.0))
+    assert followed.state(state(9.9, Mode.ACTIVE, running=True)) == []
+
+
+def test_why_nothing_comes_is_said_once_until_something_does(followed: Followed) -> None:
+    assert followed.note("nobody listens there") == ["nobody listens there"]
+    assert followed.note("nobody listens there") == []
+    followed.state()
+    assert followed.note("nobody listens there") == ["nobody listens there"]

@@ -1,9 +1,13 @@
 """What a terminal shows of a Stop that a key has requested, with the time as an argument; and how a picture is cut."""
 
+from queue import SimpleQueue
+
 import pytest
 from rich.cells import cell_len
 from rich.text import Text
 
+from gateway.errors import DisconnectedError
+from gateway.people.client.confirmed_stop import UntilConfirmed
 from gateway.people.commands.walk.screen import SMALL_ROWS, fitted
 from gateway.people.terminal.stop_status import PATIENCE_NS, SHOWN_NS, Remark, StopStatus
 from schemas.telemetry import Ack
@@ -83,3 +87,74 @@ def test_what_a_small_terminal_shows(columns: int, rows: int, is_bad: bool) -> N
     first = alarm if is_bad and rows < SMALL_ROWS else keys if rows == 1 else "猫 and more"[: columns - 1]
     assert shown[0].rstrip() == first.rstrip()
     assert shown[-1] == (keys if rows > 1 else first)
+
+
+# ---- requested until it is confirmed
+
+
+WRITTEN = Ack(accepted=True, stop_frames=6, latency_us=800.0)
+LATE_S = 10
+
+
+class Gateway:
+    """Answers when the test says so; each request is of another thread."""
+
+    def __init__(self) -> None:
+        self.wanted = True
+        self.requests: SimpleQueue[SimpleQueue[Ack | Exception]] = SimpleQueue()
+        self.noted: SimpleQueue[Ack | Exception] = SimpleQueue()
+        self.stops = UntilConfirmed(self._estop, self._note)
+
+    def asked(self) -> "SimpleQueue[Ack | Exception]":
+        return self.requests.get(timeout=LATE_S)
+
+    def pressed(self) -> "SimpleQueue[Ack | Exception]":
+        self.stops.press()
+        return self.asked()
+
+    def _estop(self) -> Ack:
+        answer: SimpleQueue[Ack | Exception] = SimpleQueue()
+        self.requests.put(answer)
+        outcome = answer.get()
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    def _note(self, outcome: Ack | Exception) -> bool:
+        self.noted.put(outcome)
+        if isinstance(outcome, MemoryError):
+            raise outcome
+        return self.wanted
+
+
+def test_it_is_requested_again_until_it_is_confirmed_whatever_goes_wrong() -> None:
+    gateway = Gateway()
+    gateway.stops.press()
+    faults: list[Ack | Exception] = [
+        MemoryError(),
+        RuntimeError("can't start new thread"),
+        DisconnectedError("no answer"),
+    ] * 2
+    for outcome in (*faults, WRITTEN):
+        gateway.asked().put(outcome)
+        assert gateway.noted.get(timeout=LATE_S) is outcome
+    assert gateway.stops.since_ns is None
+
+
+def test_what_nobody_wants_any_more_is_not_requested_again_and_the_next_press_is() -> None:
+    gateway = Gateway()
+    gateway.wanted = False
+    gateway.pressed().put(DisconnectedError("no answer"))
+    assert isinstance(gateway.noted.get(timeout=LATE_S), DisconnectedError)
+    earlier, later = gateway.pressed(), gateway.pressed()
+    earlier.put(DisconnectedError("no answer"))
+    assert isinstance(gateway.noted.get(timeout=LATE_S), DisconnectedError)
+    later.put(WRITTEN)
+    assert gateway.noted.get(timeout=LATE_S) is WRITTEN, "it was pressed after what nobody wants"
+    first = gateway.pressed()
+    gateway.stops.take_back()
+    assert gateway.stops.since_ns is None
+    second = gateway.pressed()
+    first.put(DisconnectedError("from before the reset"))
+    second.put(WRITTEN)
+    assert gateway.noted.get(timeout=LATE_S) is WRITTEN

@@ -26,7 +26,7 @@ TIMES: dict[tuple[ModuleType, str], float] = {
     (patience, "OTHER_WAY_S"): 0.2,
     (renewal, "RENEWALS"): 3,
     (ride, "START_PAUSE_S"): 0.015,
-    (silence, "LOOK_EVERY_S"): 0.1,
+    (silence, "CHECK_EVERY_S"): 0.1,
     (words, "NEWS_S"): 1.0,
 }
 

@@ -38,6 +38,7 @@ def made(robot_class: type[Robot] = WaitingRobot) -> Robot:
     return robot
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("robot_class", "moved"), [(WaitingRobot, 0), (Robot, 50)])
 async def test_of_fifty_stalls_of_half_a_second_to_ten_none_starts_anything(
     robot_class: type[Robot], moved: int

@@ -73,6 +73,7 @@ def stopped(frames: Sequence[Frame], heard: Iterable[int]) -> set[int]:
     return {servo_id for place in heard for servo_id, _ in frames[place].servos}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("first", [START_11, START_2], ids=["servo", "leg"])
 def test_wherever_up_to_three_transfers_fail_all_stops_are_written_and_executed(framing: Framing, first: Frame) -> None:
@@ -111,6 +112,7 @@ def test_a_frame_that_moves_is_not_tried_again() -> None:
     assert scene.device.seen == on_wire(scene.framing, START_ALL[0]), "what is behind the failed one does not leave"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.3])
 def test_a_stop_that_counts_as_received_was_received_though_transfers_fail_by_chance(share: float) -> None:
     """Behind a part of a preamble it would leave a controller that awaits more than a whole one."""

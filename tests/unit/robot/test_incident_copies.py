@@ -58,6 +58,7 @@ def copied(folder: Path, count: int) -> list[Path]:
     return copies_of(ring)
 
 
+@pytest.mark.lengthy
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("flood", FLOODS)
 async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_incident(

@@ -46,6 +46,7 @@ FLOODS: dict[str, tuple[int, Callable[[Robot, int], None]]] = {
 """How many messages, which made more records than the ring of these settings has slots."""
 
 
+@pytest.mark.lengthy
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("flood", FLOODS)
 async def test_what_precedes_an_incident_is_still_there_after_a_flood(folder: Path, flood: str) -> None:

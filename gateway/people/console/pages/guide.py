@@ -83,8 +83,8 @@ class Guide:
         """Reverse its direction. The servo's middle and its two limits stay where they are on the robot."""
         servo_id, servo = self._under_test()
         low_cdeg, high_cdeg = MAX_ANGLE_CDEG - servo.max_cdeg, MAX_ANGLE_CDEG - servo.min_cdeg
-        turned = servo._replace(inverted=not servo.inverted, min_cdeg=low_cdeg, max_cdeg=high_cdeg)
-        self._change(servo_id, turned)
+        inverted = servo._replace(inverted=not servo.inverted, min_cdeg=low_cdeg, max_cdeg=high_cdeg)
+        self._change(servo_id, inverted)
 
     def lowest_here(self) -> None:
         """Make its angle now the lowest."""

@@ -15,7 +15,7 @@ from schemas.button import ButtonAck
 CHECK_IN_S: Final = 1.0
 """How long a check-in waits for its answer; meanwhile only the page's newest request is kept."""
 NO_TOKEN: Final = "0" * 32
-"""Of no button: the gateway answers `unknown_button`."""
+"""The token of no button: the gateway answers `unknown_button`."""
 
 
 class StopButton:

@@ -21,11 +21,11 @@ from schemas import keys
 from schemas.telemetry import GatewayState
 
 MAX_STEPS: Final = 32
-"""Of one page, that wait; a key that is held jogs ten times a second."""
+"""Most steps of one page that wait: a held key jogs ten times a second."""
 
 
 class PageCalibration:
-    """On the event loop; its steps are taken one after the other."""
+    """The guide of one page, on the event loop. Its steps are taken one after the other."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class PageCalibration:
 
     async def _take(self, step: CalibrateRequest, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:
-            await self._look()
+            await self._refresh()
         guide = self._guide
         if guide is None:
             raise CalibrationError("no calibration has been read yet")
@@ -67,7 +67,7 @@ class PageCalibration:
             return await self._write(step, guide)
         return _on_paper(step, guide)
 
-    async def _look(self) -> list[int]:
+    async def _refresh(self) -> list[int]:
         """Read the calibration in force into the guide. Returns the servos that both this draft and others changed."""
         calibration = calibration_of(await asyncio.to_thread(self._link.client().calibration))
         if self._guide is None:
@@ -95,7 +95,7 @@ class PageCalibration:
         else:
             raise CalibrationError("nothing has changed, so there is nothing to write")
         ack = await self._link.ask(keys.CALIBRATION_CMD, self._signed(payload), again=False)
-        both = await self._look()
+        both = await self._refresh()
         if ack.accepted:
             return f"{done}: revision {guide.in_force.revision}"
         if guide.in_force.revision != revision and step.do != "accept_default":

@@ -23,7 +23,7 @@ from schemas.telemetry import Ack, Reason
 RENEW_S: Final = 1.0
 """How long a renewal waits for its answer."""
 MAX_REQUESTS: Final = 9
-"""Of one page: the one that is being made, and eight that wait."""
+"""Most requests of one page: one under way, and eight that wait."""
 
 
 class PageLease:
@@ -43,10 +43,10 @@ class PageLease:
         """When the page sent its latest request that was granted, and when its latest one was answered, monotonic."""
         self._ttl_s = math.inf
         self._doubted = False
-        """Whether the gateway is asked about it, because it has rejected a command."""
+        """Whether the gateway is being asked about the lease, because it rejected a command."""
 
     def go_on(self) -> None:
-        """The page was opened anew: it learns that it still drives, or gets the lease again if nobody has it."""
+        """After a reload: inform the page that it still drives, or acquire the lease again if nobody has it."""
         if self.mine:
             self.send(LeaseMessage(mine=True, ttl_ms=self._ttl_s * 1000 if self._ttl_s < math.inf else None))
         else:
@@ -106,7 +106,7 @@ class PageLease:
         self.send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
 
     def _lost(self, asked_s: float, before_s: float, **answer: Any) -> None:
-        """It is lost, by the `answer` to a request at `asked_s`; the one before it was answered at `before_s`."""
+        """Record its loss, by the `answer` to a request at `asked_s`; the one before was answered at `before_s`."""
         self.mine = False
         end: LeaseEnd = "taken" if answer.get("holder") else "gateway"
         if asked_s - before_s > self._ttl_s:

@@ -20,7 +20,7 @@ from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCo
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Report, Telemetry
 
 MAX_MESSAGE_BYTES: Final = 8192
-"""Of a message from a page: a payload of at most 4096 (`schemas`), and the fields around it."""
+"""Limit of a message from a page: a payload of at most 4096 (`schemas`), and the fields around it."""
 MAX_ID: Final = 2**53
 
 
@@ -114,7 +114,7 @@ class CommandRequest(Closed):
 
     @property
     def only_stops(self) -> bool:
-        """Whether it starts and sets nothing: then it is accepted at any age, and sent again until it is answered."""
+        """Whether it starts and sets nothing: then it is accepted at any age, and repeated until it is answered."""
         match self.payload:
             case LegsCommand(legs=legs):
                 moves = [setpoint for leg in legs.values() for setpoint in leg.servos]
@@ -135,7 +135,7 @@ class StopAllRequest(Closed):
 
 
 class ResetRequest(Closed):
-    """Leave the emergency stop of this number: the one that the page showed when its user agreed."""
+    """End the emergency stop of this number: the one that the page showed when its user agreed."""
 
     type: Literal["reset"]
     id: Id
@@ -263,7 +263,7 @@ class Hello(Report):
     lying: dict[int, float] = Field(default_factory=dict)
     gaits: tuple[str, ...] = tuple(GAITS)
     last_id: int = 0
-    """Of a page that drives on where the one before it was reloaded: its numbers begin behind this one."""
+    """The last id of the page that was reloaded in this tab: the new page's numbers begin after it."""
 
 
 class StateMessage(Report):

@@ -14,7 +14,7 @@ W = TypeVar("W")
 
 
 class Stops(Generic[W]):
-    """A request that ends without an answer, also by a fault of this program or for want of memory, is repeated."""
+    """Stops of pages. A request that ends without an answer, for any reason, is repeated."""
 
     def __init__(
         self,
@@ -45,7 +45,7 @@ class Stops(Generic[W]):
         self._note(press, None, None)
 
     def leave(self, page: Outgoing) -> None:
-        """The page is gone; its Stops are still requested."""
+        """Record that the page is gone. Its Stops are still requested."""
         self._stop.leave(page)
 
     def _begin(self) -> None:
@@ -72,7 +72,7 @@ class Stops(Generic[W]):
 
 
 def now_ns() -> int:
-    """The running event loop's clock in ns, which a press's times are by."""
+    """The running event loop's clock in ns, used for the times of presses."""
     return round(asyncio.get_running_loop().time() * 1e9)
 
 

@@ -42,17 +42,17 @@ from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Report, Telemetry
 
 MAX_COMMANDS: Final = 16
-"""Of one page, that wait for their acknowledgement."""
+"""Most commands of one page that wait for their acknowledgement."""
 MAX_STOPS: Final = 32
-"""Kinds of Stops of legs and servos, of one page, that wait for theirs."""
+"""Most kinds of Stops of one page that wait for theirs."""
 STOP_LASTS_S: Final = 2.0
-"""How long such a Stop is requested again: later, another client may drive that leg."""
+"""How long such a Stop is repeated: later, another client may drive that leg."""
 PAST_EVENTS: Final = 50
-"""What a page that opens receives of the past."""
+"""Past events that a new page receives."""
 GOES_ON_S: Final = 10.0
-"""How long after a page's end the next one in its tab goes on driving: a reload, which on a phone is one pull."""
+"""How long after a page's end the next page in its tab continues to drive: a reload is one pull on a phone."""
 MAX_NAMES: Final = 50
-"""Of a page that is loaded anew again and again."""
+"""Most names of a page that is reloaded again and again."""
 TELEMETRY_HZ: Final = 8.0
 TELEMETRY_AT_ONCE: Final = 2
 """So at most 10 messages in any second, while the gateway may publish 100: a phone draws each."""
@@ -71,7 +71,7 @@ class Shared:
     stops: Stops[str]
     geometry: Geometry
     terrain: str
-    """Of every page's walk."""
+    """The terrain of every page's walk."""
     new_link: Callable[[], str]
 
 
@@ -107,7 +107,7 @@ class Pages(LinkReceiver):
         return len(self._pages)
 
     def add(self, page: "Page") -> None:
-        """Send it the newest link, events and state, and from now on all that are received."""
+        """Send it the newest link, events and state, and all later ones."""
         self._pages.add(page)
         for message in (self._link, *self._events):
             page.outgoing.put(message)
@@ -116,20 +116,20 @@ class Pages(LinkReceiver):
         page.allow_age(self._max_age_ms)
 
     def remove(self, page: "Page", tab: str = "") -> None:
-        """Send it nothing more; it is closed. `tab`: the session and its tab; empty: the page gave none."""
+        """Send it nothing more: it is closed. `tab`: the session and its tab; empty: the page named none."""
         self._pages.discard(page)
         if tab and page.drives:
             self._left[tab] = page, self._clock_ns()
 
     def former(self, tab: str) -> "Page | None":
-        """The page that drove in this tab just before, for the page that comes after it; None: none did."""
+        """Return the page that drove in this tab just before; None: none did."""
         since_ns = self._clock_ns() - round(GOES_ON_S * 1e9)
         self._left = {name: left for name, left in self._left.items() if left[1] > since_ns}
         page, _ = self._left.pop(tab, (None, 0))
         return page
 
     def next_number(self) -> int:
-        """A page's number, never given twice: by it the gateway keeps the pages' clocks apart."""
+        """Return a new page number, never used twice: the gateway distinguishes the pages' clocks by it."""
         self._opened += 1
         return self._opened
 
@@ -209,10 +209,10 @@ class Page:
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)
         self._wishes = Staleness(WISH_SILENT_S * 1000)
-        """Of wishes for the walk: a later one counts as silence."""
+        """Ages of wishes for the walk: an older wish counts as silence."""
         self._tasks = PageTasks(MAX_COMMANDS, "commands")
         self._leg_stops: dict[tuple[str, str], Stops[dict[str, Any]]] = {}
-        """By their key and payload."""
+        """Stops by key and payload."""
 
     def allow_age(self, max_age_ms: float) -> None:
         """Commands may be as old as the gateway allows (`limits.max_age_ms`; 0: any age).
@@ -224,7 +224,7 @@ class Page:
             self._staleness = Staleness(max_age_ms or math.inf)
 
     def take(self, text: str) -> None:
-        """One message of the page's. Raises EndError for what no page of ours sends."""
+        """Handle one message of the page. Raises EndError for a message that our pages never send."""
         try:
             message = messages.FROM_PAGE.validate_json(text)
         except ValidationError as error:
@@ -245,11 +245,11 @@ class Page:
 
     @property
     def last_id(self) -> int:
-        """The newest number that the page before this one gave a press; 0: there was none."""
+        """The number of the newest press on the page before this one; 0: there was none."""
         return 0 if self._former is None else self._walks.newest_press
 
     def go_on(self) -> None:
-        """Drive on where the page before this one drove. Nothing moves: every press of it is used up."""
+        """Continue the driving of the page before this one. Nothing moves: all its presses are used up."""
         if self._former is not None:
             self._lease.go_on()
 
@@ -325,7 +325,7 @@ class Page:
         return (among or self._staleness).too_old(None, sent_ms, now_ns, now_ns)
 
     def _reject(self, message_id: int | None, key: str, detail: str) -> None:
-        """As too old: by an answer to a command with an id, else by an event."""
+        """Reject it as too old: by an answer if the command has an id, otherwise by an event."""
         if message_id is not None:
             ack = Ack(accepted=False, reason=Reason.STALE, detail=detail)
             self.outgoing.put(messages.AckMessage(id=message_id, took_ms=0.0, ack=ack))
@@ -360,7 +360,7 @@ class Page:
             self.outgoing.put(messages.LinkForMessage(id=message_id, url=url, rows=rows))
 
     def _stop(self, message: messages.CommandRequest, payload: dict[str, Any]) -> None:
-        """Request it until it is answered or its time is over; an answer to a newer request is also an older one's."""
+        """Request it until it is answered or its time is over. An answer to a newer request also answers older ones."""
         kind = (message.key, message.payload.model_dump_json())
         if kind not in self._leg_stops:
             if len(self._leg_stops) >= MAX_STOPS:

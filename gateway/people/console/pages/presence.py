@@ -17,7 +17,7 @@ class GatewayPresence:
         """Record why no session could be opened yet."""
         self.link = LinkMessage(status="gone", detail=self.link.detail or why)
 
-    def looked(self, reasons: Sequence[str]) -> None:
+    def diagnosed(self, reasons: Sequence[str]) -> None:
         """Record why no state is received, one reason for each host."""
         if self.link.status != "connected":
             self.link = LinkMessage(status=self.link.status, detail="\n".join(reasons))

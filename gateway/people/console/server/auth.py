@@ -36,7 +36,7 @@ WEBSOCKET: Final = "/ws"
 NONCE_NS: Final = 10 * NS_PER_S
 """A page opens its WebSocket as soon as it receives the nonce."""
 COOKIE_S: Final = 30 * 24 * 3600
-"""Of a browser's cookie, by the browser's wall clock, which may be set, too; the session itself ends earlier."""
+"""Life of a browser's cookie, by the browser's wall clock, which a person may set. The session ends earlier."""
 PACKED: Final = ".gz"
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
 """The first three move the key of a new session from the address into the browser's storage."""
@@ -66,12 +66,12 @@ class SignedIn:
     entry: Entry
     role: Role
     tab: str = ""
-    """The browser's tab, by a name that it gave itself: the same after a reload. Empty: it gave none."""
+    """The browser's tab, by the name that it gave itself; a reload keeps the name. Empty: it gave none."""
 
 
 @dataclass(frozen=True)
 class PageFile:
-    """A file of the page, and the same by gzip, in memory: no request waits for a disk or takes a descriptor."""
+    """A file of the page, plain and by gzip, in memory: no request waits for a disk or takes a descriptor."""
 
     content: bytes
     packed: bytes

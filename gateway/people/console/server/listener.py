@@ -29,47 +29,47 @@ from gateway.people.console.server.auth import SignedIn
 from gateway.people.console.server.site import UNSENT_BYTES
 
 MAX_CONNECTIONS: Final = 96
-"""But for WebSockets. Each takes one descriptor, and some 100 kB with TLS; a browser opens six for the page's files."""
+"""Most connections without WebSockets. Each takes a descriptor, and 100 kB with TLS; a browser opens six for files."""
 CONNECTIONS_A_SECOND: Final = 50
 """With TLS each takes some 2 ms of the loop, so a flood takes a tenth of a processor."""
 CONNECTIONS_AT_ONCE: Final = 16
-"""Without a pause: two browsers that open a page."""
+"""Connections without a pause: two browsers that open a page."""
 UNKNOWN_BYTES: Final = 65_536
-"""Of one without a session: a request has 1 to 8 kB, since on loopback all consoles' cookies come with it."""
+"""Bytes of a connection without a session. A request has 1 to 8 kB: on loopback it contains all consoles' cookies."""
 READ_BYTES: Final = 1024
-"""What each read counts besides its bytes: a handshake and a request take five, on a bad network some more."""
+"""Bytes that each read counts in addition. A handshake and a request take five reads, on a bad network some more."""
 BYTES_A_SECOND: Final = 262_144
-"""Of one with a session; a page that drives each leg by a message of its own sends 40 000, in 120 reads."""
+"""Bytes of a connection with a session. A page that drives each leg by its own message sends 40 000, in 120 reads."""
 UNKNOWN_S: Final = 5.0
-"""For the handshake, the request and its answer."""
+"""Limit for the handshake, the request and its answer."""
 SIGNED_IN_S: Final = 30.0
-"""For a file of 150 kB, with a session."""
+"""Limit for a file of 150 kB, with a session."""
 CLOSING_S: Final = 1.0
 """The longest wait for the peer to confirm that a connection is closed."""
 ACCEPT_AGAIN_S: Final = 1.0
-"""After a connection could not be accepted, for want of descriptors or memory: meanwhile Stops have them."""
+"""Pause after a connection could not be accepted for lack of descriptors or memory: meanwhile Stops have these."""
 FRAMES_A_SECOND: Final = 300
-"""From one page, control frames too. A page that drives each leg by a message of its own sends 120 setpoints."""
+"""Frames from one page, control frames too. A page that drives each leg by its own message sends 120 setpoints."""
 FRAMES_AT_ONCE: Final = 150
-"""A page whose network stalled for a second sends at once what waited."""
+"""A page whose network stalled for a second sends the waiting frames at once."""
 PING_S: Final = 20.0
 """A page that has sent nothing for this long is pinged, and closed after half as long again."""
 SEND_S: Final = 5.0
 """A page that does not read for this long, while its socket is full, is closed."""
 REASON_BYTES: Final = 123
-"""The room for it in a close frame."""
+"""Room for the reason in a close frame."""
 
 _log: Final = logging.getLogger(__name__)
 _silent: Final = logging.getLogger("gateway.people.console.aiohttp")
-"""aiohttp's log: a traceback for each malformed request."""
+"""Silences aiohttp's log: a traceback for each malformed request."""
 _silent.disabled = True
 
 
 class Connection(web.RequestHandler):
-    """One connection: aiohttp's protocol with bounds on what it receives, and a deadline."""
+    """One connection: aiohttp's protocol with limits on received bytes, and a deadline."""
 
     def __init__(self, server: web.Server, tls: ssl.SSLContext | None, others: "dict[Connection, None]") -> None:
-        """`others`: it stands among them while it is open, the oldest first."""
+        """`others`: all open connections, the oldest first; it adds itself while it is open."""
         self._own_loop = asyncio.get_running_loop()
         super().__init__(
             server,
@@ -124,7 +124,7 @@ class Connection(web.RequestHandler):
             self._deadline = self._own_loop.call_later(until_s, self.abort)
 
     def abort(self) -> None:
-        """Close the connection at once, without sending what waits."""
+        """Close the connection at once, without sending pending data."""
         if self._raw is not None:
             self._raw.abort()
         self._end()
@@ -144,7 +144,7 @@ class Connection(web.RequestHandler):
 
 
 class HttpListener:
-    """Serves these sockets. On the loop of the pages."""
+    """Serves these sockets, on the loop of the pages."""
 
     def __init__(
         self,
@@ -228,7 +228,7 @@ class WebSocket(web.WebSocketResponse):
         self._frames = Allowance(FRAMES_A_SECOND, FRAMES_AT_ONCE)
 
     async def take(self) -> str:
-        """The next text message. Raises ConnectionError once it is closed, and EndError for what no page sends."""
+        """Return the next text message. Raises ConnectionError if closed, EndError for data that no page sends."""
         while True:
             message = await self.receive()
             await asyncio.sleep(0)  # lets the other pages go first

@@ -30,7 +30,7 @@ SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
 """The life of an unused link: others may see the terminal that shows the link."""
 MAX_ENTRIES: Final = 256
-"""Of sessions, and of links; beyond these the oldest are dropped."""
+"""Most sessions, and most links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
 _LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
 
@@ -51,7 +51,7 @@ def clocks() -> Now:
 
 @cache
 def _boot() -> str:
-    """Read once: later a flood of connections may have taken the last descriptor."""
+    """The boot's id, read once: later a flood of connections may have taken the last descriptor."""
     with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     return ""
@@ -64,7 +64,7 @@ class Entry(BaseModel, frozen=True):
     key_sha256: str = ""
     role: Role
     until_s: float
-    """By the time since the boot in which it was written."""
+    """When it ends, by the time since the boot in which it was written."""
 
     def later(self, seconds: float) -> Self:
         """Return the entry with a later end."""
@@ -81,18 +81,18 @@ class SignIn(NamedTuple):
 
 class _Entries(BaseModel, frozen=True):
     url: str = ""
-    """Of the console that runs, or last ran, at this port."""
+    """The URL of the console that runs, or last ran, at this port."""
     door: str = ""
     """What its links begin with, before the token, where they lead to a page without TLS first."""
     role: Role = "observer"
     common_name: str = ""
-    """Of its certificate; empty: it had none."""
+    """The common name of its certificate; empty: it had none."""
     written: Now = Now()
     links: tuple[Entry, ...] = ()
     sessions: tuple[Entry, ...] = ()
 
     def at(self, now: Now) -> Self:
-        """With what has not ended. A reboot ends all links, and sessions go on by the time since that boot."""
+        """The content without ended entries. A reboot ends all links; sessions continue by the time since that boot."""
         links, sessions = self.links, self.sessions
         if now.boot != self.written.boot:
             passed_s = max(0.0, now.wall_s - self.written.wall_s)
@@ -245,7 +245,7 @@ def folder() -> Path:
 
 
 def kept(folder: Path) -> list[Sessions]:
-    """Those of all consoles that began with this folder, the latest first."""
+    """The sessions of all consoles that began with this folder, the latest first."""
     paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
     return [Sessions(folder, int(port)) for path in paths if (port := path.stem.removeprefix("console-")).isdigit()]
 

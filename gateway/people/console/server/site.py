@@ -41,9 +41,9 @@ BACKLOG: Final = 64
 DEAD_MS: Final = 15_000
 """A connection that acknowledges nothing for this long is closed: its page is frozen, or its machine is gone."""
 UNSENT_BYTES: Final = 4096
-"""That wait for one page, in this process and as much in the kernel: some five states."""
+"""Most bytes that wait for one page, in this process and again in the kernel: some five states."""
 RECEIVED_BYTES: Final = 8192
-"""That the kernel keeps of each connection, until this process reads them."""
+"""Most bytes that the kernel keeps of each connection, until this process reads them."""
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def _not_bound(where: str, error: OSError) -> ConfigError | AddressTakenError:
 
 
 def _limit(listening: socket.socket) -> None:
-    """Set what its connections inherit, as far as this system has it."""
+    """Set the options that its connections inherit, if this system has them."""
     for level, option, value in (
         ("SOL_SOCKET", "SO_RCVBUF", RECEIVED_BYTES),
         ("IPPROTO_TCP", "TCP_USER_TIMEOUT", DEAD_MS),

@@ -1,16 +1,134 @@
-"""Links that work once, and the sessions that follow from them."""
+"""How a page and its console show each other that they know the session's key, which neither sends."""
 
+import json
 import os
+import re
 import resource
 import stat
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
+from aiohttp import web
+from multidict import CIMultiDict
+from yarl import URL
 
 from gateway.errors import ConfigError
+from gateway.people.console.server.auth import NONCE_NS, Auth, SignedIn, proof
 from gateway.people.console.server.sessions import LINK_S, SESSION_S, Now, Sessions, SignIn, kept
+from gateway.people.console.server.site import site
 
-URL = "http://127.0.0.1:8080"
+HERE = "http://127.0.0.1:8080"
+
+
+class Visitor:
+    """A browser's requests at the door of a console, in virtual time."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_ns = 100_000_000_000
+        monkeypatch.setattr("gateway.people.console.server.auth.time.monotonic_ns", lambda: self.now_ns)
+        self._sessions = Sessions(folder, 8080)
+        self._sessions.begin(HERE, "operator")
+        self._site = site("127.0.0.1:8080", None, None)
+        self._auth = Auth(self._site, self._sessions, "operator")
+
+    def sign_in(self) -> SignIn:
+        found = self._sessions.exchange(self._sessions.new_link().partition("=")[2])
+        assert found is not None
+        return found
+
+    def follow_link(self, card: str) -> str:
+        """Where a browser goes that opens a link to this card."""
+        link = self._sessions.new_link().removeprefix(HERE)
+        answer = self._auth.answer(URL(f"{link}&card={card}", encoded=True), CIMultiDict({"Host": "127.0.0.1:8080"}))
+        assert isinstance(answer, web.Response)
+        return answer.headers["Location"]
+
+    def get(self, path: str, session: SignIn, **headers: str) -> web.Response | SignedIn:
+        cookie = f"{self._site.cookie}={session.cookie}"
+        return self._auth.answer(URL(path), CIMultiDict({"Host": "127.0.0.1:8080", "Cookie": cookie, **headers}))
+
+    def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
+        """The console's, and its proof."""
+        answer = self.get(f"/session?nonce={mine}", session)
+        assert isinstance(answer, web.Response)
+        assert answer.text is not None
+        found = json.loads(answer.text)
+        assert session.key not in answer.text
+        return found["nonce"], found["proof"]
+
+    def comes_in(self, session: SignIn, shown: str) -> bool:
+        return isinstance(self.get(f"/ws?{shown}", session, Origin=HERE), SignedIn)
+
+
+@pytest.fixture
+def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Visitor:
+    return Visitor(tmp_path, monkeypatch)
+
+
+def hashed(key: str) -> str:
+    return sha256(key.encode()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("card", "behind"),
+    [("cal", "?cal"), ("", ""), ("x%0d%0aSet-Cookie:%20a", ""), ("%C3%A4", ""), ("/evil.example", "")],
+)
+def test_a_link_leads_to_a_card_and_nowhere_else(visitor: Visitor, card: str, behind: str) -> None:
+    assert re.fullmatch(rf"/enter.html{re.escape(behind)}#[\w-]+", visitor.follow_link(card))
+
+
+def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
+    session = visitor.sign_in()
+    nonce, shown = visitor.nonce(session)
+    assert shown == proof(hashed(session.key), f"console mine {nonce}")
+    made = f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
+    assert visitor.comes_in(session, made)
+    assert not visitor.comes_in(session, made), "a nonce serves once"
+
+
+def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:
+    session, other = visitor.sign_in(), visitor.sign_in()
+    made = proof(hashed(session.key), "page ")
+    for shown in (
+        "",
+        "nonce=",
+        "nonce=&proof=",
+        f"nonce=&proof={made}",
+        f"key={session.key}",
+        f"nonce=\u00e4&proof={made}",
+    ):
+        assert not visitor.comes_in(session, shown)
+    for shown in ("\u00e4", "", session.key):
+        nonce, _ = visitor.nonce(session)
+        assert not visitor.comes_in(session, f"nonce={nonce}&proof={shown}")
+    for key, text in (
+        (other.key, "page {}"),
+        (session.key, "console mine {}"),
+        (session.cookie, "page {}"),
+        ("", "page {}"),
+    ):
+        nonce, _ = visitor.nonce(session)
+        assert not visitor.comes_in(session, f"nonce={nonce}&proof={proof(hashed(key), text.format(nonce))}")
+    nonce, shown = visitor.nonce(session, "page")
+    assert not visitor.comes_in(session, f"nonce={nonce}&proof={shown}"), (
+        "the console's own proof is none of the page's"
+    )
+
+
+def test_a_nonce_serves_for_a_short_time(visitor: Visitor) -> None:
+    session = visitor.sign_in()
+    late, early = (
+        f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
+        for nonce, _ in (visitor.nonce(session), visitor.nonce(session))
+    )
+    visitor.now_ns += NONCE_NS - 1
+    assert visitor.comes_in(session, early)
+    visitor.now_ns += 1
+    assert not visitor.comes_in(session, late)
+
+
+# ---- sessions and links
 
 
 class Clock:
@@ -38,12 +156,12 @@ def clock() -> Clock:
 @pytest.fixture
 def sessions(tmp_path: Path, clock: Clock) -> Sessions:
     found = Sessions(tmp_path, 8080, clock)
-    found.begin(URL, "operator")
+    found.begin(HERE, "operator")
     return found
 
 
 def token_of(link: str) -> str:
-    assert link.startswith(f"{URL}/?token=")
+    assert link.startswith(f"{HERE}/?token=")
     return link.partition("token=")[2]
 
 
@@ -59,7 +177,7 @@ def new_session(sessions: Sessions) -> SignIn:
 
 
 def test_a_link_works_once(sessions: Sessions) -> None:
-    sessions.begin(URL, "observer")
+    sessions.begin(HERE, "observer")
     token = token_of(sessions.new_link())
     found = sessions.exchange(token)
     assert found is not None
@@ -72,13 +190,13 @@ def test_a_link_works_once(sessions: Sessions) -> None:
 
 def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
     """A console may not be connected when its certificate is revoked, and later have another."""
-    sessions.begin(URL, "operator", "operator-00")
+    sessions.begin(HERE, "operator", "operator-00")
     session = new_session(sessions)
-    sessions.begin(URL, "operator", "operator-00")
+    sessions.begin(HERE, "operator", "operator-00")
     assert sessions.still_valid(session.entry), "a restart signs nobody out"
-    sessions.begin(URL, "operator", "operator-01")
+    sessions.begin(HERE, "operator", "operator-01")
     assert not sessions.still_valid(session.entry)
-    sessions.begin(URL, "operator", "operator-00")
+    sessions.begin(HERE, "operator", "operator-00")
     assert not sessions.still_valid(session.entry), "it is over for good"
 
 
@@ -86,17 +204,6 @@ def test_a_link_becomes_too_old(sessions: Sessions, clock: Clock) -> None:
     token = token_of(sessions.new_link())
     clock.passes(LINK_S)
     assert sessions.exchange(token) is None
-
-
-def test_a_session_ends(sessions: Sessions, clock: Clock) -> None:
-    token = sign_in(sessions)
-    entry = sessions.cookie(token)
-    assert entry is not None
-    clock.passes(SESSION_S - 1)
-    assert sessions.still_valid(entry)
-    clock.passes(1)
-    assert not sessions.still_valid(entry)
-    assert sessions.cookie(token) is None
 
 
 @pytest.mark.parametrize("step_s", [13 * 3600, -2 * 3600, 30 * 365 * 86400, -30 * 365 * 86400])
@@ -120,7 +227,7 @@ def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
     cookie, token = sign_in(sessions), token_of(sessions.new_link())
     clock.reboots(clock.wall_s + wall_s)
     assert sessions.exchange(token) is None, "how old a link is, nobody knows now"
-    sessions.begin(URL, "operator")
+    sessions.begin(HERE, "operator")
     entry = sessions.cookie(cookie)
     assert (entry is not None) is (lasts_s > 0)
     if entry is not None:
@@ -153,14 +260,14 @@ def test_a_faulty_file_lets_nobody_in(sessions: Sessions, tmp_path: Path, conten
     token = sign_in(sessions)
     (tmp_path / "console-8080.json").write_bytes(content)
     assert sessions.cookie(token) is None
-    sessions.begin(URL, "operator")
+    sessions.begin(HERE, "operator")
     assert sessions.cookie(sign_in(sessions)) is not None
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot write"):
-        Sessions(tmp_path / "file", 8080).begin(URL, "operator")
+        Sessions(tmp_path / "file", 8080).begin(HERE, "operator")
 
 
 def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock) -> None:

@@ -1,18 +1,99 @@
-"""What a page gets of a robot that measures, and of one of which only the whole starts."""
+"""What waits for one page is bounded, and of the state only the newest is sent."""
 
+import asyncio
 import json
+from datetime import UTC, datetime
+from functools import partial
 from typing import Any, cast
 
 import pytest
 
 from gateway import geometry
-from gateway.people.console.pages.outgoing import Outgoing
+from gateway.people.console.pages.outgoing import KEPT_MESSAGES, Outgoing
+from gateway.people.console.pages.page_messages import AckMessage, EventMessage, LinkMessage, Stopping
+from gateway.people.console.pages.page_tasks import EndError, PageTasks
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking import Engine, Robot
 from gateway.people.walking.planning import lying_deg
 from schemas.robot import LEGS
-from schemas.telemetry import Report, Telemetry, WireReport
+from schemas.telemetry import Event, Report, Telemetry, WireReport
 from tests.support.published import WALL, state
+
+
+def event(number: int) -> EventMessage:
+    return EventMessage(
+        event=Event(time=datetime.now(UTC), kind="started", source=None, key=None, reason=None, detail=str(number))
+    )
+
+
+def stopping(number: int, *, answered: bool) -> Stopping:
+    return Stopping(id=number, asked_ms_ago=0.0, answered=answered, attempts=0)
+
+
+async def sent(outgoing: Outgoing) -> list[dict[str, Any]]:
+    return [json.loads(text) for text in await outgoing.wait()]
+
+
+async def test_a_page_that_reads_nothing_costs_a_bounded_amount() -> None:
+    outgoing = Outgoing()
+    for number in range(1000):
+        outgoing.put(event(number))
+        outgoing.put(AckMessage(id=number, took_ms=1.0))
+        outgoing.put(LinkMessage(status="gone", detail=str(number)))
+        outgoing.put(stopping(number % 3, answered=number >= 999))
+        outgoing.put_state(partial(json.dumps, {"type": "state", "number": number}))
+    messages = await sent(outgoing)
+    assert len(messages) == 3 + KEPT_MESSAGES + 1 + 1 + KEPT_MESSAGES
+    assert [message["number"] for message in messages if message["type"] == "state"] == [999]
+    assert [message["detail"] for message in messages if message["type"] == "link"] == ["999"]
+    events = [message for message in messages if message["type"] == "event"]
+    assert [message["event"]["detail"] for message in events] == [
+        str(number) for number in range(1000 - KEPT_MESSAGES, 1000)
+    ]
+    assert [message["left_out"] for message in events] == [1000 - KEPT_MESSAGES, *[0] * (KEPT_MESSAGES - 1)]
+
+
+async def test_the_stop_goes_first() -> None:
+    outgoing = Outgoing()
+    outgoing.put_state(lambda: '{"type": "state"}')
+    outgoing.put(event(1))
+    outgoing.put(AckMessage(id=1, took_ms=1.0))
+    outgoing.put(stopping(7, answered=False))
+    outgoing.put(stopping(7, answered=True))
+    messages = await sent(outgoing)
+    assert [message["type"] for message in messages] == ["stop", "ack", "state", "event"]
+    assert messages[0]["answered"]
+
+
+# ---- what it may have under way
+
+
+@pytest.mark.parametrize(("in_turn", "began"), [(True, [1, 1, 2, 2, 3, 3]), (False, [1, 2, 3, 1, 2, 3])])
+async def test_a_page_has_so_many_tasks_and_its_end_one_more(in_turn: bool, began: list[int]) -> None:
+    """What a page's end requires is never rejected: it releases the lease."""
+    tasks, steps, ended = PageTasks(2, "commands", in_turn=in_turn), list[int](), asyncio.Event()
+
+    async def work(number: int) -> None:
+        steps.append(number)
+        await asyncio.sleep(0)
+        steps.append(number)
+        if number == 3:
+            ended.set()
+
+    for number in (1, 2):
+        tasks.check()
+        tasks.start(work(number))
+    with pytest.raises(EndError, match="2 commands of this page wait for their answers"):
+        tasks.check()
+    tasks.start(work(3))
+    await ended.wait()
+    assert steps == began
+    await asyncio.sleep(0)
+    tasks.check()
+
+
+# ---- of a robot that measures
+
 
 SECOND_NS = 1_000_000_000
 

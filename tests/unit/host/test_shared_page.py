@@ -1,6 +1,6 @@
 """The page between a simulated body and a simulated controller: the newest reading, whole."""
 
-from gateway.host.shared_page import Sensed, SensedPage
+from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 
 
 def sensed(number: float) -> Sensed:
@@ -22,3 +22,14 @@ def test_a_reader_in_another_process_finds_the_newest() -> None:
     for number in (1.0, 2.0, 3.0):
         writer.write(sensed(number))
         assert reader.read() == sensed(number)
+
+
+# ---- about simulated servos
+
+
+def test_another_process_reads_what_was_written() -> None:
+    writer = ServoPage()
+    reader = ServoPage(writer.fd)
+    writer.write(63, 12.25)
+    writer.feed({11, 63})
+    assert (reader.read()[63], reader.fed) == (12.25, frozenset((11, 63)))
