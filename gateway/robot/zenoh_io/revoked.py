@@ -79,7 +79,7 @@ def keep(path: Path, found: "RevocationList") -> None:
     try:
         durable.write_with_mode(path, found.pem, 0o644, prepare=partial(durable.like_the_folder, path))
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the list before stays in force") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the earlier list stays in force") from error
 
 
 def _read(path: Path, cas: "tuple[x509.Certificate, ...]") -> "RevocationList | None":

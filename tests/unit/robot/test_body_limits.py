@@ -41,7 +41,7 @@ def test_with_one_limit_measurements_are_wanted(limit: dict[str, Any]) -> None:
 def test_a_low_battery_starts_nothing_and_what_runs_goes_on() -> None:
     steps = body()
     assert steps.measure(20, battery_v=6.99) == ["announce battery_low"]
-    assert steps.only(Announce).detail == "the battery is at 6.99 V, below 7 V; nothing starts any more"
+    assert steps.only(Announce).detail == "the battery is at 6.99 V, below 7 V; nothing starts until it is charged"
     assert steps.command(30, servo_to(11, "start 90")) == ["rejected 2 battery_low"]
     assert steps.detail == "the battery is below 7 V; nothing starts until it is charged"
     assert steps.command(40, leg_to(3, "set 80")) == ["command 3 set 80", "completed 3"]

@@ -144,7 +144,9 @@ def test_a_name_registers_once_and_the_newer_registration_is_alive_for_as_long_a
     robot.supervisor.buttons._by_token["the first"] = robot.supervisor.buttons._by_token.pop("kitchen")
     robot.oracle.buttons.known["the first"] = robot.oracle.buttons.known.pop("kitchen")
     assert robot.button(10, "register", "kitchen") == REGISTERED
-    assert robot.announced[0].detail.startswith("kitchen is registered as a button, in place of the one of that name")
+    assert robot.announced[0].detail.startswith(
+        "kitchen is registered as a button, and replaces the earlier one of this name"
+    )
     assert robot.running
     assert robot.due_ms == TIMEOUT_MS, "registering is no check-in"
     assert robot.button(11, "alive", "the first", 2) == ["unknown_button"]
@@ -174,7 +176,7 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
     for number in range(6, 10):
         robot.button(1, "alive", f"rogue {number}", 1, holder="the rogue's")
     assert robot.button(2, "register", "rogue 10", holder="the rogue's") == ["button_denied"]
-    assert robot.only(RequestAnswer).detail == "4 buttons of this certificate are alive, and no more are taken"
+    assert robot.only(RequestAnswer).detail == "4 buttons of this certificate are alive, and no more can register"
     assert robot.button(3, "alive", "kitchen", 1, holder="the kitchen's") == ALIVE
     assert robot.button(4, "register", "hall", holder="the hall's") == REGISTERED
 
@@ -191,9 +193,9 @@ def test_two_names_of_one_certificate_are_not_the_two_that_are_required() -> Non
 def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     robot = watched()
     robot.button(1, "register", "stranger", counts=False)
-    assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.only(RequestAnswer).detail.endswith("does not count towards those required (buttons.names)")
     assert robot.button(2, "alive", "stranger", 1) == ALIVE
-    assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.only(RequestAnswer).detail.endswith("does not count towards those required (buttons.names)")
     assert robot.supervisor.buttons.alive == 1
     assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog")
 

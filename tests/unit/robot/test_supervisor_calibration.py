@@ -108,7 +108,7 @@ def test_nothing_that_is_changed_starts_meanwhile() -> None:
     steps = Steps()
     steps.calibrate(0, TURN_32)
     assert steps.command(1, leg_to(3, "start 90")) == ["rejected 2 servo_stopped"]
-    assert steps.detail == "servo 32 is being calibrated; start it once that is kept"
+    assert steps.detail == "servo 32 is being calibrated; start it once the change is saved"
     assert steps.command(2, servo_to(31, "start 90"))[0] == "command 31 start 90"
     assert steps.command(3, servo_to(32, "stop"))[0] == "command 32 stop"
 
