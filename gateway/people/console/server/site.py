@@ -8,7 +8,6 @@ socket unit keeps the port, and passes the sockets as file descriptors from 3 on
 """
 
 import errno
-import ipaddress
 import os
 import shlex
 import socket
@@ -22,6 +21,7 @@ from urllib.parse import urlsplit
 
 from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
+from gateway.endpoints import is_local
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.own_command import this_command
 
@@ -94,7 +94,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     if (certificate is None) != (key is None):
         raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
     if certificate is None or key is None:
-        if not _is_loopback(address):
+        if not is_local(f"tcp/{with_port(address, port)}"):
             raise ConfigError(
                 f"{listen} is reached from other machines, so the console needs TLS: --phone, or --cert and --key\n"
                 "where ca.key is, hexapod-gateway certs issue web --role console --host NAME --dir DIR makes both\n"
@@ -214,12 +214,6 @@ def _checked(descriptor: int) -> socket.socket:
     raise ConfigError(
         f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
     )
-
-
-def _is_loopback(address: str) -> bool:
-    with suppress(ValueError):
-        return address == "localhost" or ipaddress.ip_address(address).is_loopback
-    return False
 
 
 def _tls(certificate: Path, key: Path) -> ssl.SSLContext:
