@@ -47,7 +47,8 @@ class Now(NamedTuple):
 def clocks() -> Now:
     """Return the present times. Outside Linux no boot has an id, and the wall clock counts as the time since it."""
     wall_s = time.time()
-    return Now(_boot(), time.clock_gettime(time.CLOCK_BOOTTIME) if _boot() else wall_s, wall_s)
+    has_boots = _boot() and hasattr(time, "CLOCK_BOOTTIME")
+    return Now(_boot(), time.clock_gettime(time.CLOCK_BOOTTIME) if has_boots else wall_s, wall_s)
 
 
 @cache
