@@ -5,6 +5,7 @@ import secrets
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -81,6 +82,11 @@ def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[in
     """Like `write`, with exactly this mode. Several processes may write: the last wins. Raises OSError."""
     with replacing(path, path.with_name(f".{path.name}.{secrets.token_hex(4)}")) as staged:
         create(staged, data, mode, prepare=prepare)
+
+
+def write_like_the_folder(path: Path, data: bytes, mode: int) -> None:
+    """Like `write_with_mode`. As root, for the folder's owner: a service can go on writing it. Raises OSError."""
+    write_with_mode(path, data, mode, prepare=partial(like_the_folder, path))
 
 
 def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:

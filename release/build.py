@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 UV = str(Path(sys.executable).with_name("uv"))
 """Of the same environment."""
 _GIT = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
-"""Whoever owns the repository."""
+"""The owner of the repository."""
 _VERSION = re.compile(r'^__version__ = "(.*)"$', re.MULTILINE)
 _SOURCES = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "gateway", "schemas")
 
@@ -29,7 +29,7 @@ _SOURCES = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "gateway", "sc
 def version() -> str:
     """The release, with the commit unless that has its tag: 1.1.0+g4aa0d07, or 1.1.0+g4aa0d07.changed.
 
-    Three commits with one version would be hard to tell apart on a robot. Without git it stays 1.1.0.
+    Three commits with one version would look alike on a robot. Without git it stays 1.1.0.
     """
     found = _VERSION.search((ROOT / "gateway/__init__.py").read_text())
     if found is None:
@@ -78,7 +78,7 @@ def _copy_sources(to: Path, released: str, when: int) -> None:
 
 
 def plain_tar(members: dict[str, bytes], when: int, modes: dict[str, int] | None = None) -> bytes:
-    """A tar of these files, which says nothing of the machine that wrote it."""
+    """A tar of these files, without traces of the machine that wrote it."""
     written = io.BytesIO()
     with tarfile.open(fileobj=written, mode="w", format=tarfile.PAX_FORMAT) as archive:
         for name in sorted(members):
@@ -89,7 +89,7 @@ def plain_tar(members: dict[str, bytes], when: int, modes: dict[str, int] | None
 
 
 def run(command: list[str], environment: dict[str, str] | None = None, data: bytes | None = None) -> bytes:
-    """Its standard output. Raises SystemExit with what it said."""
+    """Its standard output. Raises SystemExit with its error output."""
     done = subprocess.run(command, cwd=ROOT, env=environment, input=data, umask=0o022, capture_output=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(command)}:\n{done.stdout.decode()}{done.stderr.decode()}")

@@ -123,7 +123,7 @@ def _walk(variants: list[Node], document: Node, prefix: str) -> Iterator[tuple[s
 
 
 def _operations(variants: list[Node]) -> str:
-    """The words that tell these variants from the others."""
+    """The words that distinguish these variants from the others."""
     tags = [variant["properties"].get("do") or variant["properties"]["op"] for variant in variants]
     return ", ".join(f"`{word}`" for tag in tags for word in tag.get("enum", [tag.get("const")]))
 

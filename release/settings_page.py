@@ -55,7 +55,7 @@ def settings_rows() -> list[tuple[str, ...]]:
             default = "; ".join(f"`{each.speed_hz}` with `{each}`" for each in SpiProtocol)
         if name == "limits.start_stagger_ms":
             default = f"`{START_STAGGER_MS}`; `0.0` with a power board or `{SpiProtocol.ELKAPOD_2025}`"
-        if name == "spi.framing":  # the one that has to be said for a real device
+        if name == "spi.framing":  # required for a real device
             default = f"none; {default} with `--sim`"
         rows.append((f"`{name}`", default, limits(setting), setting.allowed.meaning))
     return rows

@@ -27,7 +27,7 @@ def write_sums(folder: Path, paths: Iterable[Path]) -> Path:
 
 
 def sign(folder: Path, key: Path) -> Path:
-    """SHA256SUMS.sig beside SHA256SUMS."""
+    """SHA256SUMS.sig, in the folder of SHA256SUMS."""
     (folder / SIGNATURE).unlink(missing_ok=True)
     run(["ssh-keygen", "-q", "-Y", "sign", "-f", str(key.absolute()), "-n", NAMESPACE, str((folder / SUMS).absolute())])
     return folder / SIGNATURE

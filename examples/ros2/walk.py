@@ -1,4 +1,4 @@
-"""Walks the robot for some seconds from any ROS 2, over any RMW; beside `hexapod-gateway ros2`.
+"""Walks the robot for some seconds from any ROS 2, over any RMW, with a running `hexapod-gateway ros2`.
 
 python walk.py --ros-args -r __ns:=/hexapod
 """

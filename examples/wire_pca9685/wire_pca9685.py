@@ -28,7 +28,7 @@ OSCILLATOR_HZ, COUNTS = 25_000_000, 4096
 MOST_BYTES = 32
 """Of a block on the bus: eight channels."""
 WAKES_S = 0.0005
-"""After a sleep the oscillator needs so long."""
+"""The oscillator needs this time after a sleep."""
 SHORTEST_US, LONGEST_US = 300, 2700
 """No hobby servo takes a pulse beyond; one at its stop burns."""
 

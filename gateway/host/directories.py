@@ -30,6 +30,12 @@ def runtime_directory() -> Path | None:
     return _named("RUNTIME_DIRECTORY")
 
 
+def users_state() -> Path:
+    """Return the folder for this user's state, outside a service."""
+    given = os.environ.get("XDG_STATE_HOME")
+    return (Path(given) if given else Path.home() / ".local" / "state") / "hexapod-gateway"
+
+
 def _named(variable: str) -> Path | None:
     value = os.environ.get(variable, "").split(":")[0]
     return Path(value) if value else None

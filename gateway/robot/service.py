@@ -208,7 +208,7 @@ def _show_settings(settings: Settings) -> None:
     try:
         effective.write(ForStops(settings.wire, settings.spi, settings.controller, settings.power))
     except (OSError, ValueError) as error:
-        logger.warning("stop-servos by hand cannot read which settings the service uses: %s", error)
+        logger.warning("the settings in use cannot be written for a stop-servos by hand: %s", error)
 
 
 async def _run(
@@ -317,7 +317,7 @@ def _is_kept(state: Path | None) -> bool:
     kind = "" if state is None else forgets(state)
     if kind:
         logger.warning(
-            "%s is on %s, which a boot empties: calibration, revocations and the emergency stop are lost then "
+            "%s is on %s, which a boot empties: calibration, revocations and the emergency stop are then lost "
             "(docs/robot.md)",
             state,
             kind,
@@ -439,10 +439,10 @@ async def _beat(
             at_rest = conductor.supervisor.legs.at_rest
         servos.write(now_ns, any_runs=not at_rest)
         if not inbox.makes_progress():
-            end.because("a thread that takes commands does not go on")
+            end.because("a thread that takes commands is stuck")
             return
         if conductor.supply is not None and not conductor.supply.makes_progress():
-            end.because("the thread that listens to the power board does not go on")
+            end.because("the thread that receives from the power board is stuck")
             return
         notifier.alive()
         due_s = loop.time() + period_s

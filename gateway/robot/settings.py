@@ -254,7 +254,7 @@ def _read(path: Path | None) -> dict[str, Any]:
 
 
 _PROTOCOL: Final = ("spi", "protocol")
-_IN_STATE: Final = "was removed; name its folder with state.path, which has all that outlasts the gateway"
+_IN_STATE: Final = "was removed; name its folder with state.path, the folder for all kept state"
 _REMOVED: Final[Mapping[Place, str]] = {
     ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
     ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
@@ -264,14 +264,14 @@ _REMOVED: Final[Mapping[Place, str]] = {
     ("spi", "avoid_deg"): "was removed; it follows from the framing",
     ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
     ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
-    ("telemetry", "state_hz"): "was removed; the state comes ten times a second",
-    ("telemetry", "rate_hz"): "was removed; what the robot measures comes ten times a second",
+    ("telemetry", "state_hz"): "was removed; the state is published ten times a second",
+    ("telemetry", "rate_hz"): "was removed; telemetry is published ten times a second",
     ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
-    ("log",): "was removed; all from info on is logged, and journalctl -p warning shows only what is worse",
+    ("log",): "was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
     ("watchdog", "repeats"): f"was removed; a Stop is repeated {STOP_REPEATS} times",
-    ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated each {STOP_REPEAT_MS:g} ms",
+    ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated every {STOP_REPEAT_MS:g} ms",
     ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
-    ("power", "cut_on"): "was removed: a Stop takes the supply of what it stops",
+    ("power", "cut_on"): "was removed: a Stop cuts the power of the servos that it stops",
     ("power", "bitrate"): "was removed: the board's bus runs at 1 Mbit/s",
     ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
     ("power", "settle_ms"): "was removed: a stopped servo may draw current for 300 ms",

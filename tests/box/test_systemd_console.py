@@ -101,6 +101,8 @@ def test_console(robot: InstalledGateway) -> None:
         met = json.loads(page.stdout.splitlines()[-1])
         assert "got" not in thief.stdout, thief
     assert met.pop("console") > 2, "a restart signs nobody out"
+    boot = box.read("/proc/sys/kernel/random/boot_id").strip().replace("-", "")
+    assert json.loads(box.read(f"/var/lib/{CONSOLE}/console-8080.json"))["written"][0] == boot, "not by the wall clock"
     assert set(met) <= {"nobody"}, met
 
     pid = unit.property("MainPID")

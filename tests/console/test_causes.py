@@ -93,17 +93,6 @@ def test_a_restarted_gateway_is_the_cause_and_a_phone_is_sent_to_a_person_and_no
         expect(phone["driver"]).to_have_text("nobody")
 
 
-def test_a_console_that_is_closed_or_lost_is_named_to_a_phone_without_commands(robot: Robot, browser: Browser) -> None:
-    with Visitor(browser, robot.console.url, robot.console.sign_in()) as visitor:
-        phone = visitor.open(**PHONE)
-        phone.get_lease()
-        robot.console.close()
-        expect(phone["stop-line"]).to_have_text("NOT CONNECTED: use the switch")
-        expect(phone.said).to_contain_text("You do not drive any more: the con")
-        expect(phone["driver"]).to_have_text("unknown")
-        assert not TYPED.search(phone["stop"].inner_text())
-
-
 def test_who_moves_the_legs_without_the_lease_is_named(visitor: Visitor, gateway: Gateway) -> None:
     page = visitor.open()
     with gateway.client(source="my tripod") as program:

@@ -11,19 +11,18 @@ from tests.hil.bed import SpiTestbed
 from tests.hil.wire import Replay, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings
 
-pytestmark = pytest.mark.hil
+pytestmark = [pytest.mark.hil, pytest.mark.alone]
 
 
 def test_it_passes_and_leaves_nothing_energised(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
     wire = Wire(spi_testbed, Framing.LENGTH_PREFIXED)
-    with start(tmp_path, wire, telemetry={"frames": True}, watchdog={"timeout_ms": 400}) as gateway:
+    with start(tmp_path, wire, telemetry={"frames": True}, watchdog={"timeout_ms": 1000}) as gateway:
         config = write_settings(tmp_path / "stop.toml", settings_for(wire))
-        options = ("--yes", "--late", "70", "--config", str(config), "--connect", gateway.endpoint)
+        options = ("--yes", "--late", "1000", "--config", str(config), "--connect", gateway.endpoint)
         check = wire.bed.spawn([*COMMAND, "check", "--stops", *options])
         assert check.wait(60) == 0, str(check)
-        assert check.stdout.count("PASS ") == len(STEPS) - 4, str(
-            check
-        )  # all but --restart, and those of a power board
+        # All but --restart, and those of a power board.
+        assert check.stdout.count("PASS ") == len(STEPS) - 4, str(check)
         assert "will go to 90° at once" in check.stderr, "it says what moves, also where nobody is asked"
         transfers = wire.bed.transfers
         controller = Replay(wire.framing)

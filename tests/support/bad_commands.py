@@ -9,7 +9,7 @@ from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, ST
 
 OP_RULE = 'it must be "start", "set" or "stop"'
 LEASE_RULE = "lease must be 32 hex digits, a to f in lower case"
-GIVEN_TWICE = "is given twice in one object; which one counts is not clear"
+GIVEN_TWICE = "is given twice in one object; give it once"
 
 
 def leg_with(third: object) -> dict[str, Any]:

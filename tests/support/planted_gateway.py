@@ -69,7 +69,6 @@ def _no_start(_robot: Supervisor, _event: Event, effects: list[Effect]) -> list[
 
 MISTAKES: Final[dict[str, tuple[Callable[[Rules], Supervisor], str]]] = {
     "no watchdog": (_late_watchdog(3_600_000), "silence"),
-    "watchdog late by 100 ms": (_late_watchdog(100), "silence"),
     "watchdog early by 100 ms": (_late_watchdog(-100), "silence"),
     "emergency stop for five legs": (_changed(_five_stops), "estop"),
     "emergency stop late by 150 ms": (_changed(_late_stops), "estop"),

@@ -10,8 +10,14 @@ from typing import Final
 import pytest
 
 ROOT: Final = Path(__file__).parents[2]
-PAGES: Final = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-CODE: Final = sorted(path for home in ("gateway", "schemas") for path in (ROOT / home).rglob("*.py"))
+PAGES: Final = [
+    *sorted(ROOT.glob("*.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "examples").rglob("*.md")),
+]
+CODE: Final = sorted(
+    path for home in ("gateway", "schemas", "examples", "release") for path in (ROOT / home).rglob("*.py")
+)
 PAGE: Final = sorted(
     path
     for path in (ROOT / "gateway/people/console/page").rglob("*")
@@ -57,6 +63,9 @@ INSTEAD: Final = {
     r"no button ever": "The layout never shifts",
     r"what (it|the service|this machine) lacks": "what is missing",
     r"reads? no list|shut out: the archive": "do not check revocations",
+    r"if at all|a Stop of these|names those that|what takes the supply": "Return …, or None if …",
+    r"nothing waits for|foot was then|of an equal share": "(name the thing)",
+    r"means every key|when the gait ended": "addresses all six legs; when something stopped the gait",
 }
 """The words, and what stands in their place."""
 ANY: Final = re.compile("|".join(rf"(?<![\w.])(?:{word})(?![\w=(])" for word in INSTEAD), re.IGNORECASE)

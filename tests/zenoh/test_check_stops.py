@@ -22,18 +22,21 @@ from tests.support.secured import Secured
 
 pytestmark = pytest.mark.full
 
-LATE_MS: Final = 70
-"""For a machine that is busy with other tests; what is planted is later."""
+LATE_MS: Final = 2000
+"""For a machine that is busy with other tests."""
+PLANTED_MS: Final = 70
+"""What is planted is later."""
 FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
 
 
 gateway = gateway_fixture(patient(1000, **FRAMES))
 
 
-def test_it_passes_on_a_robot_that_works(tmp_path: Path) -> None:
+def test_it_passes_on_a_robot_that_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With certificates, and where silence lands the robot before it stops it."""
-    watchdog = {"timeout_ms": 100, "landing_ms": 300}
-    settings = {**FRAMES, "watchdog": watchdog, "watchdog.landing": {"11": 60.0, "31": 60.0}}
+    monkeypatch.setattr(stops, "_ANSWER_MS", LATE_MS)
+    watchdog = {"timeout_ms": 1000, "landing_ms": 300}
+    settings = patient(2000, **FRAMES, watchdog=watchdog, **{"watchdog.landing": {"11": 60.0, "31": 60.0}})
     with Secured(tmp_path, settings) as robot:
         operator = ("--zenoh-config", str(robot.folder / "anna.json5"))
         done = robot.gateway.run("check", "--stops", *operator, "--leg", "3", "--late", str(LATE_MS), "--json")
@@ -57,7 +60,7 @@ def test_a_planted_mistake_fails_its_step(mistake: str, tmp_path: Path, monkeypa
     step = MISTAKES[mistake][1]
     program = (sys.executable, "-m", "tests.support.planted_gateway", mistake)
     with Gateway(tmp_path, FRAMES, program=program) as planted:
-        done = planted.run("check", "--stops", "--late", str(LATE_MS), "--only", step)
+        done = planted.run("check", "--stops", "--late", str(PLANTED_MS), "--only", step)
     assert done.returncode == 1, str(done)
     assert done.stdout.startswith(f"FAIL     {step:14} "), str(done)
 
@@ -107,20 +110,6 @@ def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway)
         assert not any(servo.running for leg in state.legs for servo in leg.servos)
         if state.mode == "estopped":
             assert client.reset().accepted
-
-
-def test_a_robot_that_is_not_at_rest_is_left_alone(gateway: Gateway) -> None:
-    with gateway.client() as client:
-        client.estop()
-        done = gateway.run("check", "--stops")
-        assert done.returncode == 2
-        assert "estopped" in done.stderr
-        assert client.reset().accepted
-        with client.lease():
-            done = gateway.run("check", "--stops")
-        assert done.returncode == 2, str(done)
-        assert "drives, and nothing is moved" in done.stderr
-    assert gateway.run("check", "--stops", "--only", "nonsense").returncode == 2
 
 
 # ---- the step that kills the service (with a real systemd: tests/box/test_check_stops.py)

@@ -92,7 +92,7 @@ def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_g
         assert (found.mode, found.estop) == (Mode.ESTOPPED, 1)
         assert (found.estop_source, found.estop_since, found.estop_fault) == ("anna", since, None)
         assert client.start_leg(3, 90, 90, 90, check=False).reason is Reason.ESTOPPED
-        second.child.wait_for_output("is engaged still")
+        second.child.wait_for_output("is still engaged")
         assert client.ask(keys.RESET, {"estop": 1}).accepted
         until(lambda: not (gateway.state / ESTOP_FILE).exists())
     second.child.kill()

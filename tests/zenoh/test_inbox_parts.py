@@ -8,7 +8,6 @@ import time
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import zenoh
@@ -25,15 +24,18 @@ PATIENCE_S = 20.0
 
 
 class Held:
-    """Takes nothing by itself: what a tick would take is looked at one by one."""
+    """An inbox. `takes`: it takes all that there is whenever it rings; else what a tick would take is looked at."""
 
     def __init__(
         self,
         opened: zenoh.Session,
+        *,
+        takes: bool = False,
         readers: Mapping[str, Reader] | None = None,
         tokens: Mapping[str, TokenCheck] | None = None,
     ) -> None:
         self.wakeups = asyncio.Event()
+        self.taken: list[str] = []
         self.estops: list[Received] = []
         self.estop_received_by: queue.Queue[str] = queue.Queue()
         """The thread of each, by its name."""
@@ -43,13 +45,18 @@ class Held:
             opened,
             self._loop,
             self.owner,
-            on_wakeup=self.wake,
+            on_wakeup=self.tick if takes else self.wake,
             on_estop=self._stop,
             on_state_query=lambda reply: reply(b"{}"),
             readers=readers or {LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
             tokens=tokens or {},
             on_estop_received=lambda: self.estop_received_by.put(threading.current_thread().name),
         )
+
+    def tick(self) -> None:
+        """As owner, on any thread."""
+        self.taken += [received.key for received in self.inbox.take()]
+        self.wake()
 
     def wake(self) -> None:
         self._loop.call_soon_threadsafe(self.wakeups.set)
@@ -142,7 +149,8 @@ async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_
 
     keys = (LEASE, BUTTON)
     before = set(threading.enumerate())
-    held = Held(session, dict.fromkeys(keys, read), dict.fromkeys(keys, lambda _token: True))
+    tokens: dict[str, TokenCheck] = dict.fromkeys(keys, lambda _token: True)
+    held = Held(session, readers=dict.fromkeys(keys, read), tokens=tokens)
     asked = []
     for key in keys:
         asked.append(session.get(key, timeout=PATIENCE_S))
@@ -227,11 +235,6 @@ async def test_a_mistake_is_told_to_the_loop_and_does_not_end_the_hearing(sessio
 
 
 # ---- wakeups
-
-
-def named(key: str) -> Any:
-    """As much of a sample as a wakeup looks at."""
-    return SimpleNamespace(key_expr=key)
 
 
 async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_comes(

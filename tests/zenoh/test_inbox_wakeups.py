@@ -3,10 +3,9 @@
 In one process: a session's own messages take the same rings.
 """
 
-import asyncio
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -15,73 +14,30 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.robot.core.message import Reply, Verb
-from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD, POLL_AGAIN_S, Inbox
+from gateway.robot.core.message import Verb
+from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD, POLL_AGAIN_S
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
+from tests.zenoh.test_inbox_parts import PATIENCE_S, Held
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
-PATIENCE_S = 20.0
-
-
-class Taker:
-    """Takes whatever the inbox has, whenever it rings."""
-
-    def __init__(self, session: zenoh.Session) -> None:
-        self.taken: list[str] = []
-        self._changed = asyncio.Event()
-        self._loop = asyncio.get_running_loop()
-        self.owner = Ownership()
-        with self.owner:
-            self.inbox = Inbox(
-                session,
-                self._loop,
-                self.owner,
-                on_wakeup=self.tick,
-                on_estop=self._stop,
-                on_state_query=self._answer,
-            )
-
-    def tick(self) -> None:
-        """As owner, on any thread."""
-        self.taken += [received.key for received in self.inbox.take()]
-        self._loop.call_soon_threadsafe(self._changed.set)
-
-    def _stop(self) -> None:
-        while self.inbox.estops:
-            self.taken.append(self.inbox.estops.popleft().key)
-
-    def _answer(self, reply: Reply) -> None:
-        reply(b"{}")
-
-    async def wait_until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not condition():
-                self._changed.clear()
-                await self._changed.wait()
-
-    async def wait_for(self, *wanted: str) -> None:
-        """Until all these keys have been taken; forgets them."""
-        await self.wait_until(lambda: set(wanted) <= set(self.taken))
-        self.taken.clear()
 
 
 @pytest.fixture
-async def taker(session: zenoh.Session) -> AsyncIterator[Taker]:
-    taker = Taker(session)
+async def taker(session: zenoh.Session) -> AsyncIterator[Held]:
+    taker = Held(session, takes=True)
     yield taker
-    await asyncio.to_thread(taker.inbox.close)
+    await taker.close()
 
 
 async def test_a_message_whose_wakeup_was_lost_while_the_state_was_owned_is_taken(
-    session: zenoh.Session, taker: Taker
+    session: zenoh.Session, taker: Held
 ) -> None:
     """A leg's, among those of a servo of another one: for that servo nobody would look into the leg's ring."""
     with taker.owner:  # the thread that hears of the first waits with it
         for key in (servo_command(63), leg_command(1), *[servo_command(61)] * (OTHER_DEPTH + 2)):
             session.put(key, b"{}")
-    await taker.wait_for(leg_command(1))
+    await taker.until(lambda: leg_command(1) in taker.taken)
 
 
 class LateRings:
@@ -140,7 +96,7 @@ async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: 
     """Also when another of the same key is taken in its place, or was taken before its own wakeup was heard."""
     key, other = KEYS[3], KEYS[4]
     late: Any = LateRings()
-    taker = Taker(late)
+    taker = Held(late, takes=True)
     wakeups = late.rings[ALL_COMMANDS]
     try:
         for _ in range(early):
@@ -153,11 +109,11 @@ async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: 
         # One of them is in the thread's hands while the first tick takes the others: here that of the other key.
         for each in (key, other, *[key] * (early + beside)):
             wakeups.put(Sample(each))
-        await taker.wait_until(lambda: len(taker.taken) == early + beside + 1)
+        await taker.until(lambda: len(taker.taken) == early + beside + 1)
         late.rings[key].put(Sample(key))
-        await taker.wait_until(lambda: len(taker.taken) == early + beside + 2)
+        await taker.until(lambda: len(taker.taken) == early + beside + 2)
     finally:
-        await asyncio.to_thread(taker.inbox.close)
+        await taker.close()
 
 
 # ---- how many messages of a key are heard of and taken: W, its wakeup is heard; M, it reaches its ring; T, a tick
@@ -171,7 +127,7 @@ class Counted:
     def __init__(self) -> None:
         rings: Any = LateRings()
         self.rings: dict[str, LateRing] = rings.rings
-        self.taker = Taker(rings)
+        self.taker = Held(rings, takes=True)
         self.inbox: Any = self.taker.inbox
 
     def step(self, kind: str, key: str = K) -> None:
@@ -199,7 +155,7 @@ def named(expression: str) -> Any:
 async def counted() -> AsyncIterator[Counted]:
     made = Counted()
     yield made
-    await asyncio.to_thread(made.inbox.close)
+    await made.taker.close()
 
 
 @pytest.mark.parametrize(
@@ -288,4 +244,4 @@ async def test_it_is_closed_when_none_of_its_threads_has_anything_in_hand() -> N
         assert closing.is_alive()
     closing.join(PATIENCE_S)
     assert not any(thread.is_alive() for thread in counted.inbox._threads)
-    assert counted.taker.taken == [ESTOP]
+    assert [each.key for each in counted.taker.estops] == [ESTOP]

@@ -8,10 +8,10 @@ import pytest
 from gateway.own_command import CONNECT_VARIABLE
 from tests.support.command import parse, run_here
 from tests.support.console_process import Console
-from tests.support.fixtures import console_fixture, gateway_fixture
+from tests.support.fixtures import console_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 
-gateway = gateway_fixture()
+gateway = gateway_fixture(patient())
 console = console_fixture()
 
 PRINTS = [

@@ -277,7 +277,7 @@ USER: Final = Probe("user", lambda r: r.service and Seen(own=os.geteuid() == r.s
 ), f"all this is checked as {SERVICE}, the service's user")
 CLOCK: Final = Probe("clock", _clock, (
     warning(lambda r: r.adjtimex == _UNSYNCHRONISED, "is not synchronised",
-            "switch time synchronisation on (timedatectl set-ntp true): certificates need a right clock"),
+            "switch time synchronisation on (timedatectl set-ntp true): certificates need a correct clock"),
 ), "is synchronised")
 MACHINE: Final = (
     Probe("processor", lambda r: Seen(cpu=r.root / "sys/devices/system/cpu/cpu0/cpufreq"), (

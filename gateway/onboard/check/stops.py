@@ -54,7 +54,7 @@ def stops(connect: Connection, options: StopsOptions) -> int:
             raise ConfigError("nothing was moved")
         with bench.receives():  # no motion yet: without the right to command it ends here
             if not bench.frames_published:
-                hint("The gateway publishes no frames (telemetry.frames), so what is measured comes from its state.")
+                hint("The gateway publishes no frames (telemetry.frames), so the check measures from its state.")
             with _ended_stopped(bench):
                 for number, step in enumerate(steps, 1):
                     hint(f"{number}/{len(steps)} {step.name}: {step.does} …")

@@ -11,9 +11,8 @@ from gateway.errors import WalkError
 from gateway.people.console.pages.page_messages import Hello
 from gateway.people.console.pages.page_tasks import EndError
 from gateway.people.console.pages.pages import Page, Pages, Shared
-from gateway.people.console.server.auth import SignedIn
 from gateway.people.console.server.listener import WebSocket
-from gateway.people.console.server.sessions import Sessions
+from gateway.people.console.server.sessions import Entry, Sessions
 from gateway.people.walking import Robot
 from gateway.people.walking.planning import lying_deg
 
@@ -41,7 +40,7 @@ class Console:
             self._lying = lying_deg(Robot(shared.geometry))
         self._open: set[WebSocket] = set()
 
-    async def serve(self, request: web.BaseRequest, session: SignedIn) -> web.StreamResponse:
+    async def serve(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
         """Answer a page's WebSocket; return once the WebSocket has ended."""
         if len(self._open) >= MAX_PAGES + MAX_CLOSING:
             return web.Response(status=503)
@@ -52,7 +51,7 @@ class Console:
             if len(self._pages) >= MAX_PAGES:
                 await websocket.end(WSCloseCode.TRY_AGAIN_LATER, f"{MAX_PAGES} pages are open; close one")
             else:
-                await self._serve_page(websocket, session)
+                await self._serve_page(websocket, session, request.query.get("tab", ""))
         finally:
             self._open.discard(websocket)
         return websocket
@@ -67,8 +66,9 @@ class Console:
         if ends:
             await asyncio.wait(ends, timeout=CLOSE_PAGES_S)
 
-    async def _serve_page(self, websocket: WebSocket, session: SignedIn) -> None:
-        tab = session.tab and f"{session.entry.sha256} {session.tab[:32]}"
+    async def _serve_page(self, websocket: WebSocket, session: Entry, tab: str) -> None:
+        """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""
+        tab = f"{session.sha256} {tab[:32]}" if tab.isalnum() else ""
         page = Page(self._pages.next_number(), session.role, self._shared, self._pages.former(tab))
         hello = Hello(
             role=session.role,
@@ -95,7 +95,7 @@ class Console:
         if why:
             await websocket.end(WSCloseCode.POLICY_VIOLATION, why)
 
-    async def _exchange(self, websocket: WebSocket, page: Page, session: SignedIn) -> None:
+    async def _exchange(self, websocket: WebSocket, page: Page, session: Entry) -> None:
         """Until the page is closed. Raises ConnectionError, EndError, and TimeoutError where it does not read."""
         tasks = [
             asyncio.create_task(each)
@@ -120,8 +120,8 @@ class Console:
             for text in await page.outgoing.wait():
                 await websocket.put(text)
 
-    async def _check(self, session: SignedIn) -> None:
+    async def _check(self, session: Entry) -> None:
         while True:
-            if not self._sessions.still_valid(session.entry):
+            if not self._sessions.still_valid(session):
                 raise EndError(SIGNED_OUT)
             await asyncio.sleep(CHECK_S)

@@ -15,13 +15,13 @@ from aiohttp import web
 from multidict import MultiMapping
 from yarl import URL
 
+from gateway import durable
 from gateway.certs import CONSOLE_DAYS, authority
 from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 from gateway.people.commands.certs import DEFAULT_FOLDER
 from gateway.people.console.options import Options
 from gateway.people.console.server.auth import HEADERS, read_files
-from gateway.people.console.server.sessions import write_private
 from gateway.people.console.server.site import LOCALHOST, Site, address_of, free_address
 
 LISTEN: Final = "0.0.0.0:8443"
@@ -97,7 +97,7 @@ def _made(path: Path, host: str) -> tuple[Path, Path]:
         made = authority.make_leaf(authority.make_ca(now, hosts), authority.CONSOLE, "phone", hosts, CONSOLE_DAYS, now)
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            write_private(path, (made.certificate_pem() + made.key_pem()).decode())
+            durable.write_like_the_folder(path, made.certificate_pem() + made.key_pem(), 0o600)
         except OSError as error:
             raise ConfigError(f"cannot write {path}: {error.strerror}") from error
     return path, path

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 import segno
 
-from gateway import certs
+from gateway import certs, durable
 from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
 from gateway.people.console import phone
@@ -98,7 +98,7 @@ async def _run(
         pages,
         Shared(owner.person, gateway, stops, geometry, "adapt" if options.adapt else "level", found.new_link),
     )
-    auth = Auth(site, found, owner.role)
+    auth = Auth(site, found)
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter
     serving = asyncio.create_task(HttpListener(sockets[0], site.tls, auth.answer, console.serve).serve())
     explaining = asyncio.create_task(HttpListener(sockets[1], None, phone.Door().answer, console.serve).serve())
@@ -140,7 +140,7 @@ def _opened(site: Site, found: Sessions, card: str) -> Iterator[None]:
     file = found.path.with_suffix(".html")
     link = escape(found.new_link(card))
     content = f'<!doctype html><title>Console</title><meta http-equiv="refresh" content="0; url={link}">'
-    sessions.write_private(file, content)
+    durable.write_like_the_folder(file, content.encode(), 0o600)
     asyncio.get_running_loop().call_later(LINK_S, partial(file.unlink, missing_ok=True))
     threading.Thread(target=partial(_open, site, file), name="browser", daemon=True).start()
     try:

@@ -68,7 +68,7 @@ class Swing(NamedTuple):
         return (seconds, now_m), *((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < LATE_S)
 
     def _height_m(self, ago_s: float, now_m: float) -> float:
-        """How high the foot was then."""
+        """The height of the foot at that time, in metres."""
         before = (at_m for since_s, at_m in self.trail if since_s >= ago_s - _ALMOST)
         return next(before, now_m) if ago_s else now_m
 

@@ -5,7 +5,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from gateway.host.directories import runtime_directory, state_directory, state_to_read
+from gateway.host.directories import runtime_directory, state_directory, state_to_read, users_state
 from gateway.model.black_box.header import MAX_SLOTS, RING_FILE
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
@@ -47,8 +47,7 @@ def folder_to_read(settings: Settings) -> Path | None:
 
 def tried() -> Path:
     """Return the folder of this user's `make run`, which readers find without a settings file."""
-    state = os.environ.get("XDG_STATE_HOME")
-    return (Path(state) if state else Path("~/.local/state").expanduser()) / "hexapod-gateway" / "tried"
+    return users_state() / "tried"
 
 
 def prepare(folder: Path) -> Path:

@@ -92,7 +92,7 @@ def _take(ring: Path, newest: int) -> None:
         for old in copies_of(ring)[:-MOST_COPIES]:
             old.unlink()
     except (OSError, form.DamagedRingError) as error:
-        logger.warning("what precedes this incident is kept for a minute only: %s", error)
+        logger.warning("the time before this incident is not copied, and is lost after a minute: %s", error)
 
 
 def copy(ring: Path, newest: int) -> None:

@@ -94,17 +94,17 @@ class RecordRing:
         try:
             found = header.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
         except form.DamagedRingError as error:
-            self.note = f"the black box is begun anew: {error}"
+            self.note = f"the black box starts empty: {error}"
             return False
         if found != slots:
-            self.note = f"the black box is begun anew: it has {found} records, and the settings want {slots}"
+            self.note = f"the black box starts empty: it has {found} records, and the settings want {slots}"
         return found == slots
 
     def _newest(self) -> int:
         """Return the highest sequence number of a valid record, or 0."""
         number, torn = form.newest(self._map, self._slots)
         if number and torn:
-            self.note = f"the black box is continued; {torn} of its newest records are not whole"
+            self.note = f"the black box continues; {torn} of its newest records are incomplete"
         return number
 
 

@@ -67,8 +67,8 @@ class BodyLimits(Interlock[BodyMeasured]):
         before, self.low = self.low, battery_mv < limit_mv + (limit_mv // RECOVERS if self.low else 0)
         if before or not self.low:
             return []
-        detail = f"the battery is at {battery_mv / 1000:g} V, below {limit_mv / 1000:g} V; nothing starts any more"
-        return [Announce(Kind.BATTERY_LOW, detail)]
+        volts = f"{battery_mv / 1000:g} V, below {limit_mv / 1000:g} V"
+        return [Announce(Kind.BATTERY_LOW, f"the battery is at {volts}; nothing starts until it is charged")]
 
     def _tilt(self, tilt_cdeg: int | None, now_ns: int, legs: Legs) -> list[Effect]:
         limit_cdeg = self._rules.max_tilt_cdeg

@@ -153,7 +153,7 @@ class Buttons(Interlock[ButtonRequest]):
             gives_way = next((token for token, button in mine.items() if button.until_ns is None), None)
             if gives_way is None:
                 whose = "" if request.holder is None else " of this certificate"
-                detail = f"{len(mine)} buttons{whose} are alive, and no more are taken"
+                detail = f"{len(mine)} buttons{whose} are alive, and no more can register"
                 return [RequestAnswer(Reason.BUTTON_DENIED, detail)]
         until_ns = None if same is None else mine[same].until_ns
         if gives_way is not None:
@@ -161,7 +161,9 @@ class Buttons(Interlock[ButtonRequest]):
         button = Registration(name, request.holder, request.counts, until_ns)
         self._by_token[request.fresh_token] = button
         button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns)
-        what = f"{name} is registered as a button" + ("" if same is None else ", in place of the one of that name")
+        what = f"{name} is registered as a button" + (
+            "" if same is None else ", and replaces the earlier one of this name"
+        )
         answer = RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
         return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns, legs), answer]
 
@@ -170,7 +172,7 @@ class Buttons(Interlock[ButtonRequest]):
         if button is None:
             return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
         if request.count <= button.count:
-            detail = f"count is {request.count}, and {button.count} has come: a check-in counts once"
+            detail = f"count is {request.count}, and {button.count} was already received: a check-in counts once"
             return [RequestAnswer(Reason.STALE, detail)]
         button.count = request.count
         until_ns = button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns) + self._timeout_ns
@@ -226,7 +228,7 @@ class Buttons(Interlock[ButtonRequest]):
 
 
 _UNKNOWN: Final = (
-    "this gateway knows no such button: it has left, another has registered by its name, or the gateway was started "
-    "anew; register again"
+    "this button is not registered: it has left, another has registered its name, or the gateway has restarted; "
+    "register again"
 )
-_UNCOUNTED: Final = "this button stops the robot, and is not one of those that are required (buttons.names)"
+_UNCOUNTED: Final = "this button stops the robot, but does not count towards those required (buttons.names)"

@@ -86,7 +86,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         changing = frozenset() if self._on_its_way is None else self._on_its_way.servos
         for servo_id, _ in request.moves:
             if servo_id in changing:
-                detail = f"servo {servo_id} is being calibrated; start it once that is kept{self._delay}"
+                detail = f"servo {servo_id} is being calibrated; start it once the change is saved{self._delay}"
                 return Reason.SERVO_STOPPED, detail
         return None
 
@@ -118,8 +118,8 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     def _why_not_now(self, event: Calibrate) -> Why | None:
         if self._on_its_way is not None:
-            hint = self._delay or "; look at it, then change it again"
-            return Reason.STALE, f"another change of the calibration is being kept{hint}"
+            hint = self._delay or "; read the result, then change it again"
+            return Reason.STALE, f"another change of the calibration is being saved{hint}"
         revision = self.in_force.revision
         if event.revision not in (None, revision):
             return Reason.STALE, f"revision {event.revision} is changed, and {revision} is in force; look at it first"

@@ -179,7 +179,7 @@ _PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
 
 def given_twice(name: str) -> Rejection:
     """Return the rejection of a payload in which an object has this name twice."""
-    return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; which one counts is not clear")
+    return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; give it once")
 
 
 def explain(error: ValidationError) -> Rejection:  # mutants accepted (FalseWithTrue, LeaveOut): only time is lost

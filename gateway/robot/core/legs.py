@@ -452,7 +452,7 @@ class Legs:
         legs = [leg for leg in self if leg.number in self._queue.legs or (pauses and leg.unfed_ns is not None)]
         servos = (servo for leg in legs for servo in leg.servos)
         waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_for is not own]
-        return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop came before it was started")
+        return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop was received before the start")
 
     # ---- commands under way
 

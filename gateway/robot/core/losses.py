@@ -20,7 +20,7 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 DETAIL: Final = (
     "messages were lost on the way to the gateway: more came at once than it keeps, and a stop may be among them, "
-    "so it counts as received; start again when the link carries what is sent"
+    "so it counts as received; start again once the link is fast enough"
 )
 
 

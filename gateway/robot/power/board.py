@@ -56,7 +56,7 @@ LASTS_NS: Final = 1000 * NS_PER_MS
 """A state that is reported once has ended after this long without its frames; the next frame reports it again."""
 
 _OFF_PRESSED: Final = "somebody pressed the power board's off button"
-_GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does in 1 s"
+_GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does so in 1 s"
 _SIXES: Final = (0o77, 0o77 << 6, 0o77 << 12)
 NOTHING: Final = -1
 """Smaller than every mask's number."""

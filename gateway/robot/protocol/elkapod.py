@@ -204,7 +204,7 @@ class SignsOfLife:
         except AnswerError as error:
             self._why = str(error)
             if self.answered_ns is not None:
-                self.restarted = f"behind well-formed answers came one that is not: {error}"
+                self.restarted = f"after well-formed answers, one is malformed: {error}"
             return None
         if not self.changes.note(data, now_ns):
             self._why = f"it has not changed for {FROZEN_NS // NS_PER_MS} ms"

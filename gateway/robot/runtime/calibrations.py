@@ -24,8 +24,8 @@ WriteAndThen = Callable[[RobotCalibration, Callable[[str | None], None]], None]
 """Returns at once. Calls back as owner of the state: None if the calibration is on the disk, else the fault."""
 
 HANGS: Final = (
-    f"the disk has not answered for {SLOW_S:g} s; if it does not come back, restart the gateway, and look at the "
-    "calibration that is then in force"
+    f"the disk has not answered for {SLOW_S:g} s; if it stays silent, restart the gateway, and read the "
+    "calibration in force"
 )
 
 logger = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ class Calibrations(RequestAnswers):
     def _note_delay(self) -> None:
         """Report a slow write. No other change is accepted until its result is known."""
         self._conductor.supervisor.calibrating.note_delay(HANGS)
-        logger.warning("a change of the calibration is not kept yet: %s; what runs goes on", HANGS)
+        logger.warning("a change of the calibration is not kept yet: %s; running servos continue", HANGS)
 
     def _kept(self, number: int, fault: str | None) -> None:
         self._slow.cancel()

@@ -29,7 +29,7 @@ RETRY_S: Final = 1.0
 """Between attempts after a failed write: a full disk may have space again."""
 FLUSH_S: Final = 0.2
 """How long the end of the service waits for a write."""
-_LOOK: Final = "look that nobody is in danger, then reset it"
+_LOOK: Final = "make sure that nobody is in danger, then reset it"
 
 logger = logging.getLogger(__name__)
 
@@ -100,7 +100,7 @@ class EstopKeeper:
         elif found is not None and found.engaged and found.time is not None:
             since = f"{found.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
             by = "" if found.source is None else f", by {found.source}"
-            detail = f"emergency stop {found.number} of {since}{by} is engaged still; {_LOOK}"
+            detail = f"emergency stop {found.number} of {since}{by} is still engaged; {_LOOK}"
             self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
 
     # ---- what changes

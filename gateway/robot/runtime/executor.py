@@ -169,6 +169,6 @@ class Executor:
                 if transmit.deadline_ns is not None and sent.received:
                     self._metrics.watchdog_stops.record(self._bus.ended_ns - transmit.deadline_ns)
             if report.rejection is not None:
-                logger.warning("%s; from now on each transfer is a call of its own", report.rejection)
+                logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled
             outcome.fault = report.fault

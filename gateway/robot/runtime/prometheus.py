@@ -60,7 +60,7 @@ class Numbers(Collector):
         yield _counter("commands_accepted", "Commands accepted", metrics.accepted)
         yield _counter("commands_coalesced", "Accepted commands that a newer one replaced", metrics.coalesced)
         yield _counter("overflows", "Times that messages of one key were lost before they were read", metrics.overflows)
-        yield _counter("messages_lost", "Messages lost in these, at least", metrics.lost)
+        yield _counter("messages_lost", "Messages lost in overflows, at least", metrics.lost)
         rejected = {reason: metrics.rejected[reason] for reason in Reason}
         yield _counter("commands_rejected", "Commands rejected", rejected, "reason")
         frames = {cause: metrics.frames[cause] for cause in Cause}
@@ -68,7 +68,7 @@ class Numbers(Collector):
         yield _counter("spi_errors", "SPI transfers and openings that failed", bus.errors)
         yield _counter("watchdog_expirations", "Legs stopped for silence", supervisor.watchdog.expirations)
         yield _counter(
-            "log_lines_dropped", "Lines of the log that were not written, since nobody read it", logs.dropped()
+            "log_lines_dropped", "Log lines not written, since stdout or stderr was not read", logs.dropped()
         )
         holder = InfoMetricFamily(
             f"{_PREFIX}_lease", "The holder of the lease, or the client that it is handed over to"
@@ -81,9 +81,11 @@ class Numbers(Collector):
             kinds = {kind: metrics.events[kind] for kind in Kind if kind.startswith(f"{of}_")}
             yield _counter(f"{of}_changes", f"What happened to {what}", kinds, "kind")
         yield _gauge("buttons_alive", "Stop buttons that check in", buttons.alive)
-        yield _gauge("buttons_required", "How many must, for anything to move", buttons.required)
+        yield _gauge("buttons_required", "Stop buttons that must be alive for anything to move", buttons.required)
         yield _gauge("calibration_revision", "The calibration in force", calibrating.in_force.revision)
-        yield _gauge("calibration_fault", "1: it cannot be read, and nothing starts", calibrating.fault is not None)
+        yield _gauge(
+            "calibration_fault", "1: the calibration cannot be read, and nothing starts", calibrating.fault is not None
+        )
         modes = {mode: mode is supervisor.mode for mode in Mode}
         yield _gauge("mode", "1 for the mode the gateway is in", modes, "mode")
         yield _histogram("watchdog_stop_latency", "Watchdog's deadline to its Stop written", metrics.watchdog_stops)

@@ -88,7 +88,9 @@ class Revocations(RequestAnswers):
         if known is not None and found.pem == known.pem:
             reply(self.accepted(number=known.number))
             return
-        fault = "another list is being kept; try again" if self._keeps else certs.revocation.why_not_newer(found, known)
+        fault = (
+            "another list is being saved; try again" if self._keeps else certs.revocation.why_not_newer(found, known)
+        )
         if fault is not None or kept is None:
             self.reject(None, Reason.REVOCATION_DENIED, fault or "this gateway keeps no list", reply)
             return

@@ -368,7 +368,7 @@ class Bus(Wire):
                     self._received.add(frames[place].data)
             except SpiError as fault:
                 report.fault = report.fault or fault
-        report.fault = report.fault or SpiError("the SPI device took too long to take all Stops")
+        report.fault = report.fault or SpiError("the SPI device did not accept all Stops in time")
 
     def _next(self, frames: Sequence[Frame], left: Sequence[int]) -> int | None:
         """Return the place of the Stop to write next, or None for a zero: no few Stops resynchronise the controller."""

@@ -96,7 +96,7 @@ class CyclicBus(Wire):
             self._drop_uart()
             raise
         if self._abandoned:
-            raise SpiError("the transfer that was under way has not ended")
+            raise SpiError("the transfer in progress has not ended")
 
     # mutants accepted (FalseWithTrue, Step): all stop, or none; no preamble is needed
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:  # noqa: ARG002

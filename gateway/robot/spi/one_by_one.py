@@ -33,7 +33,7 @@ class OneByOne:
         written_ns = None
         for data, pause_us in batch:
             if written_ns is not None and self._clock() - written_ns > STALE_NS:
-                raise SpiError("this program stood still between two transfers that belong together")
+                raise SpiError("this program was suspended between the two transfers of a frame")
             written_ns = self._clock()
             self._device.transfer(((data, 0),))
             self._pause(pause_us / 1e6)

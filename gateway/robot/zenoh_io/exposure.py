@@ -67,7 +67,7 @@ def _check_links(endpoints: list[str], config: zenoh.Config) -> None:
     by_certificate = get(config, "transport/link/tls/root_ca_certificate") or get(config, "access_control/enabled")
     if quic and by_certificate:
         raise ConfigError(
-            f"{', '.join(quic)}: over QUIC, revoked clients cannot be disconnected, and no places be kept for "
+            f"{', '.join(quic)}: over QUIC, revoked clients cannot be disconnected, and no places can be kept for "
             "operators; with certificates, write tls/ in place of quic/"
         )
 

@@ -68,7 +68,7 @@ class Proofs:
         if self._checker is None:
             return None
         if proof is None:
-            return f"proof is missing: this gateway wants to know that {do} comes from source"
+            return f"proof is missing: this gateway needs a proof that {do} comes from source"
         if not self._nonces.spend(proof.nonce, now_ns):
             return "proof.nonce is none of this gateway's, is older than 5 s, or has been used; get another (challenge)"
         if not self._checks.take(now_ns):

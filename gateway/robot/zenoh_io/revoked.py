@@ -5,7 +5,6 @@ Zenoh reads its rules when a session opens, so a newer list takes effect at the 
 
 import json
 import logging
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -77,9 +76,9 @@ def keep(path: Path, found: "RevocationList") -> None:
     Raises ConfigError if it cannot be written; the old list stays.
     """
     try:
-        durable.write_with_mode(path, found.pem, 0o644, prepare=partial(durable.like_the_folder, path))
+        durable.write_like_the_folder(path, found.pem, 0o644)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the list before stays in force") from error
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the earlier list stays in force") from error
 
 
 def _read(path: Path, cas: "tuple[x509.Certificate, ...]") -> "RevocationList | None":

@@ -392,5 +392,5 @@ def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concern
 
 
 def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="the list before stays in force"):
+    with pytest.raises(ConfigError, match="the earlier list stays in force"):
         revoked.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
-from gateway.people.console.server.auth import Auth, SignedIn, proof
+from gateway.people.console.server.auth import Auth, proof
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
-from gateway.people.console.server.sessions import Sessions, SignIn
+from gateway.people.console.server.sessions import Entry, Sessions, SignIn
 from gateway.people.console.server.site import Site
 
 pytestmark = pytest.mark.full
@@ -34,12 +34,12 @@ class Stand:
         found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
         self.session: SignIn = found
-        self.admitted: asyncio.Queue[SignedIn] = asyncio.Queue()
+        self.admitted: asyncio.Queue[Entry] = asyncio.Queue()
         self.address = listening.getsockname()
-        auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions, "operator")
+        auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions)
         self.listener = HttpListener([listening], None, auth.answer, self.serve_page)
 
-    async def serve_page(self, request: web.BaseRequest, session: SignedIn) -> web.StreamResponse:
+    async def serve_page(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
         """As the console does."""
         websocket = WebSocket()
         await websocket.prepare(request)
@@ -119,6 +119,6 @@ async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
     cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
     writer.write(f"GET /ws?{shown} HTTP/1.1\r\n{UPGRADE}{cookie}\r\n".encode())
     async with asyncio.timeout(10):
-        assert await stand.admitted.get() == SignedIn(stand.session.entry, "operator")
+        assert await stand.admitted.get() == stand.session.entry
         assert b"101 Switching" in await reader.readuntil(b"\r\n\r\n")
     writer.close()

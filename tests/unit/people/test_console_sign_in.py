@@ -14,8 +14,8 @@ from multidict import CIMultiDict
 from yarl import URL
 
 from gateway.errors import ConfigError
-from gateway.people.console.server.auth import NONCE_NS, Auth, SignedIn, proof
-from gateway.people.console.server.sessions import LINK_S, SESSION_S, Now, Sessions, SignIn, kept
+from gateway.people.console.server.auth import NONCE_NS, Auth, proof
+from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Now, Sessions, SignIn, kept
 from gateway.people.console.server.site import site
 
 HERE = "http://127.0.0.1:8080"
@@ -30,7 +30,7 @@ class Visitor:
         self._sessions = Sessions(folder, 8080)
         self._sessions.begin(HERE, "operator")
         self._site = site("127.0.0.1:8080", None, None)
-        self._auth = Auth(self._site, self._sessions, "operator")
+        self._auth = Auth(self._site, self._sessions)
 
     def sign_in(self) -> SignIn:
         found = self._sessions.exchange(self._sessions.new_link().partition("=")[2])
@@ -40,11 +40,11 @@ class Visitor:
     def follow_link(self, card: str) -> str:
         """Where a browser goes that opens a link to this card."""
         link = self._sessions.new_link().removeprefix(HERE)
-        answer = self._auth.answer(URL(f"{link}&card={card}", encoded=True), CIMultiDict({"Host": "127.0.0.1:8080"}))
+        answer = self._auth.answer(URL(f"{link},{card}", encoded=True), CIMultiDict({"Host": "127.0.0.1:8080"}))
         assert isinstance(answer, web.Response)
         return answer.headers["Location"]
 
-    def get(self, path: str, session: SignIn, **headers: str) -> web.Response | SignedIn:
+    def get(self, path: str, session: SignIn, **headers: str) -> web.Response | Entry:
         cookie = f"{self._site.cookie}={session.cookie}"
         return self._auth.answer(URL(path), CIMultiDict({"Host": "127.0.0.1:8080", "Cookie": cookie, **headers}))
 
@@ -58,7 +58,7 @@ class Visitor:
         return found["nonce"], found["proof"]
 
     def comes_in(self, session: SignIn, shown: str) -> bool:
-        return isinstance(self.get(f"/ws?{shown}", session, Origin=HERE), SignedIn)
+        return isinstance(self.get(f"/ws?{shown}", session, Origin=HERE), Entry)
 
 
 @pytest.fixture

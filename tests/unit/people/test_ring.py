@@ -125,7 +125,7 @@ def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str
     path.write_bytes(found)
     path.chmod(0o600)
     ring = RecordRing(path, 50)
-    assert ring.note.startswith(f"the black box is begun anew: {note}")
+    assert ring.note.startswith(f"the black box starts empty: {note}")
     ring.append(form.MODE, 0, form.mode("1"))
     ring.close()
     assert modes(path) == [1]

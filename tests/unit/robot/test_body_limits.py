@@ -39,7 +39,7 @@ def test_with_one_limit_measurements_are_wanted(limit: dict[str, Any]) -> None:
 def test_a_low_battery_starts_nothing_and_what_runs_goes_on() -> None:
     play(f"""{LIMITED}
         20 body 0 (battery 6.99) → announce battery_low
-        announces the battery is at 6.99 V, below 7 V; nothing starts any more
+        announces the battery is at 6.99 V, below 7 V; nothing starts until it is charged
         30 servo 11 start 90 → rejected 2 battery_low
         says the battery is below 7 V; nothing starts until it is charged
         40 leg 3 set 80 → command 3 set 80; completed 3

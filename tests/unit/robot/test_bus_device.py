@@ -225,7 +225,7 @@ def test_without_lists_a_stall_within_a_frame_is_a_fault_and_stops_are_tried_ane
     bus = devices.bus()
     devices.stall_ns = stall_ms * 1_000_000
     report = bus.write([STOP])
-    assert "stood still" in str(report.fault)
+    assert "was suspended" in str(report.fault)
     assert [sent.received for sent in report.sent] == [False, True]
     written = [data for batch in devices.calls for data, _ in batch]
     gave_up = [ZERO] * (stall_ms > 1000)

@@ -136,7 +136,7 @@ def test_a_name_registers_once_and_the_newer_registration_is_alive_for_as_long_a
     robot.oracle.buttons.known["the first"] = robot.oracle.buttons.known.pop("kitchen")
     robot.play("""
         10 button register kitchen → announce button_registered; granted
-        mentions kitchen is registered as a button, in place of the one of that name
+        mentions kitchen is registered as a button, and replaces the earlier one of this name
         running 11 12 13
         due 1000  # registering is no check-in""")
     assert robot.button(11, "alive", "the first", 2) == ["unknown_button"]
@@ -152,7 +152,7 @@ def test_a_name_that_another_certificate_registers_takes_no_place() -> None:
         robot.play(f"""
             0 button register kitchen (holder {holder}) → announce button_registered; granted
             0 button alive kitchen 1 (holder {holder}) → granted""")
-        assert "in place of" not in str(robot.announced)
+        assert "replaces" not in str(robot.announced)
     robot.play("1 leg 1 start 90 → command 1 start 90; completed 1")
 
 
@@ -182,7 +182,7 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
     for number in range(6, 10):
         robot.button(1, "alive", f"rogue {number}", 1, holder="the rogue's")
     assert robot.button(2, "register", "rogue 10", holder="the rogue's") == ["button_denied"]
-    assert robot.only(RequestAnswer).detail == "4 buttons of this certificate are alive, and no more are taken"
+    assert robot.only(RequestAnswer).detail == "4 buttons of this certificate are alive, and no more can register"
     assert robot.button(3, "alive", "kitchen", 1, holder="the kitchen's") == ["granted"]
     assert robot.button(4, "register", "hall", holder="the hall's") == ["announce button_registered", "granted"]
 
@@ -190,9 +190,9 @@ def test_a_certificate_has_four_places_and_gives_its_own_silent_ones_away() -> N
 def test_one_that_is_not_wanted_checks_in_and_does_not_count() -> None:
     robot = play(WATCHED)
     robot.button(1, "register", "stranger", counts=False)
-    assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.only(RequestAnswer).detail.endswith("does not count towards those required (buttons.names)")
     assert robot.button(2, "alive", "stranger", 1) == ["granted"]
-    assert robot.only(RequestAnswer).detail.endswith("is not one of those that are required (buttons.names)")
+    assert robot.only(RequestAnswer).detail.endswith("does not count towards those required (buttons.names)")
     assert robot.supervisor.buttons.alive == 1
     assert robot.time(TIMEOUT_MS)[:6] == all_stopped("watchdog")
 

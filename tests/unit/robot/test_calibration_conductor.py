@@ -96,7 +96,7 @@ async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     await asyncio.sleep(0.02)
     assert caplog.text.count("is not kept yet") == 1
     (late,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
-    assert (late.reason, late.detail) == (Reason.STALE, f"another change of the calibration is being kept; {HANGS}")
+    assert (late.reason, late.detail) == (Reason.STALE, f"another change of the calibration is being saved; {HANGS}")
     assert str(robot.ask(LEG_3, START).detail).endswith(HANGS)
     assert robot.ask(keys.leg_command(1), START).accepted, "what it does not change goes on"
     await asyncio.sleep(0.3)

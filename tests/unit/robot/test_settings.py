@@ -201,19 +201,19 @@ def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkey
         ("[calibration]\n[recorder]\n", []),  # as an earlier version installed it, without a change
         (
             '[calibration]\npath = "/mnt/own.toml"\n',
-            ["file: calibration: was removed; name its folder with state.path, which has all that outlasts the gateway "
+            ["file: calibration: was removed; name its folder with state.path, the folder for all kept state "
              "(the calibration as calibration.toml)"],
         ),
         (
             '[recorder]\npath = "/mnt/box"\n',
-            ["file: recorder: was removed; name its folder with state.path, which has all that outlasts the gateway "
+            ["file: recorder: was removed; name its folder with state.path, the folder for all kept state "
              "(the black box keeps 60 s)"],
         ),
         (
             '[telemetry]\nstate_hz = 5\n[lease]\ntakeover = "never"\n',
             [
                 "file: lease.takeover: was removed; everybody may take the lease, which stops all legs first",
-                "file: telemetry.state_hz: was removed; the state comes ten times a second",
+                "file: telemetry.state_hz: was removed; the state is published ten times a second",
             ],
         ),
     ],

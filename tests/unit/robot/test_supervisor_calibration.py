@@ -100,7 +100,7 @@ SCENES: Final = {
     "nothing that is changed starts meanwhile": f"""
         0 {TURN_32}
         1 leg 3 start 90 → rejected 2 servo_stopped
-        says servo 32 is being calibrated; start it once that is kept
+        says servo 32 is being calibrated; start it once the change is saved
         2 servo 31 start 90 → command 31 start 90; …
         3 servo 32 stop → command 32 stop; …""",
     "one change at a time": f"""

@@ -27,7 +27,6 @@ from yarl import URL
 
 from gateway.allowance import NS_PER_S
 from gateway.nonces import Nonces
-from gateway.people.console.pages.page_messages import Role, least
 from gateway.people.console.server.sessions import Entry, Sessions
 from gateway.people.console.server.site import Site
 
@@ -57,16 +56,6 @@ HEADERS: Final = {
 }
 NEW_LINK: Final = "A link that works once is printed, on the console's machine, by:"
 _PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
-
-
-@dataclass(frozen=True)
-class SignedIn:
-    """A WebSocket request of a page with a session."""
-
-    entry: Entry
-    role: Role
-    tab: str = ""
-    """The browser's tab, by the name that it gave itself; a reload keeps the name. Empty: it gave none."""
 
 
 @dataclass(frozen=True)
@@ -105,15 +94,13 @@ def read_files() -> Mapping[str, PageFile]:
 class Auth:
     """Answer requests with the page's files, and check sessions. For one thread."""
 
-    def __init__(self, site: Site, sessions: Sessions, role: Role) -> None:
-        """`role`: what a page may do at most."""
+    def __init__(self, site: Site, sessions: Sessions) -> None:
         self._site = site
         self._sessions = sessions
-        self._role = role
         self._files = read_files()
         self._nonces = Nonces(NONCE_NS)
 
-    def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | SignedIn:
+    def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
         """Return the response, or the session whose WebSocket is admitted.
 
         A response to a request without a session closes its connection.
@@ -134,10 +121,10 @@ class Auth:
         if (url.path == WEBSOCKET or origin is not None) and not self._site.knows_origin(origin, host):
             return _text(403, "only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
-            return self._enter(url.query["token"], url.query.get("card", ""))
+            return self._enter(*url.query["token"].partition(",")[::2])
         return self._files[url.path].response(headers) if url.path in PUBLIC else None
 
-    def _for_session(self, url: URL, headers: MultiMapping[str]) -> web.Response | SignedIn:
+    def _for_session(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
         path, query = _PAGES.get(url.path, url.path), url.query
         entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
         if entry is None or (path == WEBSOCKET and not self._is_proved(entry, query.get("nonce"), query.get("proof"))):
@@ -148,8 +135,7 @@ class Auth:
             found.force_close()
             return found
         if path == WEBSOCKET:
-            tab = query.get("tab", "")
-            return SignedIn(entry, least(entry.role, self._role), tab if tab.isalnum() else "")
+            return entry
         if path == "/session":
             nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
             made = proof(entry.key_sha256, f"console {query.get('nonce')} {nonce}")

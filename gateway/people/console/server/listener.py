@@ -15,7 +15,6 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import Any, Final, Literal, cast
 
 from aiohttp import WSMsgType, web
@@ -25,7 +24,7 @@ from yarl import URL
 from gateway.allowance import NS_PER_S, Allowance
 from gateway.people.console.pages.page_messages import MAX_MESSAGE_BYTES
 from gateway.people.console.pages.page_tasks import EndError
-from gateway.people.console.server.auth import SignedIn
+from gateway.people.console.server.sessions import Entry
 from gateway.people.console.server.site import UNSENT_BYTES
 
 MAX_CONNECTIONS: Final = 96
@@ -56,8 +55,6 @@ PING_S: Final = 20.0
 """A page that has sent nothing for this long is pinged, and closed after half as long again."""
 SEND_S: Final = 5.0
 """A page that does not read for this long, while its socket is full, is closed."""
-REASON_BYTES: Final = 123
-"""Room for the reason in a close frame."""
 
 _log: Final = logging.getLogger(__name__)
 _silent: Final = logging.getLogger("gateway.people.console.aiohttp")
@@ -76,8 +73,6 @@ class Connection(web.RequestHandler):
             loop=self._own_loop,
             logger=_silent,
             access_log=None,  # type: ignore[arg-type]  # aiohttp's own way to have none
-            keepalive_timeout=SIGNED_IN_S,
-            tcp_keepalive=False,
             lingering_time=0.0,
             auto_decompress=False,  # nobody reads a body
         )
@@ -130,9 +125,8 @@ class Connection(web.RequestHandler):
         self._end()
 
     async def _begin_tls(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
-        start = partial(self._own_loop.start_tls, ssl_handshake_timeout=UNKNOWN_S, ssl_shutdown_timeout=CLOSING_S)
         with suppress(OSError):  # also ssl.SSLError: no handshake
-            transport = await start(raw, self, context, server_side=True)
+            transport = await self._own_loop.start_tls(raw, self, context, server_side=True)
             if transport is not None and not raw.is_closing():
                 self.connection_made(transport)
                 return
@@ -150,8 +144,8 @@ class HttpListener:
         self,
         listening: Sequence[socket.socket],
         tls: ssl.SSLContext | None,
-        answer: Callable[[URL, MultiMapping[str]], web.Response | SignedIn],
-        serve_page: Callable[[web.BaseRequest, SignedIn], Awaitable[web.StreamResponse]],
+        answer: Callable[[URL, MultiMapping[str]], web.Response | Entry],
+        serve_page: Callable[[web.BaseRequest, Entry], Awaitable[web.StreamResponse]],
     ) -> None:
         """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and returns once that has ended."""
         self._listening = listening
@@ -196,7 +190,7 @@ class HttpListener:
         connection = cast("Connection", request.protocol)
         try:
             found = self._find(request.rel_url, request.headers)
-            if isinstance(found, SignedIn):
+            if isinstance(found, Entry):
                 connection.begin("page", None)
                 try:
                     return await self._serve_page(request, found)
@@ -218,7 +212,6 @@ class WebSocket(web.WebSocketResponse):
 
     def __init__(self) -> None:
         super().__init__(
-            timeout=CLOSING_S,
             autoping=False,  # so that pings are counted
             heartbeat=PING_S,
             compress=False,
@@ -249,10 +242,10 @@ class WebSocket(web.WebSocketResponse):
             await self.send_str(text)
 
     async def end(self, code: int, reason: str) -> None:
-        """Close it with this reason, cut to what fits; a page that does not read gets none."""
+        """Close it with this reason, at most 123 characters; a page that does not read gets none."""
         with suppress(TimeoutError, ConnectionError):
             async with asyncio.timeout(CLOSING_S):
-                await self.close(code=code, message=reason.encode()[:REASON_BYTES].decode(errors="ignore").encode())
+                await self.close(code=code, message=reason.encode("ascii", "replace")[:123])
 
 
 def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
@@ -23,7 +23,8 @@ from pydantic import BaseModel
 
 from gateway import durable
 from gateway.errors import ConfigError
-from gateway.people.console.pages.page_messages import Role
+from gateway.host.directories import state_directory, users_state
+from gateway.people.console.pages.page_messages import Role, least
 from gateway.people.console.server.site import STATE_DIRECTORY
 
 SESSION_S: Final = 12 * 3600
@@ -46,15 +47,16 @@ class Now(NamedTuple):
 def clocks() -> Now:
     """Return the present times. Outside Linux no boot has an id, and the wall clock counts as the time since it."""
     wall_s = time.time()
-    return Now(_boot(), time.clock_gettime(time.CLOCK_BOOTTIME) if _boot() else wall_s, wall_s)
+    has_boots = _boot() and hasattr(time, "CLOCK_BOOTTIME")
+    return Now(_boot(), time.clock_gettime(time.CLOCK_BOOTTIME) if has_boots else wall_s, wall_s)
 
 
 @cache
 def _boot() -> str:
-    """The boot's id, read once: later a flood of connections may have taken the last descriptor."""
+    """The boot's id, read once: later a flood may have taken the last descriptor. The service has it from its unit."""
     with suppress(OSError):
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    return ""
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip().replace("-", "")
+    return os.environ.get("BOOT_ID", "")
 
 
 class Entry(BaseModel, frozen=True):
@@ -81,10 +83,11 @@ class SignIn(NamedTuple):
 
 class _Entries(BaseModel, frozen=True):
     url: str = ""
-    """The URL of the console that runs, or last ran, at this port."""
-    door: str = ""
-    """What its links begin with, before the token, where they lead to a page without TLS first."""
+    """Of the console that runs, or last ran, at this port."""
+    before_token: str = ""
+    """What its links begin with."""
     role: Role = "observer"
+    """What its pages may do at most."""
     common_name: str = ""
     """The common name of its certificate; empty: it had none."""
     written: Now = Now()
@@ -113,15 +116,19 @@ class Sessions:
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """The file's inode, time and size, and its content: one tuple, since several threads read it."""
 
-    def begin(self, url: str, role: Role, common_name: str = "", door: str = "") -> None:
-        """Begin a console at `url`: its links open pages of `role`, earlier links are void. Raises ConfigError.
+    def begin(self, url: str, role: Role, common_name: str = "", before_token: str = "") -> None:
+        """Begin a console at `url`, whose pages have `role` at most; earlier links are void. Raises ConfigError.
 
         Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
         connected, and its sessions must not reach the robot by the certificate that replaces it.
         """
-        made = {"url": url, "role": role, "common_name": common_name, "door": door, "links": ()}
-        other = {"sessions": ()}
-        self._change(lambda now: now.model_copy(update=made if now.common_name == common_name else made | other))
+        begun = _Entries(url=url, before_token=before_token or f"{url}/?token=", role=role, common_name=common_name)
+
+        def begin(now: _Entries) -> _Entries:
+            kept = now.sessions if now.common_name == common_name else ()
+            return begun.model_copy(update={"sessions": kept, "written": now.written})
+
+        self._change(begin)
 
     @property
     def url(self) -> str:
@@ -141,10 +148,7 @@ class Sessions:
             entry = Entry(sha256=_sha256(token), role=now.role, until_s=now.written.boot_s + LINK_S)
             return now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]})
 
-        made = self._change(add)
-        if made.door:
-            return f"{made.door}{token}{card and f',{card}'}"
-        return f"{made.url}/?token={token}{card and f'&card={card}'}"
+        return f"{self._change(add).before_token}{token}{card and f',{card}'}"
 
     def exchange(self, token: str) -> SignIn | None:
         """Exchange a link's token for a new session and void the link; None if no valid link has the token."""
@@ -166,11 +170,13 @@ class Sessions:
 
     def cookie(self, cookie: str | None) -> Entry | None:
         """The valid session of this cookie. It gives access to the page's files; the WebSocket requires the key too."""
-        return None if cookie is None else _find(self._read().at(self._now()).sessions, cookie)
+        known = self._read().at(self._now())
+        found = None if cookie is None else _find(known.sessions, cookie)
+        return found and found.model_copy(update={"role": least(found.role, known.role)})
 
     def still_valid(self, session: Entry) -> bool:
         """Return whether the session has neither ended nor been revoked."""
-        return session in self._read().at(self._now()).sessions
+        return any(each.sha256 == session.sha256 for each in self._read().at(self._now()).sessions)
 
     def revoke(self) -> int:
         """End all sessions and links; returns how many sessions there were."""
@@ -206,7 +212,7 @@ class Sessions:
                 durable.like_the_folder(self.path, lock.fileno())
                 _lock(lock.fileno())
                 before = self._load().at(self._now())
-                write_private(self.path, change(before).model_dump_json())
+                durable.write_like_the_folder(self.path, change(before).model_dump_json().encode(), 0o600)
         except OSError as error:
             raise ConfigError(
                 f"cannot write {self.path}: {error.strerror}; the console keeps its sessions there, "
@@ -226,22 +232,10 @@ def _lock(descriptor: int) -> None:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
 
 
-def write_private(path: Path, content: str) -> None:
-    """Replace a file that only the folder's owner may read. Raises OSError.
-
-    It gets the folder's owner, so `sudo hexapod-gateway console --link` does not lock the service out.
-    """
-    durable.write_with_mode(path, content.encode(), 0o600, prepare=partial(durable.like_the_folder, path))
-
-
 def folder() -> Path:
     """Where the files are kept: the service's state directory, or the user's."""
-    if given := os.environ.get("STATE_DIRECTORY"):
-        return Path(given.partition(":")[0])
-    if hasattr(os, "geteuid") and os.geteuid() == 0 and STATE_DIRECTORY.is_dir():
-        return STATE_DIRECTORY
-    home = os.environ.get("XDG_STATE_HOME")
-    return (Path(home) if home else Path.home() / ".local" / "state") / "hexapod-gateway"
+    is_roots = hasattr(os, "geteuid") and os.geteuid() == 0 and STATE_DIRECTORY.is_dir()
+    return state_directory("") or (STATE_DIRECTORY if is_roots else users_state())
 
 
 def kept(folder: Path) -> list[Sessions]:

@@ -8,7 +8,6 @@ socket unit keeps the port, and passes the sockets as file descriptors from 3 on
 """
 
 import errno
-import ipaddress
 import os
 import shlex
 import socket
@@ -22,6 +21,7 @@ from urllib.parse import urlsplit
 
 from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
+from gateway.endpoints import is_local
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.own_command import this_command
 
@@ -34,12 +34,9 @@ LOCALHOST: Final = ("127.0.0.1", "::1")
 SOCKET_UNIT: Final = "hexapod-console.socket"
 _NEXT_PORTS: Final = range(CONSOLE_PORT + 1, CONSOLE_PORT + 20)
 """Tried if no address is given and another program has the default port."""
-_DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
 BACKLOG: Final = 64
 """Connections that the kernel queues; it drops further ones."""
-DEAD_MS: Final = 15_000
-"""A connection that acknowledges nothing for this long is closed: its page is frozen, or its machine is gone."""
 UNSENT_BYTES: Final = 4096
 """Most bytes that wait for one page, in this process and again in the kernel: some five states."""
 RECEIVED_BYTES: Final = 8192
@@ -63,7 +60,7 @@ class Site:
     @property
     def url(self) -> str:
         """Its address in a browser, without a path: `http://127.0.0.1:8080`."""
-        return f"{self.scheme}://{self._authority(self.hosts[0])}"
+        return f"{self.scheme}://{with_port(self.hosts[0], self.port)}"
 
     @property
     def cookie(self) -> str:
@@ -81,16 +78,14 @@ class Site:
 
     def knows_host(self, host: str | None) -> bool:
         """Return whether a Host header names this site."""
-        own = [name for each in self.hosts for name in (self._authority(each), with_port(each, self.port))]
+        own = [with_port(each, self.port) for each in self.hosts]
+        if self.port == (443 if self.tls else 80):  # browsers leave it out
+            own += [each.rpartition(":")[0] for each in own]
         return host is not None and host.lower() in own
 
     def knows_origin(self, origin: str | None, host: str | None) -> bool:
         """Return whether an Origin header is this site's own, reached by that Host."""
         return self.knows_host(host) and origin == f"{self.scheme}://{host}"
-
-    def _authority(self, host: str) -> str:
-        full = with_port(host, self.port)
-        return full.removesuffix(f":{self.port}") if self.port == _DEFAULT_PORTS[self.scheme] else full
 
 
 def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
@@ -99,7 +94,7 @@ def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     if (certificate is None) != (key is None):
         raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
     if certificate is None or key is None:
-        if not _is_loopback(address):
+        if not is_local(f"tcp/{with_port(address, port)}"):
             raise ConfigError(
                 f"{listen} is reached from other machines, so the console needs TLS: --phone, or --cert and --key\n"
                 "where ca.key is, hexapod-gateway certs issue web --role console --host NAME --dir DIR makes both\n"
@@ -181,15 +176,23 @@ def listening(site: Site, passed: Sequence[socket.socket] = ()) -> Iterator[Sequ
     with ExitStack() as stack:
         found = [stack.enter_context(each) for each in passed]
         for host in () if passed else LOCALHOST if site.address == "localhost" else (site.address,):
+            where = with_port(host, site.port)
             try:
                 found.append(stack.enter_context(_bound(host, site.port)))
             except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    raise AddressTakenError(
+                        f"{where} is taken by another program (perhaps another console); "
+                        "stop it, or set another --listen"
+                    ) from error
                 if site.address != "localhost" or error.errno not in (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT):
-                    raise _not_bound(with_port(host, site.port), error) from error
+                    raise ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine") from error
         if not found:
             raise ConfigError(f"--listen {with_port(site.address, site.port)}: this machine has no such address")
-        for each in found:
-            _limit(each)
+        for each in found:  # its connections inherit this
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVED_BYTES)
+            if hasattr(socket, "TCP_NOTSENT_LOWAT"):  # not on Windows
+                each.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
         yield found
 
 
@@ -198,25 +201,6 @@ def _bound(address: str, port: int) -> socket.socket:
     family, _, _, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
     both = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
     return socket.create_server(place[:2], family=family, backlog=BACKLOG, dualstack_ipv6=both)
-
-
-def _not_bound(where: str, error: OSError) -> ConfigError | AddressTakenError:
-    if error.errno == errno.EADDRINUSE:
-        return AddressTakenError(
-            f"{where} is taken by another program (perhaps another console); stop it, or set another --listen"
-        )
-    return ConfigError(f"--listen {where}: {error.strerror}; name an address of this machine")
-
-
-def _limit(listening: socket.socket) -> None:
-    """Set the options that its connections inherit, if this system has them."""
-    for level, option, value in (
-        ("SOL_SOCKET", "SO_RCVBUF", RECEIVED_BYTES),
-        ("IPPROTO_TCP", "TCP_USER_TIMEOUT", DEAD_MS),
-        ("IPPROTO_TCP", "TCP_NOTSENT_LOWAT", UNSENT_BYTES),
-    ):
-        if hasattr(socket, option):
-            listening.setsockopt(getattr(socket, level), getattr(socket, option), value)
 
 
 def _checked(descriptor: int) -> socket.socket:
@@ -230,12 +214,6 @@ def _checked(descriptor: int) -> socket.socket:
     raise ConfigError(
         f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
     )
-
-
-def _is_loopback(address: str) -> bool:
-    with suppress(ValueError):
-        return address == "localhost" or ipaddress.ip_address(address).is_loopback
-    return False
 
 
 def _tls(certificate: Path, key: Path) -> ssl.SSLContext:
