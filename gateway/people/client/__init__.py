@@ -1,1 +1,1 @@
-"""What `gateway.client` is made of."""
+"""The parts of `gateway.client`."""

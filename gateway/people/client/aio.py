@@ -26,13 +26,13 @@ W = TypeVar("W", bound="Twin[Any]")
 
 
 class Calls:
-    """Runs each call on a thread. The end of the program waits for pending calls, also for a Stop."""
+    """Runs each call on a thread. The end of the program waits for pending calls, including Stops."""
 
     def __init__(self) -> None:
         self._questions, self._stops = ThreadPoolExecutor(32), ThreadPoolExecutor(1000)  # a Stop never waits for others
 
     async def run(self, call: Callable[[], T], too_late: Callable[[T], object] = id, *, stops: bool = False) -> T:
-        """Return or raise what `call` does. If cancelled, `call` continues, and `too_late` receives its result."""
+        """Return the result of `call`, or raise its error. If cancelled, `call` continues; then `too_late` gets it."""
         future = (self._stops if stops else self._questions).submit(call)
         try:
             return await asyncio.shield(asyncio.wrap_future(future))
@@ -41,7 +41,7 @@ class Calls:
             raise
 
     def wait_for_stops(self, call: Callable[[], None]) -> None:
-        """Block until all pending Stops have their answers, then do `call`."""
+        """Wait until all pending Stops have their answers, then call `call`. Blocks."""
         stops, self._stops = self._stops, ThreadPoolExecutor(1)
         stops.shutdown()
         call()
@@ -70,14 +70,14 @@ class Twin(Generic[H]):
 
 
 def same(name: str) -> Any:
-    """An attribute of the blocking object, or a method of it that never waits."""
+    """Return a property for an attribute of the blocking object, or for its method that never waits."""
     return property(lambda twin: getattr(twin._own, name), lambda twin, value: setattr(twin._own, name, value))
 
 
 def waits(
     method: Callable[Concatenate[H, P], T], *, stops: bool = False
 ) -> Callable[Concatenate[Twin[H], P], Coroutine[Any, Any, T]]:
-    """The twin of a method that waits. `stops`: it may be a Stop, which never waits for questions."""
+    """Return the twin of a method that waits. `stops`: it may be a Stop, which never waits for questions."""
 
     async def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
         return await twin._calls.run(partial(method, twin._own, *args, **kwargs), stops=stops)
@@ -86,7 +86,7 @@ def waits(
 
 
 def begins(method: Callable[[Any], Any]) -> Callable[[W], Coroutine[Any, Any, W]]:
-    """The twin of an `open`. It returns the twin."""
+    """Return the twin of an `open` method, which returns the twin itself."""
 
     async def call(twin: W, /) -> W:
         await twin._calls.run(partial(method, twin._own))
@@ -98,7 +98,7 @@ def begins(method: Callable[[Any], Any]) -> Callable[[W], Coroutine[Any, Any, W]
 def makes(
     method: Callable[Concatenate[H, P], R], twin_of: Callable[[R, Calls], T]
 ) -> Callable[Concatenate[Twin[H], P], T]:
-    """The twin of a method that returns at once. Functions among its arguments are called on the running loop."""
+    """Return the twin of a method that does not wait. Functions among its arguments are called on the running loop."""
 
     def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
         given: Any = map(_on_this_loop, args)
@@ -109,7 +109,7 @@ def makes(
 
 
 def opens(make: Callable[P, Client]) -> Callable[Concatenate["AsyncClient", P], None]:
-    """An `__init__` with the arguments of `make`, which `async with` calls."""
+    """Return an `__init__` with the arguments of `make`; `async with` calls `make`."""
 
     def init(twin: "AsyncClient", /, *args: P.args, **kwargs: P.kwargs) -> None:
         Twin.__init__(twin, None, Calls())
@@ -203,7 +203,7 @@ class AsyncWalk(Twin[Walk]):
         await self._cover(Distance(radians, turns=True))
 
     async def _cover(self, distance: Distance) -> None:
-        # Tick by tick on the loop: a cancelled call must leave no thread that walks on.
+        # Tick by tick on the loop, so that a cancelled call leaves no thread that keeps walking.
         while (velocity := distance.next(self.state, asyncio.get_running_loop().time())) is not None:
             await self.go(*velocity)
         await self.stand()

@@ -58,11 +58,11 @@ if TYPE_CHECKING:
 R = TypeVar("R", bound=BaseModel)
 _POLL_S: Final = 0.1
 _STATE_TRIES: Final = 3
-"""For a state and its configuration, which may change in between."""
+"""Attempts to get a state and its configuration, which may change between the two."""
 
 
 class _Brief(type):
-    """`help(Client)` shows what a first program needs; the class's text names the rest."""
+    """Limits `help(Client)` to the methods for a first program. The class's text names the others."""
 
     def __dir__(cls) -> list[str]:
         return ["state", "wait_ready", "stream", "walk", "start_legs", "set_legs", "stop", "estop", "reset"]
@@ -130,10 +130,10 @@ class Client(metaclass=_Brief):
         """For buttons, and tools that are one. @private"""
         self._lease: Lease | None = None
         self.open_parts: list[Any] = []
-        """Streams and walks to be closed before the client. @private"""
+        """Streams and walks to close before the client. @private"""
         named = endpoint or (None if file is not None else next(iter(self._hosts.endpoints), None))
         self.reset_command = command("reset", connect=named, zenoh_config=file)
-        """What a person runs to end an emergency stop. @private"""
+        """The command that ends an emergency stop, for a person. @private"""
         close_at_the_end(self)
 
     def __enter__(self) -> Self:
@@ -237,7 +237,7 @@ class Client(metaclass=_Brief):
 
     @property
     def carried_lease(self) -> Lease | None:
-        """The lease in commands; also a lost one, until its `with` ends. @private"""
+        """The lease in commands; a lost one, too, until its `with` ends. @private"""
         return self._lease if self._lease is not None and self._lease.token is not None else None
 
     # ---- stop buttons
@@ -397,7 +397,7 @@ class Client(metaclass=_Brief):
         raise UnansweredError("the gateway's state and its configuration do not belong together; is there another one?")
 
     def telemetry(self, timeout_s: float | None = None) -> Telemetry | None:
-        """Return what the robot measures now, or None if no measurement has arrived. Raises as `state`."""
+        """Return the robot's newest measurements, or None if there are none. Raises as `state`."""
         try:
             return self._get(keys.TELEMETRY, None, Telemetry, again=False, timeout_s=timeout_s)
         except UnansweredError:
@@ -419,7 +419,7 @@ class Client(metaclass=_Brief):
         return self._subscribe(keys.FRAME, FrameRecord, callback)
 
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
-        """As `on_state`, for what the robot measures."""
+        """As `on_state`, for the robot's measurements."""
         return self._subscribe(keys.TELEMETRY, Telemetry, callback)
 
     def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
@@ -434,7 +434,7 @@ class Client(metaclass=_Brief):
 
     @contextmanager
     def _open_session(self) -> Iterator[zenoh.Session]:
-        """The session for one call. Raises ZenohError, one sentence, if it is closed or Zenoh fails."""
+        """Yield the session for one call. Raises ZenohError if it is closed or Zenoh fails."""
         try:
             if not self._closed:
                 yield self.session

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from schemas.button import ButtonAck
 
 LIFE: Final = 600
-"""Times `timeout_ms` until a button registers anew. The gateway lets its clock drift by a quarter of `timeout_ms`;
-a bad crystal (200 ppm) drifts by half of that quarter meanwhile."""
+"""A button registers again after this many `timeout_ms`. A bad crystal (200 ppm) drifts by an eighth of `timeout_ms` in
+that time, and the gateway allows a quarter."""
 REGISTERED_WITHIN: Final = 0.5
-"""Of `timeout_ms`, for both queries of a registration: its delay is the measure for the lateness of check-ins."""
+"""The part of `timeout_ms` for both queries of a registration, whose delay is the reference for late check-ins."""
 REGISTRATION_TRIES: Final = 3
-"""The first registration of a program also imports `cryptography`."""
+"""More than one, since a program's first registration also imports `cryptography`."""
 
 
 class Button:
@@ -41,7 +41,7 @@ class Button:
         self._token: str | None = None
         self._count = 0
         self._ends_s = 0.0
-        """When to register anew, monotonic."""
+        """When to register again (monotonic seconds)."""
         self.name = ""
         """The button's name at the gateway: the certificate's person, else the name that the program chose."""
         self.timeout_ms = 0.0
@@ -56,7 +56,7 @@ class Button:
         self.leave()
 
     def register(self) -> None:
-        """Register, or register anew after the gateway was restarted or this machine slept.
+        """Register. Call it again after the gateway was restarted or this machine slept.
 
         Raises RejectedError (`stale`) if the answers take longer than half of `timeout_ms`.
         """
@@ -73,7 +73,7 @@ class Button:
         raise RejectedError(Reason.STALE, "registering takes longer than half the time that a check-in counts")
 
     def alive(self) -> "ButtonAck":
-        """Check in. The answer has the number of buttons `alive` and `required`. Registers anew every 600 `timeout_ms`.
+        """Check in. The answer counts the buttons `alive` and `required`. Registers again every 600 `timeout_ms`.
 
         Raises RejectedError: `unknown_button` if the gateway was restarted or another program has registered the name
         (`register` takes it back), `stale` if the check-in was late. Raises DisconnectedError if no answer comes within
@@ -88,7 +88,7 @@ class Button:
         return self._requests.alive(self._token, self._count, timeout_s=timeout_s).or_raise()
 
     def _renew(self) -> None:
-        """Register anew in time. If denied, such as for too many proofs a second, the old registration stays."""
+        """Register again in time. If that is denied (too many proofs a second), the old registration stays."""
         try:
             self.register()
         except RejectedError as error:

@@ -2,10 +2,10 @@
 
 `ConfirmedStop` has the rules, without a clock, a thread or a link; `UntilConfirmed` has the threads for a terminal.
 
-While fewer than REQUESTS_AT_ONCE requests are under way, each press begins one at once. Only an answer to a request
-that began after the press confirms it: an earlier Stop may have been reset in between. Any other result counts as no
-answer, and the next request begins AGAIN_NS later. So each unconfirmed press has a request under way that can confirm
-it, or one that is due. A press outlives its page.
+Each press begins a request at once, unless REQUESTS_AT_ONCE requests are in progress. Only the answer to a request that
+began after the press confirms the press: an earlier Stop may have been reset in between. After any other result the
+next request begins AGAIN_NS later. So for each unconfirmed press, a request that can confirm it is in progress or due.
+A press remains when its page is gone.
 """
 
 import threading
@@ -21,11 +21,11 @@ P = TypeVar("P")
 W = TypeVar("W")
 
 REQUESTS_AT_ONCE: Final = 4
-"""Requests under way at most; a key that is held down repeats some 30 times a second."""
+"""The most requests in progress; a key that is held down repeats about 30 times a second."""
 AGAIN_NS: Final = 100_000_000
-"""After a request without an answer, which itself has lasted as long as a client waits for one."""
+"""Pause after a request without an answer, for which the client has already waited."""
 MAX_PRESSES: Final = 16
-"""Of one page, unconfirmed. A newer press replaces the oldest: it requests the same, later."""
+"""Unconfirmed presses of one page. A newer press replaces the oldest, since it requests the same."""
 
 
 @dataclass(eq=False, slots=True)
@@ -49,7 +49,7 @@ class Press(Generic[P, W]):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StopRequest(Generic[W]):
-    """One request under way; its answer confirms every press up to number `covers`."""
+    """A request in progress. Its answer confirms every press up to number `covers`."""
 
     covers: int
     what: W
@@ -59,7 +59,7 @@ class ConfirmedStop(Generic[P, W]):
     """All pages' presses of one Stop. Its shell calls `begin` after each change, and again at `due_ns`."""
 
     def __init__(self, lasts_ns: int | None = None) -> None:  # mutants accepted (Forget, Step): set before it is read
-        """`lasts_ns`: how long after a press a request may begin for it; None: until it is confirmed."""
+        """`lasts_ns`: how long after a press requests begin for it; None: until it is confirmed."""
         self._lasts_ns = lasts_ns
         self._presses = 0
         self._asked = 0
@@ -70,7 +70,7 @@ class ConfirmedStop(Generic[P, W]):
 
     @property
     def since_ns(self) -> int | None:
-        """When the oldest unconfirmed press came; None: all are confirmed."""
+        """When the oldest unconfirmed press arrived, or None."""
         return self._unconfirmed[0].pressed_ns if self._unconfirmed else None
 
     def press(self, page: P, press_id: int | None, what: W, now_ns: int) -> Press[P, W]:
@@ -83,7 +83,7 @@ class ConfirmedStop(Generic[P, W]):
         return press
 
     def leave(self, page: P) -> None:
-        """The page is gone. Of the presses of all gone pages only the newest is kept: its request covers all."""
+        """Record that a page is gone. Of all gone pages' presses only the newest is kept: its request covers all."""
         for press in self._unconfirmed:
             if press.page is page:
                 press.page = None
@@ -91,15 +91,15 @@ class ConfirmedStop(Generic[P, W]):
             self._unconfirmed.remove(press)
 
     def take_back(self, request: StopRequest[W] | None = None) -> None:
-        """Drop the presses that this request covers; without one, all presses so far."""
+        """Drop the presses that this request covers (None: all)."""
         covers = self._presses if request is None else request.covers
         self._unconfirmed = [press for press in self._unconfirmed if press.number > covers]
 
     @property
     def due_ns(self) -> int | None:
-        """When the next request begins, perhaps in the past; None: not before another event.
+        """When the next request begins, perhaps in the past, or None.
 
-        Only the newest press matters: a request that can confirm it can confirm all of them.
+        Only the newest press matters: a request that can confirm it can confirm all.
         """
         if not self._unconfirmed or len(self._under_way) >= REQUESTS_AT_ONCE:
             return None
@@ -109,7 +109,7 @@ class ConfirmedStop(Generic[P, W]):
         return newest.pressed_ns if newest.number > self._asked else self._again_ns
 
     def begin(self, now_ns: int) -> StopRequest[W] | None:
-        """The request that begins now; None: none is due."""
+        """Return the request to begin now, or None."""
         due_ns = self.due_ns
         if due_ns is None or now_ns < due_ns:
             return None
@@ -119,7 +119,7 @@ class ConfirmedStop(Generic[P, W]):
         return request
 
     def ended(self, request: StopRequest[W], now_ns: int, *, answered: bool) -> list[Press[P, W]]:
-        """A request has ended. Returns the presses that it covered; none: they were confirmed or dropped before."""
+        """Take a request's end. Return the presses that it covered, without those confirmed or dropped before."""
         self._under_way.remove(request)
         covered = [press for press in self._unconfirmed if press.number <= request.covers]
         if not answered:
@@ -138,23 +138,23 @@ class ConfirmedStop(Generic[P, W]):
 class UntilConfirmed:
     """Requests a Stop on threads of its own, by the rules of `ConfirmedStop`.
 
-    The threads exist from the beginning: a press finds one even if the system allows no more. An exception from a
-    request, also a fault in this program, counts as no answer.
+    The threads exist from the beginning, so a press needs no new one. Every exception from a request counts as no
+    answer.
     """
 
     def __init__(self, request: Callable[[], Ack], note: Callable[[Ack | Exception], bool]) -> None:
-        """`note` receives each request's answer or error, in order, must not wait, and returns whether to continue."""
+        """`note` gets each request's answer or error, in order. It must not wait. It returns whether to go on."""
         self._request = request
         self._note = note
         self._stop = ConfirmedStop[object, None]()
         self._changed = threading.Condition(threading.Lock())
-        """Its lock is held for moments only, so that a press never waits."""
+        """Its lock is held only briefly, so that a press does not wait."""
         self._noting = threading.Lock()
         for _ in range(REQUESTS_AT_ONCE):
             threading.Thread(target=self._serve, name="stop", daemon=True).start()
 
     def press(self) -> None:
-        """Request it now. Never waits."""
+        """Request the Stop now. Never waits."""
         with self._changed:
             self._stop.press(self, None, None, time.monotonic_ns())
             self._changed.notify()
@@ -166,7 +166,7 @@ class UntilConfirmed:
 
     @property
     def since_ns(self) -> int | None:
-        """When the oldest unconfirmed press came (monotonic ns); None: all are confirmed."""
+        """When the oldest unconfirmed press arrived (monotonic ns), or None."""
         with self._changed:
             return self._stop.since_ns
 

@@ -1,4 +1,4 @@
-"""What means danger to the people near the robot, decided once for page, terminals and recordings. Pure."""
+"""Decides what means danger to people near the robot, for page, terminals and recordings. Pure."""
 
 from typing import Final, Literal
 
@@ -41,20 +41,20 @@ def tone_of(kind: AnyKind) -> Tone:
 
 
 class PowerAlarm:
-    """Whether a Stop is not confirmed by the power board; there is no alarm where the robot has none.
+    """The alarm for a Stop that the power board has not confirmed. A robot without a board has none.
 
-    A board that has never answered may stand by, with everything off, until somebody presses its button: its silence
-    is an alarm only in an emergency stop. A board that answered before may feed servos: its silence alarms at once.
+    A board that has never answered may be in standby with everything off; its silence is an alarm only in an emergency
+    stop. A board that has answered may power servos, so its silence is an alarm at once.
     """
 
     def __init__(self) -> None:
         self.sentence = ""
-        """For people; empty: no alarm."""
+        """The alarm for people, or ""."""
         self._since_ns: int | None = None
-        """When the first of the states without a confirmation came."""
+        """When the first of the unconfirmed states was received."""
 
     def received_state(self, state: GatewayState, now_ns: int) -> None:
-        """The newest state."""
+        """Take the newest state, received at `now_ns` (monotonic)."""
         power = state.power
         if power is None or (power.alive and power.confirmed):
             self.sentence, self._since_ns = "", None
@@ -66,24 +66,24 @@ class PowerAlarm:
             self.sentence = UNCONFIRMED
 
     def received_event(self, kind: AnyKind) -> None:
-        """An event of this kind. Only a state in which the board confirms ends its alarm."""
+        """Take an event of this kind. Its alarm ends with a state in which the board confirms."""
         if kind == Kind.POWER_UNCONFIRMED:
             self.sentence = UNCONFIRMED
 
     def answered(self, ack: Ack) -> None:
-        """The answer to a Stop. If that Stop leaves the supply on, the next state ends the alarm."""
+        """Take the answer to a Stop. If that Stop leaves the power on, the next state ends the alarm."""
         if ack.confirmed is not None:
             self.sentence = "" if ack.confirmed else UNCONFIRMED
 
 
 def confirmed_off(ack: Ack) -> str:
-    """`, power confirmed off after 34 ms`, at the end of a sentence; empty without a confirmation."""
+    """Return the end of a sentence, `, power confirmed off after 34 ms`, or "" without a confirmation."""
     after = "" if ack.confirmed_ms is None else f" after {ack.confirmed_ms:.0f} ms"
     return f", power confirmed off{after}" if ack.confirmed else ""
 
 
 def power_now(power: PowerReport | None) -> str:
-    """How the board feeds the servos, in a few words; empty where there is none."""
+    """Return how the board powers the servos, in a few words, or "" without a board."""
     if power is None:
         return ""
     if not power.alive:

@@ -30,10 +30,10 @@ from gateway.zenoh_config import connect_endpoints, first_expiry
 TIMEOUT_S: Final = 1.0
 """The time for all endpoints together."""
 _ALERT_S: Final = 0.3
-"""A server rejects a client's certificate after the handshake: a round trip later."""
+"""Wait for the alert of a server that rejects a client's certificate: a round trip after the handshake."""
 _ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]+):(?P<port>\d{1,5})(?:[#?].*)?")
 _OLDEST_YEAR: Final = 2024
-"""No certificate of ours is older: an earlier clock was never set."""
+"""No certificate of this project is older, so an earlier clock was never set."""
 
 _NOT_YET_VALID, _EXPIRED = 9, 10  # OpenSSL's X509_V_ERR_…
 _SETS_CLOCK: Final = "timedatectl set-ntp true"
@@ -98,7 +98,7 @@ def diagnose_all(
 
 
 _MARGIN_S: Final = 0.05
-"""For a finding about a timeout at the end of the time."""
+"""Extra time for a finding about a timeout."""
 
 
 def _note(found: list[Finding], findings: Iterator[Finding]) -> None:
@@ -135,7 +135,7 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
 
 
 def own_certificates(identity: Identity, now: dt.datetime) -> Iterator[Finding]:
-    """The validity of this machine's certificates, by its clock."""
+    """Yield the validity of this machine's certificates at `now`."""
     for path in (identity.ca, identity.certificate):
         if path is None:
             continue
@@ -165,7 +165,7 @@ def role(certificate: Path) -> str:
 
 
 def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) -> Finding:
-    """The validity at `now` of a certificate that is valid from `begin` to `end`."""
+    """Return the finding at `now` for a certificate that is valid from `begin` to `end`."""
     if now < begin:
         clock = f"this machine's clock states {now:%Y-%m-%d}"
         sentence = f"{name} is good from {begin:%Y-%m-%d} only, and {clock}"
@@ -184,7 +184,7 @@ _Addresses = list[tuple[socket.AddressFamily, tuple[Any, ...]]]
 
 
 def _resolve(host: str, port: int, end_s: float) -> _Addresses:
-    """The host's addresses. Raises TimeoutError if no resolver answers in time; getaddrinfo has no timeout."""
+    """Return the host's addresses. Raises TimeoutError if no resolver answers in time; getaddrinfo has no timeout."""
     answer: SimpleQueue[_Addresses | OSError] = SimpleQueue()
 
     def ask() -> None:
@@ -214,7 +214,7 @@ def _unresolved(host: str, error: OSError) -> Finding:
 
 
 def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
-    """A connection to the first address that accepts one. Raises the error of the last one."""
+    """Return a connection to the first address that accepts one. Raises the last address's error."""
     fault: OSError = OSError("no address")
     for place, (family, address) in enumerate(addresses):
         probe = socket.socket(family, socket.SOCK_STREAM)
@@ -282,7 +282,7 @@ def _context(identity: Identity) -> ssl.SSLContext:
 
 
 def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
-    """The robot's response to our certificate: an alert, or nothing."""
+    """Return the finding about our certificate, by the robot's alert or its absence."""
     secured.settimeout(min(_ALERT_S, _left_s(end_s)))
     try:
         secured.recv(1)
@@ -296,7 +296,7 @@ def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
 
 
 def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
-    """We reject the robot's certificate."""
+    """Return the finding for a robot's certificate that we reject."""
     code, fix = error.verify_code, f"{_CLOCK} here"
     if code in _WRONG_HOST:
         fix = f"dial it by a name that it has (hexapod-gateway certs list --dir DIR), or make it one with --host {host}"
@@ -319,7 +319,7 @@ def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
 
 
 def _alert(error: ssl.SSLError) -> Finding:
-    """The robot rejects our certificate, or this is no TLS."""
+    """Return the finding for a robot that rejects our certificate, or uses no TLS."""
     reason = error.reason or ""
     if "UNKNOWN_CA" in reason:
         sentence = "the robot does not know the CA of your certificate"
@@ -337,7 +337,7 @@ def _alert(error: ssl.SSLError) -> Finding:
 
 
 def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:
-    """Whether a port that is dialled without TLS requires it."""
+    """Yield a finding if a port that is dialled without TLS requires TLS."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE  # only whether it speaks TLS matters
     connection.settimeout(min(_ALERT_S, _left_s(end_s)))

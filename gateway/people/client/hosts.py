@@ -1,11 +1,11 @@
 """Connects to a gateway by the first of its hosts that answers.
 
-Zenoh tries a client's endpoints one after the other, and spends `connect/timeout_ms` on the first, or up to
-`open_timeout` on each that drops packets or has no address. A Stop must not wait for that, so each host is tried on a
-thread of its own, which begins shortly after the one before (RFC 8305, "happy eyeballs").
+Zenoh tries a client's endpoints in turn. It spends `connect/timeout_ms` on the first, or up to `open_timeout` on each
+that drops packets or has no address. A Stop must not wait for that, so each host is tried on its own thread, which
+begins shortly after the previous one (RFC 8305, "happy eyeballs").
 
-The session that opens first is kept. It has all the endpoints, its own first: when its link breaks, Zenoh tries them in
-turn, and all that was declared in the session stays declared.
+The session that opens first is kept. It has all endpoints, its own first. If its link breaks, Zenoh tries them in turn,
+and the session keeps its declarations.
 """
 
 import json
@@ -22,12 +22,12 @@ from gateway.errors import UnreachedError, ZenohError
 from gateway.zenoh_config import CANNOT_CONNECT, connect_endpoints, get, one_line, why_not_opened
 
 NEXT_HOST_S: Final = 0.2
-"""After this time the next host is tried, or as soon as the one before fails.
+"""After this time, or as soon as a host fails, the next host is tried.
 
-A LAN answers in some 10 ms, so usually one host is tried. A Stop through the third takes less than half a second.
+A LAN answers in about 10 ms, so usually one host is tried. A Stop through the third takes less than half a second.
 """
 OPEN_TIMEOUT_MS: Final = 1000
-"""How long one of several hosts may take, name and handshake included, if the Zenoh file keeps Zenoh's 10 s."""
+"""The time for one of several hosts, with name and handshake, unless the Zenoh file changes Zenoh's 10 s."""
 _OPEN_TIMEOUT: Final = "transport/unicast/open_timeout"
 _ZENOHS_OPEN_TIMEOUT_MS: Final = 10_000
 _PAUSE_S: Final = 0.1
@@ -38,7 +38,7 @@ class Hosts:
     """The endpoints of a client's configuration."""
 
     def __init__(self, config: zenoh.Config, timeout_s: float) -> None:
-        """Keeps and changes `config`. `timeout_s`: the longest that `open` waits for a session."""
+        """`config` is kept and changed. `timeout_s` is the longest wait of `open` for a session."""
         self.endpoints = connect_endpoints(config)
         self.config = config
         self._timeout_s = timeout_s
@@ -64,7 +64,7 @@ class Hosts:
         return session
 
     def config_for(self, first: int) -> zenoh.Config:
-        """The configuration of a session that tries endpoint number `first` first."""
+        """Return the configuration of a session that tries endpoint number `first` first."""
         if first == 0:
             return self.config
         config = zenoh.Config.from_json5(str(self.config))
@@ -75,7 +75,7 @@ class Hosts:
 class Search:
     """Tries all hosts repeatedly until one answers, `close` is called, or the time is over.
 
-    Calls `found` on a thread of its own: with the session, or with None when no host is left to try.
+    `found` is called on another thread, with the session, or with None if no host is left to try.
     """
 
     def __init__(
@@ -156,7 +156,7 @@ class _Thread(threading.Thread):
 
 
 def under_way() -> bool:
-    """Whether an attempt to connect is still pending; nobody waits for its result."""
+    """Return whether an attempt to connect is still pending, whose result is no longer needed."""
     return any(isinstance(thread, _Thread) for thread in threading.enumerate())
 
 

@@ -17,10 +17,10 @@ _TWICE: Final = 2
 
 
 class Interrupts:
-    """Counts the signals while one or more walks of the main thread's loop are open.
+    """Counts signals while walks of the main thread's loop are open.
 
     `asyncio.run` cancels its main task at the first Ctrl-C. For SIGTERM, and for Ctrl-C without that handler, this
-    cancels the task that opened it, twice at most; the third signal ends the program.
+    cancels the task that opened it, at most twice. The third signal ends the program.
     """
 
     _open: ClassVar[list["Interrupts"]] = []
@@ -57,7 +57,7 @@ class Interrupts:
             raise KeyboardInterrupt if self._ours == signal.SIGINT else Terminated
 
     def meant(self, error: BaseException | None) -> BaseException | None:
-        """Return the error with which a blocking walk would end, for the error of the task."""
+        """Return the error that a blocking walk would get instead of the task's `error`."""
         if isinstance(error, asyncio.CancelledError) and self.count == 1:
             return KeyboardInterrupt()  # at which a walk sits
         if isinstance(error, KeyboardInterrupt) and self.count > 1:

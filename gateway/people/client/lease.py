@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 TTL_MS: Final = 1000.0
 """The gateway's default (`lease.ttl_ms`), for an answer without it."""
 CONFIRM_S: Final = 1.0
-"""For an answer that a program waits for; the watchdog (0.25 s) stops its legs earlier."""
+"""The longest wait for an answer that a program waits for. The watchdog (0.25 s) stops its legs earlier."""
 RELEASE_S: Final = 0.5
-"""The longest that a release delays a program's end."""
+"""The longest delay of a program's end by a release."""
 _CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
 _TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
 
 
 class LeaseClient(Protocol):
-    """What a lease needs of its client, whose commands carry it."""
+    """The client's part that a lease uses. The client's commands carry the lease."""
 
     name: str
     lease_requests: LeaseRequests
@@ -84,10 +84,10 @@ class Lease:
         self._on_asked = on_asked
         self._lock = threading.Lock()
         self._renewal = Renewal()
-        """Changed under the lock."""
+        """Changed only with the lock held."""
         self._token: str | None = None
         self._giving = threading.RLock()
-        """Held during a hand-over: only its answer decides who holds the lease."""
+        """Held during a hand-over, whose answer alone decides who holds the lease."""
         self._asked_s = 0.0
         self._news = threading.Event()
         self._asked_by: str | None = None
@@ -121,7 +121,7 @@ class Lease:
         return self._renewal.ttl_ms
 
     def hand_over(self, to: str) -> None:
-        """Hand the lease over to `to`, who has `ttl_ms` to acquire it. Running legs go on running.
+        """Hand the lease over to `to`, who has `ttl_ms` to acquire it. Running legs keep running.
 
         Raises LeaseLostError if we no longer hold it, and LeaseError if `to` has not asked.
         """
@@ -145,7 +145,7 @@ class Lease:
     # ---- begin and end; `with` calls them
 
     def acquire(self) -> None:
-        """Raises LeaseError if it is denied, DisconnectedError if no gateway answers. @private"""
+        """Acquire it. Raises LeaseError if it is denied, DisconnectedError if no gateway answers. @private"""
         if self._renewal.holds is not Holds.NOT_YET:
             raise RuntimeError("a lease is used once; make a new one with `lease()`")
         if (other := self._client.carried_lease) is not None and other.held:
@@ -193,17 +193,14 @@ class Lease:
             raise self.lost.with_traceback(None)
 
     def confirm(self) -> LeaseLostError | None:
-        """Ask the gateway whether we still hold it. Returns the error if not. @private"""
+        """Ask the gateway whether we still hold it. Return the error if not. @private"""
         with self._giving:
             if self.held:
                 self._renew(CONFIRM_S)
         return self.lost
 
     def judge(self, ack: Ack) -> None:
-        """If a command that carried the token was rejected for its lease, ask whether it is lost.
-
-        Raises LeaseLostError. @private
-        """
+        """If a command was rejected for its lease, ask if the lease is lost. Raises LeaseLostError if so. @private"""
         if not ack.accepted and ack.reason in NOT_OURS:
             self.confirm()
             self.check()
@@ -244,7 +241,7 @@ class Lease:
             self._on_asked(who)
 
     def _receive(self, event: Event) -> None:
-        """Called on a Zenoh thread, which must never wait."""
+        """Take an event, on a Zenoh thread, which must not wait."""
         if event.kind == Kind.LEASE_ASKED and self.held:  # before, the request may be our own
             self._asked_by = event.source
         if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:
@@ -284,9 +281,9 @@ class Lease:
 
 
 class LentLease(Lease):
-    """A lease that another program acquired, renews and releases: for `Client.carry`, in a program that drives for it.
+    """A lease that another program acquires, renews and releases, for `Client.carry` in a program that drives for it.
 
-    Commands that carry it prolong it; after a rejected one it asks the gateway whether the lease is lost.
+    Commands that carry it prolong it. After a rejected one, it asks the gateway whether the lease is lost.
     """
 
     def __init__(self, client: LeaseClient, token: str) -> None:
@@ -295,7 +292,7 @@ class LentLease(Lease):
         self._renewal.granted(TTL_MS, -math.inf)
 
     def release(self) -> None:
-        """Commands no longer carry it; its owner gives it back."""
+        """Carry it no longer. Its owner releases it."""
         self._end(Holds.RELEASED)
 
 

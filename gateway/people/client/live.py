@@ -1,4 +1,4 @@
-"""What a gateway publishes, live: validated, and delivered to a thread or an event loop."""
+"""A gateway's published reports, validated, and delivered live to a thread or an event loop."""
 
 import threading
 import time
@@ -28,9 +28,9 @@ STATE_ANSWER_S: Final = 0.6
 CLOSE_S: Final = 0.5
 """The longest wait for the session to close; with a frozen gateway Zenoh takes ten seconds."""
 SAME_START_S: Final = 0.1
-"""Two states of one gateway agree on its start to within this; no gateway restarts so quickly."""
+"""Two states of one gateway agree on its start within this time. No gateway restarts this quickly."""
 LATE_S: Final = 1.0
-"""The longest delay of a state behind a newer one."""
+"""The longest delay of a state that arrives after a newer one."""
 
 ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
 """The exceptions of a session and its queries."""
@@ -40,7 +40,7 @@ ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
 
 
 def is_of_physics(sample: zenoh.Sample, physics: str | None) -> bool:
-    """Whether the process with this Zenoh id published it: without access control any program may publish there."""
+    """Return whether the process with this Zenoh id published it: without access control, any program may."""
     source = sample.source_info
     return physics is not None and source is not None and str(source.source_id.zid) == physics
 
@@ -57,7 +57,7 @@ def set_upright(client: Client) -> Ack:
 
 
 class Order(Enum):
-    """How a state relates to the newest before it."""
+    """A state's relation to the newest state before it."""
 
     NEXT = auto()
     RESTARTED = auto()  # the gateway was restarted between the two
@@ -65,10 +65,10 @@ class Order(Enum):
 
 
 class Starts:
-    """Recognises a restarted gateway by its time of start, not by its uptime alone. Pure.
+    """Recognises a restarted gateway by its time of start and its uptime. Pure.
 
-    After a silence the new gateway may have run for longer than the old one had. Setting the clock (a Pi's after its
-    boot) moves the time of start of a gateway that goes on.
+    Its uptime is not enough: after a silence, the new gateway may have run for longer than the old one had. Its time of
+    start is not enough: setting the clock (a Pi's after its boot) moves that of a running gateway.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class Starts:
         self._received_ns: int | None = None
 
     def judge(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
-        """`time` and `uptime_s` are a state's, `received_ns` is by this machine's monotonic clock."""
+        """Return the order of a state with this `time` and `uptime_s`, received at `received_ns` (monotonic)."""
         began_s = time.timestamp() - uptime_s
         order = Order.NEXT
         if self._received_ns is not None:
@@ -94,40 +94,40 @@ class Starts:
 
 
 class Receiver:
-    """Called on threads of `Live`, or by `OnLoop` on a loop. Methods must return quickly; here they do nothing."""
+    """Receives reports on threads of `Live`, or on a loop by `OnLoop`. Methods must be fast; here they do nothing."""
 
     def opened(self) -> None:
-        """A session is open: from now on a Stop can be sent."""
+        """Called when a session is open. From now on a Stop can be sent."""
 
     def not_opened(self, error: Exception) -> None:
-        """No session could be opened; `Live` tries again."""
+        """Called when no session could be opened. `Live` tries again."""
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        """A state, published or as an answer. `received_ns`: by this machine's monotonic clock."""
+        """Take a state, published or as an answer, received at `received_ns` (monotonic)."""
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
-        """An event; `left_out` events before it were dropped."""
+        """Take an event. `left_out` events before it were dropped."""
 
     def received_body(self, body: BodyReport) -> None:
-        """The pose of a robot that is simulated with physics."""
+        """Take the pose of a robot that is simulated with physics."""
 
     def received_telemetry(self, telemetry: Telemetry) -> None:
-        """What the robot measures."""
+        """Take the robot's measurements."""
 
     def received_token(self, alive: bool) -> None:
-        """The gateway is alive, or it or the link has ended. The end of its process is noticed within milliseconds."""
+        """Take whether the gateway is `alive`; if not, it or the link has ended (noticed within milliseconds)."""
 
     def answered(self, client: Client) -> None:
-        """The gateway has answered a query for its state."""
+        """Called when the gateway has answered a query for its state."""
 
     def diagnosed(self, reasons: list[str]) -> None:
-        """Why no state is received: a line for each host."""
+        """Take the reasons why no state is received, a line for each host."""
 
 
 class Live:
-    """Opens a session, trying until it succeeds; after a broken link Zenoh itself reconnects to any of the hosts.
+    """Opens a session, repeatedly until that succeeds. After a broken link Zenoh itself reconnects to any host.
 
-    Zenoh delivers into rings, which threads of this class empty: a slow receiver does not delay Zenoh.
+    Zenoh delivers into rings, which threads of this class empty, so a slow receiver does not delay Zenoh.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class Live:
         self._subscribers: list[Any] = []
 
     def start(self) -> None:
-        """Begin to connect. The threads exist from now on."""
+        """Start the threads, and begin to connect."""
         for loop in (self._open_at_last, self._ask_when_quiet, self._diagnose_when_silent):
             threading.Thread(target=loop, name=f"live {loop.__name__}", daemon=True).start()
 
@@ -240,13 +240,13 @@ class Live:
 
 
 def _later(name: str) -> Any:
-    """A method that has the receiver's method of this name called on the loop."""
+    """Return a method that has the receiver's method of this name called on the loop."""
     return lambda on_loop, *arguments: on_loop._put(getattr(on_loop._receiver, name), *arguments)
 
 
 class OnLoop(Receiver):
-    """Calls a receiver on an event loop, in order: the newest of each kind, and at most 256 events, so a
-    flood or a busy loop takes no memory."""
+    """Calls a receiver on an event loop, in order: the newest of each kind, and at most 256 events, so that a flood
+    takes no memory."""
 
     def __init__(self, loop: "AbstractEventLoop", receiver: Receiver) -> None:
         self._loop = loop
@@ -275,7 +275,7 @@ class OnLoop(Receiver):
         self._put(self._deliver_events)
 
     def _put(self, take: Callable[..., None], *arguments: object) -> None:
-        """Call `take` on the loop with these arguments only, after the calls that wait already."""
+        """Call `take` on the loop with these arguments, after the waiting calls."""
         with self._lock:
             announced = bool(self._waiting)
             self._waiting.pop(take.__name__, None)

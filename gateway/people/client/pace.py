@@ -1,4 +1,4 @@
-"""When a stream sends, when it asks the gateway, and when it warns. Pure: `now_s` never goes back."""
+"""Decides when a stream sends, asks the gateway, and warns. Pure: `now_s` never goes back."""
 
 import math
 from collections import deque
@@ -8,13 +8,13 @@ from typing import Final, NamedTuple
 SILENCE_S: Final = 0.5
 """After this time without a report the gateway is asked. By default a state is published every 0.1 s."""
 LATE_PART: Final = 0.5
-"""Of a period. A setpoint that is later than this after its tick waits for the next tick, to keep a distance."""
+"""The part of a period after which a late setpoint waits for the next tick, to keep a distance between two."""
 MOST_DEG: Final = 3.2
 """Half a turn in radians, rounded up."""
 RADIANS_S: Final = 1.0
-"""A whole stride of most gaits; a leg in degrees stays between 0 and 3.2 for this time only on purpose."""
+"""A whole stride of most gaits. A leg in degrees stays between 0 and 3.2 for this time only on purpose."""
 MOST_QUESTIONS: Final = 2
-"""In each second, while the robot is stopped or the gateway does not answer."""
+"""Questions a second while the robot is stopped or the gateway does not answer."""
 _KEPT_TICKS: Final = 1000
 """For the jitter: 20 s at 50 Hz."""
 LIKE_RADIANS: Final = (
@@ -24,7 +24,7 @@ LIKE_RADIANS: Final = (
 
 
 class Jitter(NamedTuple):
-    """How long after their ticks the newest 1000 setpoints were sent, in milliseconds."""
+    """The delays of the newest 1000 setpoints after their ticks, in milliseconds."""
 
     p50_ms: float
     p99_ms: float
@@ -47,7 +47,7 @@ class SetpointPace:
     def __init__(self, hz: float) -> None:
         self.period_s = 1 / hz
         self.missed = 0
-        """Ticks for which no setpoint came in time."""
+        """Ticks without a setpoint in time."""
         self._begun_s: float | None = None
         self._tick: int
         self._last_s = -math.inf
@@ -75,12 +75,12 @@ class SetpointPace:
         return self._last_s
 
     def sent(self, now_s: float) -> None:
-        """The setpoint of the newest `next_s` is sent."""
+        """Record that the setpoint of the newest `next_s` was sent."""
         self._late_s.append(now_s - self._last_s)
 
     @property
     def jitter(self) -> Jitter:
-        """All 0 before the first setpoint."""
+        """The delays of setpoints; all 0 before the first."""
         late_s = sorted(self._late_s) or [0.0]
         return Jitter(*(round(1000 * late_s[int(part * (len(late_s) - 1))], 3) for part in (0.5, 0.99, 1)))
 
@@ -149,7 +149,7 @@ class Doubt:
         self._raised = False
 
     def is_there(self, now_s: float) -> bool:
-        """Whether to ask the gateway: a doubt was raised, this program stalled, or the gateway is silent."""
+        """Return whether to ask the gateway: a doubt was raised, this program stalled, or the gateway is silent."""
         stalled = now_s - self._sent_s >= self.watchdog_s
         return self._raised or stalled or now_s - self._received_s >= SILENCE_S
 
@@ -172,7 +172,7 @@ def thins(hz: float, limit_hz: float) -> str | None:
 
 
 class Radians:
-    """Notices a gait in radians: every angle is legal, and the robot hardly moves. Pure.
+    """Detects a gait in radians, whose angles are all legal, but hardly move the robot. Pure.
 
     >>> radians = Radians()
     >>> [radians.suspected([(1.57, 0.8, 2.1)], now_s) for now_s in (0.0, 0.9, 1.0, 1.1)]
@@ -183,7 +183,7 @@ class Radians:
         self._warn_at_s: float | None = None
 
     def suspected(self, angles_deg: Iterable[tuple[float, ...]], now_s: float) -> bool:
-        """Whether all angles of the last RADIANS_S look like radians; true once at most."""
+        """Return whether all angles of the last RADIANS_S look like radians; true once at most."""
         if self._warn_at_s == math.inf:
             return False
         if any(angle > MOST_DEG for angles in angles_deg for angle in angles):

@@ -1,8 +1,8 @@
-"""How long a question waits, when it is resent or sent another way, and which answer counts. Pure: time is an argument.
+"""Decides how long a question waits, when it is resent, and which answer counts. Pure: time is an argument.
 
-Without access control any program may answer on the gateway's keys. An answer of the program that was dialled counts at
-once. Another program's counts only when all that the query reached have answered or declined: the gateway may be behind
-the program that was dialled.
+Without access control any program may answer on the gateway's keys. An answer of the dialled program counts at once.
+Another program's counts only after all programs that the query reached have answered or declined: the gateway may be
+behind the dialled program.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ A = TypeVar("A")
 RESEND_S: Final = 0.05
 """A client without a link tries again after 0.1 s (`gateway.zenoh_config`)."""
 ATTEMPT_S: Final = 1.0
-"""After this time without an answer a Stop is requested again: the link may be dead unnoticed.
+"""After this time without an answer a Stop is requested again, since the link may be dead unnoticed.
 
-An answer to an earlier attempt counts as well: on a slow bus six Stops take longer than this.
+An answer to an earlier attempt counts, too: on a slow bus six Stops take longer than this.
 """
 OTHER_WAY_S: Final = 0.2
-"""After this time without an answer a Stop is sent by another session as well.
+"""After this time without an answer a Stop is also sent by another session.
 
 An answer takes milliseconds. Zenoh notices a dead link only after its lease, and then tries the hosts in turn.
 """
@@ -62,7 +62,7 @@ class Patience(Generic[A]):
         self._over = False
         self.under_way = 0
         self.answer: A | None = None
-        """The answer that counts; None: none so far."""
+        """The answer that counts, or None so far."""
 
     def sent(self, now_s: float) -> Query[A]:
         self._sent_s = now_s
@@ -70,14 +70,14 @@ class Patience(Generic[A]):
         return Query()
 
     def replied(self, query: Query[A], answer: A, *, own: bool) -> None:
-        """A program has answered. `own`: it is, or may be, the program that was dialled."""
+        """Take a program's answer. `own`: it is, or may be, the dialled program."""
         query.foreign = query.foreign or answer
         self._foreign = self._foreign or answer
         if own:
             self._finish(answer)
 
     def ended(self, query: Query[A], now_s: float) -> None:
-        """Zenoh has ended a query; without a link it does so at once."""
+        """Take a query's end, which without a link comes at once."""
         self.under_way -= 1
         self._finish(query.foreign)
         if self.under_way:
@@ -92,7 +92,7 @@ class Patience(Generic[A]):
         return min(self._end_s, self._again_s, self._end_s if self._searches else self._other_way_s)
 
     def step(self, now_s: float) -> QuestionStep:
-        """Return what to do now; it then counts as done."""
+        """Return the step to do now. It counts as done."""
         if now_s >= self._end_s:
             self._finish(self._foreign)
             self._over = True

@@ -17,7 +17,7 @@ Angle = SupportsFloat | SupportsIndex
 Unit = Literal["deg", "rad"]
 """Of angles: degrees (0 to 180), or radians (0 to π)."""
 ROUNDING_DEG: Final = 0.005
-"""Half of the protocol's hundredth. An angle this close outside 0 to 180 counts as the limit: rounding errors."""
+"""Half of the protocol's hundredth. An angle outside 0 to 180 by this much counts as the limit (a rounding error)."""
 
 LegAngles = dict[int, tuple[float, ...]]
 """The three angles of each leg in degrees, by its number."""
@@ -64,7 +64,7 @@ def _setpoint(op: str, angles: tuple[float, ...]) -> dict[str, Any]:
 
 
 def row(angles: tuple[Angle | Sequence[Angle] | Array, ...]) -> Sequence[Angle] | Array:
-    """A leg's angles, whether they are given one by one or as one list, tuple or array.
+    """Return a leg's angles, which are given one by one or as one list, tuple or array.
 
     >>> row((90, 45, 120)), row(([90, 45, 120],))
     ((90, 45, 120), [90, 45, 120])
@@ -77,7 +77,7 @@ def row(angles: tuple[Angle | Sequence[Angle] | Array, ...]) -> Sequence[Angle] 
 
 
 def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
-    """Also numpy's arrays, which are no Sequence; no set and no dict, which have no order of joints."""
+    """Return whether a value has an order of joints: a Sequence or a numpy array, but no set or dict."""
     if type(value) is tuple or type(value) is list:  # a stream's, usually; an ABC's check takes ten calls
         return True
     indexed = isinstance(value, Collection) and hasattr(value, "__getitem__")
@@ -85,7 +85,7 @@ def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:
 
 
 def legs_payload(op: str, angles: Setpoints, unit: Unit = "deg") -> dict[str, Any]:
-    """The payload of one command for several legs (1 to 6): one operation, three angles for each.
+    """Return the payload of one command for several legs (1 to 6): one operation, three angles for each.
 
     Raises as `leg_payload` and `leg_number`.
     """
@@ -106,7 +106,7 @@ def legs_angles(angles: Setpoints, unit: Unit = "deg") -> LegAngles:
 
 
 def _rows(angles: object) -> Sequence[Any]:
-    """The six legs of an array. Raises TypeError for anything else, OutOfRangeError for another shape."""
+    """Return the six legs of an array. Raises TypeError for anything else, OutOfRangeError for another shape."""
     if not _is_row(angles):
         raise TypeError(f"legs and their angles are a dict, such as {{3: (90, 45, 120)}}, or an array, not {angles!r}")
     count, shape = len(JOINTS), getattr(angles, "shape", None)

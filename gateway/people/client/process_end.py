@@ -1,10 +1,10 @@
-"""The end of a program that uses clients: signals that arrive in a Zenoh callback, and clients that nobody closed.
+"""The end of a program that uses clients: signals that arrive in a Zenoh callback, and clients that are still open.
 
-Zenoh calls a callback in the thread that asks where nobody else has to answer. An exception in a callback is only
-logged, so what the handler of Ctrl-C or SIGTERM raises there would be lost. The signal is delivered again.
+If no other program has to answer, Zenoh calls a query's callback in the asking thread. Exceptions in callbacks are only
+logged, so the exception of a Ctrl-C or SIGTERM handler would be lost there. Therefore the signal is delivered again.
 
-At its end Python waits for Zenoh's callback threads, which end with their session, and runs `atexit` functions only
-after that wait. So another thread closes the clients.
+At its end Python waits for Zenoh's callback threads, which end with their session, and only then runs `atexit`
+functions. So another thread closes the clients.
 """
 
 import _thread
@@ -19,9 +19,9 @@ from typing import Any, Final, Protocol
 from weakref import WeakSet
 
 _SIGNALS: Final = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
-"""What handlers raise, and for which signal."""
+"""The exceptions of handlers, and their signals."""
 _AGAIN_S: Final = 0.01
-"""Long after the callback has returned. A signal that meets another callback is delivered once more."""
+"""Delay of the repeated signal; the callback has then returned. If it meets another callback, it is repeated again."""
 _CALLBACKS: Final = "pyo3-closure"
 """Part of the names of Zenoh's own threads."""
 
@@ -45,7 +45,7 @@ def _is_no_signal(record: logging.LogRecord) -> bool:
 
 
 class Closable(Protocol):
-    """A client, as far as this module needs it."""
+    """The part of a client that is used here."""
 
     def __exit__(self, *raised: Any) -> None: ...
 

@@ -1,6 +1,6 @@
 """One Zenoh query to the gateway, repeated and sent by other sessions until a valid answer arrives.
 
-Invalid replies are ignored: a recorder replies to everything with `{}`. All repliers are noted.
+Invalid replies are ignored, such as the `{}` of a recorder that replies to everything. All repliers are recorded.
 """
 
 import time
@@ -27,7 +27,7 @@ class Question(Generic[A]):
     def __init__(
         self, key: str, payload: str | None, read: Callable[[bytes], A], priority: zenoh.Priority | None = None
     ) -> None:
-        """`read` turns bytes into an answer, or raises ValidationError."""
+        """`read` converts bytes to an answer, or raises ValidationError."""
         self.answerers: set[str] = set()
         """Zenoh ids of all programs that replied, validly or not."""
         self._key = key
@@ -39,7 +39,7 @@ class Question(Generic[A]):
         self._patience: Patience[A]
 
     def ask(self, session: zenoh.Session, end_s: float, *, again: bool, other_ways: Hosts | None) -> A | None:
-        """Return the answer; None after `end_s`, or without `again` when all programs declined or none was reached."""
+        """Return the answer, or None: after `end_s`, or (not `again`) if all programs declined or none was reached."""
         patience = self._patience = Patience(time.monotonic(), end_s, again=again, other_ways=other_ways is not None)
         self._send(session, end_s)
         search: Search | None = None
@@ -60,7 +60,7 @@ class Question(Generic[A]):
                 search.close()
 
     def wait_for_others(self, wait_s: float) -> None:
-        """After `ask`: note further repliers, until all have replied or declined, for at most `wait_s`."""
+        """After `ask`: record further repliers until all have replied or declined, for `wait_s` at most."""
         end_s = time.monotonic() + wait_s
         with suppress(Empty):
             while self._patience.under_way:
@@ -96,7 +96,7 @@ class Question(Generic[A]):
         return None
 
     def _judge(self, session: zenoh.Session, query: Query[A], reply: zenoh.Reply | None) -> None:
-        """`reply` is None at the query's end."""
+        """Take a reply; None is the query's end."""
         if reply is None:
             self._patience.ended(query, time.monotonic())
         elif reply.ok is not None:
@@ -108,7 +108,7 @@ class Question(Generic[A]):
 
 
 def _is_own(session: zenoh.Session, replier: str) -> bool:
-    """Whether the replier may be the program that was dialled. Routers never reply: behind one, any program may."""
+    """Return whether the replier may be the dialled program. A router never replies: behind it, any program may be."""
     dialled = [str(link.zid) for link in session.info.transports() if link.whatami == zenoh.WhatAmI.PEER]
     return not dialled or replier in dialled
 

@@ -52,19 +52,19 @@ class Renewal:
         self.lost: LeaseLostError | None = None
         """How it was lost."""
         self.gives = False
-        """A hand-over is under way: a renewal that is rejected meanwhile is no loss."""
+        """Whether a hand-over is in progress, during which a rejected renewal is no loss."""
         self.due_s = math.inf
         """When the next renewal is due (seconds, by the caller's clock)."""
         self._confirmed_s = -math.inf
 
     def granted(self, ttl_ms: float, asked_s: float) -> None:
-        """The lease is ours. Its life counts from `asked_s`, when the request was sent."""
+        """Record that the lease is ours, from `asked_s` on, when the request was sent."""
         self.holds, self.ttl_ms, self._confirmed_s = Holds.YES, ttl_ms, asked_s
         self.asked(asked_s)
 
     @property
     def answer_s(self) -> float:
-        """How long to wait for the answer to a renewal."""
+        """The longest wait for the answer to a renewal."""
         return max(self._period_s, LEAST_ANSWER_S)
 
     def asked(self, now_s: float) -> None:
@@ -84,13 +84,13 @@ class Renewal:
             self._lose(Reason.NO_LEASE, detail, None)
 
     def end(self, how: Holds) -> None:
-        """We gave it up. A lost lease stays lost."""
+        """Record that we gave it up. A lost lease stays lost."""
         if self.holds is Holds.YES:
             self.holds = how
 
     @property
     def elsewhere(self) -> bool:
-        """Whether somebody else holds it, by a hand-over or a takeover: the legs are theirs."""
+        """Whether another client has it by a hand-over or a takeover, and so the legs."""
         taken = self.holds is Holds.LOST and self.lost is not None and self.lost.holder is not None
         return taken or self.holds is Holds.HANDED_OVER
 
@@ -111,7 +111,7 @@ class Waiting:
         self._asked: str | None = None
 
     def asks(self, holder: str | None) -> bool:
-        """Whether to ask this holder: each holder is asked once."""
+        """Return whether to ask this holder. Each holder is asked once."""
         new = holder != self._asked
         self._asked = holder
         return new

@@ -1,7 +1,7 @@
-"""Requests about the lease and the stop buttons, and the person in whose name they are made. Keeps no token.
+"""Requests about the lease and the stop buttons, in the name of the certificate's person. Keeps no token.
 
-The person is that of the own certificate, proved by a nonce signed with its key. `cryptography` and the answers' models
-are imported at the first request, so that no emergency stop waits for them.
+A nonce signed with the certificate's key proves the person. `cryptography` and the answers' models are imported at the
+first request, so that no emergency stop waits for them.
 """
 
 import base64
@@ -57,7 +57,7 @@ class Identity:
 
     @property
     def proves(self) -> bool:
-        """Whether it has a certificate and its key."""
+        """Whether there are a certificate and its key."""
         return self.certificate is not None and self.key is not None
 
     def person(self) -> str:
@@ -72,7 +72,7 @@ class Identity:
     def prove(
         self, do: str, source: str, nonce: str, text: Callable[[str, str, str], bytes] | None = None
     ) -> dict[str, str]:
-        """The proof that this person requests `do` now. `text` makes the signed text, by default a lease's.
+        """Return the proof that this person requests `do` now. `text` makes the signed text, by default a lease's.
 
         Raises ConfigError for an unusable certificate or key.
         """
@@ -104,7 +104,7 @@ class _Requests(ABC, Generic[A]):
     """Requests on one key. All raise DisconnectedError if no answer comes in time."""
 
     def __init__(self, get: Get, identity: Identity, name: str) -> None:
-        """`name`: the person's without a certificate."""
+        """`name` is the person's name without a certificate."""
         self._get = get
         self._identity = identity
         self._name = name
@@ -116,7 +116,7 @@ class _Requests(ABC, Generic[A]):
     def _proved(
         self, do: str, name: str | None, text: Callable[[str, str, str], bytes] | None = None
     ) -> dict[str, Any]:
-        """The request, with a proof if there is a certificate. Raises ConfigError for an unusable key."""
+        """Return the request, with a proof if there is a certificate. Raises ConfigError for an unusable key."""
         request: dict[str, Any] = {"do": do, "source": self.person(name)}
         if self._identity.proves:
             nonce = self._ask({"do": "challenge"}).nonce
@@ -126,7 +126,7 @@ class _Requests(ABC, Generic[A]):
 
     @abstractmethod
     def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> A:
-        """Send one request; returns its answer."""
+        """Send one request and return its answer."""
 
 
 class LeaseRequests(_Requests["LeaseAck"]):
@@ -170,7 +170,7 @@ class ButtonRequests(_Requests["ButtonAck"]):
     def alive(
         self, token: str, count: int, sent_ms: float | None = None, timeout_s: float | None = None
     ) -> "ButtonAck":
-        """Check in. `count` is greater than in each check-in before."""
+        """Check in. `count` must grow with each check-in."""
         return self._ask({"do": "alive", "button": token, "count": count, "sent_ms": _or_now_ms(sent_ms)}, timeout_s)
 
     def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":

@@ -44,15 +44,15 @@ class Silence:
             self._since_ns = -math.inf
 
     def received(self, now_ns: int) -> None:
-        """A state came, published or as an answer."""
+        """Record a state, published or as an answer."""
         self._since_ns, self._has_state = now_ns, True
 
     def is_quiet(self, now_ns: int) -> bool:
-        """Whether the gateway is to be asked for its state."""
+        """Return whether to ask the gateway for its state."""
         return not self._has_state or self._is_older(now_ns, QUIET_MS)
 
     def is_long(self, now_ns: int) -> bool:
-        """Whether the gateway counts as silent."""
+        """Return whether the gateway counts as silent."""
         return self._is_older(now_ns, SILENT_MS)
 
     def must_diagnose(self, now_ns: int) -> bool:

@@ -1,4 +1,4 @@
-"""Why a program's legs were stopped, or why the gateway accepts no commands: who, what, and how it ends. Pure."""
+"""Makes errors that state why legs were stopped or commands are not accepted: who, what, and how it ends. Pure."""
 
 import time
 from collections.abc import Collection, Iterable
@@ -20,23 +20,23 @@ ALL_STOPPED: Final = (
 )
 """Events of a gateway that has stopped all legs."""
 STOPPED_LEGS: Final = (Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW)
-"""Events of single legs that the gateway stopped by a rule of its own."""
+"""Events of single legs that a rule of the gateway stopped."""
 STOP: Final = "stop"
 """The cause of a StoppedError if somebody sent a Stop."""
 AGAIN: Final = "start_again() goes on; recover() of a stream waits until the cause is over, and goes on then"
 """A program's next call, as a note of the error. Tracebacks show a note, `str()` does not."""
 DECIDES: Final = "start_again() goes on, which a person decides"
-"""The note where time does not end the cause."""
+"""The note of an error whose cause does not end by itself."""
 _PASSING: Final = (
     Kind.WATCHDOG_EXPIRED, Kind.OVERFLOW, Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT,
     Kind.CONTROLLER_RESTARTED, Kind.STOPPING, Kind.STARTED, Reason.ESTOPPED, Reason.NOT_HOLDER, Reason.NO_BUTTON,
     Reason.NO_POWER, Reason.LANDING, Reason.STALE,
 )  # fmt: skip
-"""Causes that end without this program. A fall and the board's button are missing: somebody may touch the robot."""
+"""Causes that end without this program. A fall and the board's button are none: somebody may touch the robot."""
 
 
 def passes(error: GatewayError) -> bool:
-    """Whether the cause of an error ends without this program: only then may the program go on by itself."""
+    """Return whether an error's cause ends without this program. Only then the program may continue by itself."""
     if isinstance(error, StoppedError):
         return error.cause in _PASSING
     if isinstance(error, RejectedError):
@@ -52,19 +52,19 @@ class ReceivedEvent(NamedTuple):
 
 
 def stopped_by(who: str | None, own: str, legs: Collection[int], at_s: float | None = None) -> StoppedError:
-    """The error for somebody's Stop. `who`: its source; `own`: this program's; `at_s`: when, if known."""
+    """Return the error for a Stop by source `who`. `own` is this program's source; `at_s` is when, if known."""
     name = f"{who} (this program)" if who == own else who or "the gateway, or somebody without a name,"
     return StoppedError(f"{name} stopped {legs_named(legs)}", legs, who, STOP, at_s)
 
 
 def expired(legs: Collection[int], timeout_ms: float, at_s: float | None = None) -> StoppedError:
-    """The error for legs that the watchdog has stopped."""
+    """Return the error for legs that the watchdog has stopped."""
     sentence = f"the watchdog stopped {legs_named(legs)} (no command in {timeout_ms:g} ms)"
     return StoppedError(sentence, legs, None, Kind.WATCHDOG_EXPIRED, at_s)
 
 
 def reported(stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms: float) -> StoppedError:
-    """The error for all events that stopped legs of a stream, each cause once. `started`: the stream's legs."""
+    """Return the error for all events that stopped a stream's legs (`started`), each cause once."""
     causes: dict[tuple[str, str | None], list[ReceivedEvent]] = {}
     for each in stops:
         causes.setdefault((each.event.kind, each.event.source), []).append(each)
@@ -82,7 +82,7 @@ def reported(stops: Iterable[ReceivedEvent], started: frozenset[int], timeout_ms
 
 
 def happened(event: Event) -> str:
-    """The sentence of an event that stopped legs, in past tense: an error may stay on a screen."""
+    """Return the sentence of an event that stopped legs, in past tense, since an error may stay on a screen."""
     if event.kind == Kind.ESTOP_ENGAGED:
         return _engaged(event.source)
     continues = event.kind in (Kind.STOPPED_OUTSIDE, Kind.STOPPING)  # with the state that followed
@@ -90,7 +90,7 @@ def happened(event: Event) -> str:
 
 
 def unready(state: GatewayState, legs: Collection[int] = ()) -> StoppedError | None:
-    """Return why the gateway accepts no commands in this state, as an error about `legs`; None: it accepts them."""
+    """Return why the gateway accepts no commands in this state, as an error about `legs`, or None."""
     match state.mode:
         case Mode.IDLE | Mode.ACTIVE:
             return None

@@ -1,7 +1,7 @@
-"""A gait's setpoints at a steady rate, and an error for everything that ends them.
+"""Sends a gait's setpoints at a steady rate, and raises an error for everything that ends them.
 
 Only the gateway's answers decide. Published reports (a rejection, a state in which a leg does not run) and silence only
-raise a doubt, after which the gateway is asked. Events that are newer than the start decide without a query.
+raise a doubt; then the gateway is asked. Events that are newer than the start decide without a query.
 """
 
 import threading
@@ -48,7 +48,7 @@ _SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop
 
 
 class StreamClient(LeaseClient, Protocol):
-    """What a stream needs of its client."""
+    """The client's part that a stream uses."""
 
     reset_command: str
     open_parts: list[Any]
@@ -103,7 +103,7 @@ class Stream:
         self._changes: dict[int, ReceivedEvent] = {}  # by leg: the latest change of its source
         self._received_stop = threading.Event()
         self.answer: GatewayState | None = None
-        """The gateway's newest answer; the reader sets it to None."""
+        """The gateway's newest answer, until its reader sets this to None."""
         self._rival: str | None = None  # the gateway's sentence about another source that moved a leg of ours
         self._warned = False  # once is enough
         self._subscribers: list[Any] = []
@@ -241,7 +241,7 @@ class Stream:
     # ---- the parts of `set`
 
     def _read(self, angles: Setpoints, unit: Unit) -> LegAngles:
-        """The angles in degrees. Raises as `set`. Warns once if they look like radians."""
+        """Return the angles in degrees. Raises as `set`. Warn once if they look like radians."""
         read = legs_angles(angles, unit)
         if not read:
             raise ValueError("no leg is given")
@@ -288,7 +288,7 @@ class Stream:
         raise error
 
     def _still(self) -> GatewayError | None:
-        """Why the legs cannot be started now."""
+        """Return why the legs cannot be started now, or None."""
         try:
             state = self._client.state(CONFIRM_S)
         except ZenohError as error:
@@ -298,7 +298,7 @@ class Stream:
         return None if self._client.carried_lease else stopped.not_free(state)
 
     def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
-        """The loss of the lease, if it caused the error: a forced take stops all legs and rejects later commands."""
+        """Return the lease's loss, if it caused the error: a takeover stops all legs and rejects later commands."""
         if isinstance(error, LeaseLostError):
             return error
         may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
@@ -371,7 +371,7 @@ class Stream:
                 self._rival = event.detail
 
     def _takes(self, event: Event) -> bool:
-        """Whether we took a leg from another source. A leg that a source takes from us it may also stop."""
+        """Return whether we took a leg from another source. A source that takes a leg from us may also stop it."""
         ours = event.source == self._client.name and self._lease is None
         return ours and bool(self._to_stop.intersection(event.legs))
 
@@ -381,7 +381,7 @@ class Stream:
         return self._doubt.is_there(time.monotonic()) or not self._client.connected
 
     def _check(self) -> None:
-        """Raise the error of what has happened since the latest call."""
+        """Raise the error for events since the latest call."""
         fresh = self._fresh_events()
         if (error := self._reported_stop(fresh)) is not None:
             raise error
@@ -393,19 +393,19 @@ class Stream:
             self._ask()
 
     def _fresh_events(self) -> list[ReceivedEvent]:
-        """The events since the latest call. Those before the start concern earlier motion."""
+        """Return the events since the latest call, without those of motion before the start."""
         events = []
         while self._events:
             events.append(self._events.popleft())
         return [each for each in events if self._since is not None and each.event.time > self._since]
 
     def _reported_stop(self, events: Iterable[ReceivedEvent]) -> StoppedError | None:
-        """The error for all events that stopped this stream's legs; None: there are none."""
+        """Return the error for all events that stopped this stream's legs, or None."""
         stops = [each for each in events if each.event.kind != Kind.COMMAND_REJECTED]
         return stopped.reported(stops, self._started, self._doubt.watchdog_s * 1000) if stops else None
 
     def _ask(self) -> GatewayState:
-        """Ask for the state. Raises unless all started legs run."""
+        """Ask for the state and return it. Raises unless all started legs run."""
         self._client.check_open()
         if not self._client.connected:
             raise DisconnectedError(f"the link to the gateway was lost: {_SILENCE}")
@@ -422,10 +422,10 @@ class Stream:
         return state
 
     def _not_ours(self, state: GatewayState) -> frozenset[int]:
-        """Legs that the end of this stream must not stop; this state is newer than the answers to our starts.
+        """Return the legs that the end of this stream must not stop, by a state newer than the answers to our starts.
 
-        A leg that does not run is no longer ours: only somebody else can start it again. While somebody else holds the
-        lease, a leg with another source is theirs: the takeover has stopped ours.
+        A leg that does not run is no longer ours: only another client can start it again. While another client holds
+        the lease, a leg with another source is theirs: the takeover has stopped ours.
         """
         ours_only = state.lease.holder is None or (self._lease is not None and self._lease.held)
         return frozenset(

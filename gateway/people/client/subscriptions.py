@@ -1,7 +1,4 @@
-"""Subscriptions to what a gateway publishes.
-
-Without access control any program may publish on the gateway's keys: invalid reports are left out.
-"""
+"""Subscriptions to a gateway's reports. Invalid ones are skipped: without access control any program may publish."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -21,7 +18,7 @@ R = TypeVar("R", bound=BaseModel)
 KEPT_EVENTS: Final = 256
 """The events kept for a busy reader; the oldest are dropped first."""
 _ASK_AGAIN_S: Final = 0.2
-"""Between questions for the configuration: two states. A flood of forged states asks no more often."""
+"""Pause between questions for the configuration (two states), which bounds them in a flood of forged states."""
 _ANSWER_S: Final = 1.0
 NO_CONFIG: Final = (
     "hexapod/state is answered and hexapod/config is not: the access rules are of an older release; "
@@ -30,9 +27,9 @@ NO_CONFIG: Final = (
 
 
 class States:
-    """Joins each state with the configuration that belongs to it, and asks for one that is not known yet.
+    """Joins each state with its configuration, and asks for an unknown configuration. For any thread; nothing waits.
 
-    Until the answer comes, states with that configuration are left out. For any thread: nothing waits.
+    Until the answer, states with that configuration are skipped.
     """
 
     def __init__(self, session: zenoh.Session) -> None:
@@ -41,7 +38,7 @@ class States:
         self._asked_s = -_ASK_AGAIN_S
 
     def join(self, payload: bytes) -> GatewayState | None:
-        """The state with this payload; None: its configuration is not known yet. Raises ValidationError."""
+        """Return the state with this payload, or None while its configuration is unknown. Raises ValidationError."""
         state = StateReport.model_validate_json(payload)
         config = self.config
         if config is not None and config.config == state.config:
@@ -54,7 +51,7 @@ class States:
         return None
 
     def reads(self, take: Callable[[GatewayState], object]) -> Callable[[zenoh.Sample], None]:
-        """A subscriber's callback that calls `take` with each valid state."""
+        """Return a subscriber's callback that calls `take` with each valid state."""
 
         def receive(sample: zenoh.Sample) -> None:
             with suppress(ValidationError):
@@ -73,7 +70,7 @@ class States:
 
 
 def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
-    """A subscriber's callback that calls `take` with each valid report."""
+    """Return a subscriber's callback that calls `take` with each valid report."""
 
     def receive(sample: zenoh.Sample) -> None:
         try:

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _SLOWER: Final = 0.98
-"""Of `limits.leg_rate_hz`, where that is below the rate asked for: at exactly the limit setpoints wait for slots."""
+"""The part of `limits.leg_rate_hz` used if the wanted rate is higher: at the limit, setpoints wait for slots."""
 
 
 class Terminated(SystemExit):
@@ -57,7 +57,7 @@ class Terminated(SystemExit):
 
 
 class WalkClient(StreamClient, Protocol):
-    """What a walk needs of its client."""
+    """The client's part that a walk uses."""
 
     def calibration(self) -> "Calibration": ...
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
@@ -227,13 +227,13 @@ class Walk:
 
     @property
     def latest(self) -> WalkState | None:
-        """The same, also once it is closed; None before `open`. @private"""
+        """The state, even after `close`; None before `open`. @private"""
         with self._changed:
             return None if self._ride is None else self._ride.state
 
     @property
     def now(self) -> str:
-        """What the robot does by the newest state, in one sentence (`It walks`). The sentence reports an old state."""
+        """One sentence on what the robot does (`It walks`), or that this is unknown: the newest state is over 1 s old."""
         with self._changed:
             ride = self._using()
             # Legs that it has not started yet were not stopped.
@@ -241,7 +241,7 @@ class Walk:
 
     @property
     def is_over(self) -> bool:
-        """Whether it ended because its driver was silent, and all its legs are stopped. @private"""
+        """Whether it ended by its driver's silence, and all its legs are stopped. @private"""
 
         def check(ride: Ride, now_s: float) -> bool:
             ride.apply_silences(now_s)
@@ -383,7 +383,7 @@ class Walk:
         self._newest.take(state, time.monotonic())
 
     def _robot(self, state: GatewayState) -> Robot:
-        """The robot with its current limits and calibration. Also sets a rate that the limits allow."""
+        """Return the robot with its current limits and calibration. Set a rate that the limits allow."""
         robot = robot_of(self._client, self._geometry, state)
         self._revision = state.calibration.revision
         most_hz = state.limits.leg_rate_hz
