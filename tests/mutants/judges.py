@@ -10,7 +10,6 @@ _CONDUCTOR: Final = (
     f"{_UNIT}test_lease_conductor.py",
     "tests/zenoh/test_conductor_counts.py",
     f"{_MODEL}test_staleness.py",
-    f"{_MODEL}test_staleness_clocks.py",
     f"{_UNIT}test_calibration_conductor.py",
     f"{_UNIT}test_outcome.py",
     f"{_UNIT}test_stop.py",
@@ -118,7 +117,7 @@ JUDGES: Final = {
         f"{_UNIT}test_conductor.py",
         f"{_UNIT}test_conductor_safety.py",
     ),
-    "gateway/model/staleness.py": (f"{_MODEL}test_staleness.py", f"{_MODEL}test_staleness_clocks.py"),
+    "gateway/model/staleness.py": (f"{_MODEL}test_staleness.py",),
     "gateway/robot/core/pacing.py": (
         f"{_UNIT}test_pacing.py",
         f"{_UNIT}test_supervisor.py",

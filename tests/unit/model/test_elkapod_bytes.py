@@ -204,15 +204,6 @@ def test_heartbeats_are_counted_in_all_portions(parts: list[bytes], data: st.Dat
     assert found == len(parts)
 
 
-@given(st.integers(0, 3 * HEARTBEAT_BYTES), st.integers(0, 3 * HEARTBEAT_BYTES))
-def test_three_heartbeats_are_three_wherever_they_are_cut(first: int, second: int) -> None:
-    stream = 3 * heartbeat(b"\x7e\xaa\xff\x0f" * 4)
-    cuts = sorted((first, second))
-    reader = Heartbeats()
-    portions = (stream[: cuts[0]], stream[cuts[0] : cuts[1]], stream[cuts[1] :])
-    assert sum(map(reader.feed, portions)) == 3
-
-
 @given(st.lists(st.binary(max_size=50), max_size=30))
 def test_whatever_comes_no_more_is_kept_than_one_heartbeat_needs(parts: list[bytes]) -> None:
     reader = Heartbeats()

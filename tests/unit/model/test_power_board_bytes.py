@@ -93,11 +93,6 @@ def test_an_error_frame_that_is_not_in_the_table_is_an_unknown_error_that_may_co
     assert explained(BoardError(UNREADABLE)) == ("the power board reports an error that cannot be read", ALL)
 
 
-@given(st.binary(max_size=8))
-def test_no_error_frame_is_nothing(data: bytes) -> None:
-    assert isinstance(read(CanFrame(0x65, data)), BoardError if data else NoError)
-
-
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
 def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
     answer = read(CanFrame(identifier, data))
@@ -105,13 +100,6 @@ def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
         assert set_supply(answer.mask).data == data
     mask = mask_of(CanFrame(identifier, data))
     assert mask is None or (identifier in (0x6A, 0x6B) and mask <= ALL)
-
-
-@pytest.mark.parametrize(
-    "frame", [CanFrame(0x70, bytes(3)), CanFrame(0x6A, bytes(2)), CanFrame(0x6A, bytes(4)), CanFrame(0x6A, b"\4\0\0")]
-)
-def test_what_is_no_mask_is_none(frame: CanFrame) -> None:
-    assert mask_of(frame) is None
 
 
 @pytest.mark.parametrize(

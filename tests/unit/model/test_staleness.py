@@ -171,6 +171,102 @@ def test_memory_is_bounded(staleness: Staleness) -> None:
         tracemalloc.stop()
 
 
+# ---- several clocks behind one name: forgers, programs of one name, restarts
+
+
+@pytest.mark.parametrize("ahead_ms", [MAX_AGE_MS + 1, 600, 1500, 19_000, 3_600_000, -21_000, -3_600_000, 51, 100])
+@pytest.mark.parametrize("times", [1, 100])
+@pytest.mark.parametrize("heard_ms", [20, 400, 10_000])
+def test_a_forged_source_does_not_lock_its_owner_out(
+    staleness: Staleness, ahead_ms: float, times: int, heard_ms: float
+) -> None:
+    owner, forger = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + ahead_ms)
+    assert not any(owner.streams(0, heard_ms))
+    for index in range(times):
+        forger.asks(heard_ms + index * 0.01)
+    assert not any(owner.streams(heard_ms + 2, heard_ms + 3000))
+
+
+def test_a_clock_that_is_pushed_ahead_little_by_little_does_not_lock_its_owner_out(staleness: Staleness) -> None:
+    owner = Publisher(staleness)
+    owner.streams(0, 1000)
+    for ahead_ms in range(40, 4000, 40):
+        Publisher(staleness, zero_ms=5e6 + ahead_ms).asks(1000)
+    assert not any(owner.streams(1001, 9000))
+
+
+def test_a_slow_clocks_owner_is_not_locked_out_after_an_hour_either(staleness: Staleness) -> None:
+    owner = Publisher(staleness, ppm=-100)
+    owner.streams(0, 3_600_000, period_ms=1000)
+    forger = Publisher(staleness, zero_ms=owner.clock_ms(3_600_000) - 3_600_000 + MAX_AGE_MS + 100)
+    forger.asks(3_600_000)
+    assert not any(owner.streams(3_600_001, 3_602_000))
+
+
+@pytest.mark.parametrize("ahead_ms", [600, 19_000, 3_600_000, -21_000, -3_600_000])
+def test_beside_a_forged_clock_the_owners_burst_is_still_known_for_one(staleness: Staleness, ahead_ms: float) -> None:
+    owner, forger = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + ahead_ms)
+    owner.streams(0, 6000)
+    forger.asks(6001)
+    owner.streams(6002, 7000)
+    burst = [owner.arrives(10_000 + index * 0.01, sent_at_ms=7000 + index * 20) for index in range(130)]
+    assert all(late is not None for late in burst)
+
+
+def test_a_new_clock_takes_the_place_of_the_proven_one_that_is_silent_for_longest(staleness: Staleness) -> None:
+    *proven, new = (Publisher(staleness, zero_ms=number * 1e6) for number in range(CLOCKS + 1))
+    for begin_ms, publisher in zip(range(0, 54_000, 6000), (*proven, proven[0]), strict=True):
+        publisher.streams(begin_ms, begin_ms + 6000)
+    assert new.arrives(54_000) is None
+    assert proven[0].arrives(55_000, sent_at_ms=54_400) is not None
+    assert proven[1].arrives(55_000, sent_at_ms=54_400) is None, "as a clock that nobody knows"
+
+
+@pytest.mark.parametrize("sent_at_ms", [5350, 6000], ids=["out of order", "in order, and both are proven"])
+def test_an_old_command_between_two_clocks_is_judged_by_the_one_heard_last(
+    staleness: Staleness, sent_at_ms: float
+) -> None:
+    behind, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + 600)
+    for index in range(300):
+        assert behind.arrives(index * 20) is None
+        assert ahead.arrives(index * 20 + 10) is None
+    assert ahead.arrives(sent_at_ms + 650, sent_at_ms=sent_at_ms) is not None, "50 ms old by the other's clock"
+
+
+@pytest.mark.parametrize(
+    ("apart_ms", "delay_ms", "late_ms", "later_ms"),
+    [
+        (600, 200, None, 250),  # just fresh by the one heard for longest
+        (600, 201, 801, 850),
+        (100, 100, None, 350),  # just fresh by the one heard last, which is believed first
+    ],
+)
+def test_of_two_clocks_the_one_heard_last_is_believed_and_then_the_one_heard_for_longest(
+    staleness: Staleness, apart_ms: float, delay_ms: float, late_ms: float | None, later_ms: float
+) -> None:
+    behind, ahead = Publisher(staleness), Publisher(staleness, zero_ms=5e6 + apart_ms)
+    said = [
+        staleness.too_old(publisher.name, publisher.clock_ms(now_ms - before_ms), now_ms * MS, 1000 * MS)
+        for publisher, now_ms, before_ms in (
+            *((behind, 1000, 0), (behind, 1010, 0), (ahead, 1020, 0)),
+            *((behind, 2000, delay_ms), (behind, 2001, 250)),
+        )
+    ]
+    delays = [None if why is None else float(why.split()[5]) for why in said]
+    assert delays == [None, None, None, late_ms, later_ms]
+
+
+def test_an_old_command_that_is_let_in_lets_no_older_one_of_another_clock_in(staleness: Staleness) -> None:
+    behind, ahead = Publisher(staleness, zero_ms=5e6 - 600), Publisher(staleness)
+    for index in range(100):
+        assert behind.arrives(index * 20) is None
+        assert ahead.arrives(index * 20 + 10) is None
+    assert behind.arrives(2000) is None
+    assert behind.arrives(2001, sent_at_ms=2001 - 150) is None
+    assert ahead.arrives(2002) is None
+    assert ahead.arrives(2003, sent_at_ms=2003 - 700) is not None
+
+
 # ---- commands that may have waited in a gateway that was stopped itself; and what the gateway says to delayed ones
 
 
@@ -254,18 +350,6 @@ async def test_the_gateway_rejects_what_was_delayed_but_never_a_stop() -> None:
     assert robot.ask(key, servo("start", 80)).accepted, "nothing is known of a command without sent_ms"
     assert robot.ask(key, servo("stop", source="laptop", sent_ms=1001)).accepted
     assert robot.controller.energised == set()
-
-
-@pytest.mark.virtual_time
-async def test_a_reset_that_was_delayed_leaves_no_emergency_stop() -> None:
-    robot = await started_and_quiet()
-    assert robot.ask(keys.servo_command(32), servo("start", 90, source="laptop", sent_ms=1000)).accepted
-    await asyncio.sleep(1)
-    assert robot.ask(keys.ESTOP).estop == 1
-    delayed = robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 1100})
-    assert delayed.reason == Reason.STALE
-    assert robot.mode == "estopped"
-    assert robot.ask(keys.RESET, {"estop": 1, "source": "laptop", "sent_ms": 2000}).accepted
 
 
 @pytest.mark.virtual_time

@@ -194,17 +194,6 @@ def test_each_frame_has_its_own_time_by_its_place_on_the_wire() -> None:
     assert [sent.data for sent in report.sent] == [stop.to_bytes() for stop in STOPS[:2]]
 
 
-@pytest.mark.parametrize("framing", Framing)
-@pytest.mark.parametrize("fails", [False, True])
-def test_the_last_frame_of_a_call_leaves_a_pause_before_its_end(framing: Framing, fails: bool) -> None:
-    """Also that of a second call, and of one that is written by itself after a failure."""
-    devices = Devices()
-    bus = devices.bus(framing)
-    devices.fail(*[1] * fails)
-    report = bus.write(STOPS[:1] if fails else MOVES * 2)
-    assert report.sent[-1].ns == devices.now_ns - 50_000
-
-
 # ---- one call each
 
 

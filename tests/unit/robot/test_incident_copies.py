@@ -170,22 +170,6 @@ def test_a_copy_that_is_not_whole_is_left_out(
     assert sequences(ring) == list(range(241, 401))
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
-def test_a_folder_that_may_not_be_written_is_an_error_and_the_ring_stays(tmp_path: Path) -> None:
-    ring = tmp_path / RING_FILE
-    filled(ring, 100)
-    os.chown(ring, 65534, -1)
-    for folder in (tmp_path, *tmp_path.parents):
-        folder.chmod(folder.stat().st_mode | 0o055)
-    os.seteuid(65534)
-    try:
-        with pytest.raises(PermissionError):
-            recorder.copy(ring, 100)
-        assert len(sequences(ring)) == 100
-    finally:
-        os.seteuid(0)
-
-
 def test_a_process_that_is_killed_meanwhile_leaves_no_half_copy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

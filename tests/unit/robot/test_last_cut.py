@@ -53,18 +53,6 @@ def test_it_is_confirmed_by_an_answer_behind_that_to_a_question_asked_after_the_
     assert cut.next_frames(1_000 * NS_PER_MS) == []
 
 
-def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
-    cut = LastCut()
-    cut.next_frames(0)
-    cut.receive(ASK_RAILS[0], 1)
-    cut.receive(REACHED, 2)
-    cut.receive(OFF, 3)
-    assert not cut.confirmed, "the first answer counts as the other node's"
-    cut.receive(REACHED, 4)
-    cut.receive(OFF, 5)
-    assert cut.confirmed
-
-
 @pytest.mark.parametrize("seed", range(40))
 def test_beside_a_node_that_asks_and_switches_nothing_is_confirmed_before_a_mask_has_arrived(seed: int) -> None:
     """Of what we send next to nothing reaches the board, for up to a second; we receive all."""
@@ -145,13 +133,6 @@ def test_nothing_is_waited_for_where_spi_hangs() -> None:
     took = re.search(r"after (\d+) ms", sentence)
     assert took is not None
     assert int(took[1]) < 10_000
-
-
-def test_an_interface_that_comes_back_is_opened_again() -> None:
-    bus = BoardBus()
-    bus.failures = [LineError("can0 is gone"), LineError("can0 is gone")]
-    assert told(bus)[0]
-    assert bus.board.fed == 0
 
 
 @pytest.mark.parametrize(

@@ -144,12 +144,6 @@ async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
     assert robot.conductor.reports.state().buttons == ButtonsReport(required=1)
 
 
-@pytest.mark.parametrize("required", [0, 1, 2])
-async def test_so_many_are_required(required: int) -> None:
-    robot, _ = await watched(required=required)
-    assert robot.ask(LEG_3, START).accepted is (required < 2)
-
-
 async def test_what_is_rejected_is_told_with_its_reason() -> None:
     robot, ack = await watched()
     again = robot.button("alive", button=ack.button, count=1)
@@ -186,13 +180,6 @@ async def test_what_cannot_be_read_changes_nothing(payload: dict[str, Any], deta
     assert robot.conductor.reports.state().buttons.alive == 1
 
 
-async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they_are() -> None:
-    robot, _ = await watched()
-    ack = robot.button("challenge")
-    assert (ack.accepted, ack.nonce) == (True, None)
-    assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted
-
-
 @pytest.mark.parametrize(
     ("names", "counts"),
     [((), True), (("kitchen",), True), (("door", "kitchen"), True), (("door",), False), (("button",), False)],
@@ -205,3 +192,10 @@ async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...]
     assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
     assert robot.conductor.reports.state().buttons.names == ("kitchen/phone",)
     assert robot.ask(LEG_3, START).accepted is counts
+
+
+async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they_are() -> None:
+    robot, _ = await watched()
+    ack = robot.button("challenge")
+    assert (ack.accepted, ack.nonce) == (True, None)
+    assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted

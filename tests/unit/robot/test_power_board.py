@@ -206,19 +206,6 @@ def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_seco
 # ---- the board's own faults
 
 
-def test_an_error_is_deleted_only_once_the_board_has_the_mask_without_its_servos() -> None:
-    link = fed()
-    link.board.fail(2, 1)
-    link.run_until(lambda: link.ours.status.refused != {})
-    link.ours.clear_errors(link.now_ns)
-    at_ns = link.now_ns
-    link.run(100)
-    sent = [frame.id for when_ns, frame in link.sent if when_ns >= at_ns]
-    assert 0x96 in sent
-    assert sent.index(0x6A) < sent.index(0x96)
-    assert link.fed() == ALL_SERVOS - {11}
-
-
 # ---- another node, and a second board
 
 
@@ -237,20 +224,6 @@ def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
     board.receive(answer, 4)
     board.receive(CanFrame(0x6B, bytes(3)), 5)
     assert board.confirmed, "the second answer is ours"
-
-
-@pytest.mark.parametrize("hz", [1, 7, 50, 200])
-def test_beside_a_node_that_asks_all_the_time_stops_are_confirmed_and_it_is_no_second_board(hz: int) -> None:
-    link = fed()
-    for number in range(hz):
-        link.run(1000 / hz)
-        question = ASK_RAILS[number % len(ASK_RAILS)]
-        link.ours.receive(question, link.now_ns)
-        link._answered(link.board.take(question, link.now_ns))
-    assert link.events(Kind.POWER_FAULT) == []
-    link.cut()
-    link.run(400)
-    assert link.ours.confirmed
 
 
 def test_two_boards_on_one_bus_are_a_fault_and_confirm_nothing_until_a_reset() -> None:

@@ -1,7 +1,6 @@
 """The line to the power board: by slcan on a pseudo terminal, and by interfaces that fail as CAN does."""
 
 import errno
-import os
 import sys
 import threading
 import time
@@ -105,22 +104,6 @@ def owner(adapter: Adapter, channel: str) -> Iterator[Owner]:
     assert owner.mistakes == []
 
 
-def test_an_adapter_that_is_unplugged_is_reported_and_opened_again(channel: str) -> None:
-    first = Adapter(channel)
-    owner = Owner(channel)
-    owner.line.start()
-    owner.feed_all()
-    first.unplug()
-    owner.until(lambda: any("gone" in each.detail for each in owner.news if isinstance(each, News)))
-    owner.line.cut()
-    second = Adapter(channel)
-    owner.until(lambda: owner.line.status.alive and owner.line.status.confirmed)
-    owner.feed_all()
-    owner.line.close()
-    second.unplug()
-    assert owner.mistakes == []
-
-
 def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -> None:
     owner.feed_all()
     for junk in (
@@ -139,16 +122,6 @@ def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -
         adapter.say(junk)
     assert owner.cut_and_confirm().confirmed
     assert not {Kind.POWER_FAULT, Kind.OFF_BUTTON} & {item.kind for item in owner.news if isinstance(item, News)}
-
-
-def test_what_was_requested_before_the_end_is_sent(owner: Owner, adapter: Adapter) -> None:
-    owner.feed_all()
-    owner.line.cut()
-    owner.line.close()
-    until_s = time.monotonic() + MOST_S
-    while adapter.board.fed and time.monotonic() < until_s:  # what was sent may not have been read yet
-        time.sleep(0.001)
-    assert adapter.board.fed == 0
 
 
 class Bus(can.BusABC):
@@ -335,29 +308,4 @@ def test_an_adapter_that_reads_nothing_is_an_error_and_hangs_nobody(adapter: Ada
     with pytest.raises(can.CanOperationError, match="accepts nothing"):
         fill()
     adapter.go_on()
-    bus.shutdown()
-
-
-def test_a_terminal_whose_bytes_another_reader_took_is_not_disconnected(
-    adapter: Adapter, channel: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """`stop-servos` on a gateway's adapter. Who reads second gets nothing, as from a closed terminal."""
-    assert adapter
-    bus = open_bus(PowerSettings(interface="slcan", channel=channel))
-    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
-    read = os.read
-    taken: list[bytes] = []
-
-    def second(descriptor: int, count: int) -> bytes:
-        if descriptor != bus.fileno():
-            return read(descriptor, count)
-        taken.append(read(descriptor, count))
-        return b""
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "read", second)
-        assert bus.recv(0.3) is None
-    assert any(taken)
-    bus.send(can.Message(arbitration_id=0x7C, is_extended_id=False))
-    assert bus.recv(MOST_S) is not None
     bus.shutdown()

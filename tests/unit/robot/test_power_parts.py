@@ -161,12 +161,6 @@ def test_an_error_blocks_its_outputs_and_is_news_once(errors: BoardErrors) -> No
     assert errors.mask == 1 | 1 << 17
 
 
-def test_nothing_is_deleted_unasked(errors: BoardErrors) -> None:
-    errors.shown(FIRST, 0)
-    assert errors.due_ns is None
-    assert frames(errors, range(1000)) == []
-
-
 def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardErrors) -> None:
     first = BoardError(CONVERTER_OVERCURRENT, 0b1)
     errors.shown(first, 0)

@@ -26,7 +26,6 @@ from tests.unit.model.test_frames import bytes_near_a_frame, frames
 MS = 1_000_000  # ns
 START_11 = bytes.fromhex("06 02 0b 01 5a 00")
 STOP_11 = bytes.fromhex("06 02 0b 02 00 00")
-START_LEG_1 = bytes.fromhex("0e 01 0b 01 5a 00 0c 01 5a 00 0d 01 5a 00")
 
 
 class Bench:
@@ -98,23 +97,6 @@ def test_whatever_comes_it_does_what_a_second_reading_of_the_firmware_does(
 # ---- memory corruption
 
 
-@pytest.mark.parametrize("servo_id", [0, 1, 2, 3, 10])
-@pytest.mark.parametrize("op", [1, 2, 3])
-def test_entries_252_to_255_kill_the_published_firmware_until_it_is_reset(
-    prefixed: Bench, servo_id: int, op: int
-) -> None:
-    prefixed.send(START_LEG_1)
-    prefixed.send(bytes((6, 2, servo_id, op, 90, 0)))
-    assert prefixed.controller.dead == f"servo id {servo_id} with operation {op} is a bus fault"
-    prefixed.now_ns += 2_000 * MS
-    prefixed.send(bytes((14, 1, 11, 2, 0, 0, 12, 2, 0, 0, 13, 2, 0, 0)))
-    assert prefixed.controller.energised == {11, 12, 13}, "nothing stops it any more"
-    prefixed.controller.reset()
-    assert prefixed.controller.energised == set()
-    prefixed.send(START_LEG_1)
-    assert prefixed.controller.energised == {11, 12, 13}
-
-
 def test_of_256_ids_these_five_kill_and_no_other(plain: Bench) -> None:
     died = set()
     for servo_id in range(256):
@@ -126,15 +108,6 @@ def test_of_256_ids_these_five_kill_and_no_other(plain: Bench) -> None:
             died.add(servo_id)
     assert died == {0, 1, 2, 3, 10}
     assert plain.controller.dead is None
-
-
-@pytest.mark.parametrize("length", [64, 65, 68])
-def test_lengths_up_to_68_do_no_harm(prefixed: Bench, length: int) -> None:
-    prefixed.transfer(bytes((length,)), bytes(length))
-    assert prefixed.controller.dead is None
-    assert prefixed.controller.missing == 0
-    prefixed.send(START_11)
-    assert prefixed.controller.energised == {11}
 
 
 @pytest.mark.parametrize("length", [69, 90, 255])
@@ -203,7 +176,6 @@ def test_bytes_come_in_any_portions_and_an_endless_line_does_no_harm(adapter: Si
 # ---- What simulated servos draw: waiting, holding, moving, and under the torques of a simulated body
 
 
-# ns
 OFF: dict[int, float | None] = dict.fromkeys(SERVO_IDS)
 
 
@@ -230,7 +202,6 @@ def test_a_bodys_torques_decide() -> None:
 # ---- The simulated controller of elkapod-2025: its two wires byte by byte, its servos, its battery, its faults
 
 
-# ns
 ALL = frozenset(SERVO_IDS)
 WORKED_EXAMPLE = bytes.fromhex(
     "7e0000a0420000a2420000a4420000a6420000a8420000aa420000ac420000ae420000b0420000b2420000b4420000b6420000b8420000ba"
