@@ -121,7 +121,9 @@ JUDGES: Final = {
     "gateway/model/staleness.py": (f"{_MODEL}test_staleness.py", f"{_MODEL}test_staleness_clocks.py"),
     "gateway/robot/core/pacing.py": (
         f"{_UNIT}test_pacing.py",
+        f"{_UNIT}test_backlog.py",
         f"{_UNIT}test_supervisor.py",
+        f"{_UNIT}test_supervisor_takeover.py",
         f"{_UNIT}test_supervisor_faults.py",
     ),
     "gateway/robot/core/speed.py": (
