@@ -22,7 +22,7 @@ help:
 	@echo "              twelve minutes in all"
 	@echo "make nightly  and what takes long: falls, walks, releases, the kernel's spidev, all mutants, an hour's soak, benchmarks"
 	@echo "make check    ruff, mypy, and the JSON Schemas compared with the models"
-	@echo "make bench    the benchmark: this gateway beside the naive script, in a minute; needs cc"
+	@echo "make bench    the benchmark: this gateway beside the naive script; needs cc (QUICK=1: in a minute; RELEASE=FOLDER: and an earlier one)"
 	@echo "make kernel   a virtual machine (QEMU) with Debian's kernel: lists, Stops and failures on its real spidev; some minutes"
 	@echo "              (SCENES=\"atomic killed\": only these)"
 	@echo "make soak     an hour of mixed traffic at ten times the real rate: does anything drift?"
@@ -67,7 +67,7 @@ check: $(VENV)/dev
 	$(BIN)/python -m release.interface_page --check
 
 bench: $(VENV)/dev
-	$(BIN)/python -m tests.benchmarks
+	$(BIN)/python -m tests.benchmarks $(if $(QUICK),--quick) $(if $(RELEASE),--release $(RELEASE))
 
 kernel: $(VENV)/dev
 	@$(BIN)/python -m tests.kernel $(SCENES)

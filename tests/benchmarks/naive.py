@@ -8,6 +8,7 @@ from typing import Any
 import spidev
 import zenoh
 
+ANNOUNCES = sys.argv[2:] == ["length-prefixed"]
 OPS: dict[object, int] = {"start": 1, "stop": 2, "set": 3}
 spi = spidev.SpiDev()
 spi.open(0, 0)
@@ -20,6 +21,8 @@ def write(leg: int, servos: list[dict[str, Any]]) -> None:
     for joint, servo in enumerate(servos, start=1):
         angle = servo.get("angle_deg", 0)
         frame += [leg * 10 + joint, OPS[servo["op"]], int(angle), round(angle % 1 * 100)]
+    if ANNOUNCES:
+        spi.writebytes2(frame[:1])
     spi.writebytes2(frame)
 
 

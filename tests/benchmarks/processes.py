@@ -2,6 +2,7 @@
 
 import os
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -47,3 +48,13 @@ def fds(pid: int) -> int:
 def _status(pid: int, name: str) -> int:
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
+
+
+def now_ns() -> int:
+    """The clock that all processes of this machine share."""
+    return time.monotonic_ns()
+
+
+def say(text: str) -> None:
+    """One line of progress."""
+    print(f"… {text}", file=sys.stderr, flush=True)

@@ -10,18 +10,17 @@ from typing import Any, Final
 import pytest
 
 from gateway.geometry import load
-from gateway.model.frames import decode
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import World
 from gateway.people.walking import GAITS
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, FrameRecord
+from schemas.telemetry import Cause
 from tests.falls.fall import AFTER_S, SLACK, Fall, landed, looked_at
 from tests.falls.stride import ELKAPOD, GEOMETRY, SETTINGS, STANCES, STAND, Moment, moments
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import frames
+from tests.support.heard import frames, is_stop
 from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, drive, run, sent_by
 
 
@@ -133,10 +132,6 @@ def test_a_real_gateways_frames_let_it_walk_and_land_as_computed(tmp_path: Path)
     assert real.speed_m_s == pytest.approx(computed.speed_m_s, abs=0.05)
     assert real.tilt_deg == pytest.approx(computed.tilt_deg, abs=2.0)
     assert real.speed_m_s < MOST_SPEED_M_S
-
-
-def is_stop(record: FrameRecord) -> bool:
-    return decode(bytes.fromhex(record.bytes)).is_stop
 
 
 def nested(settings: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -120,7 +120,9 @@ JUDGES: Final = {
     "gateway/model/staleness.py": (f"{_MODEL}test_staleness.py",),
     "gateway/robot/core/pacing.py": (
         f"{_UNIT}test_pacing.py",
+        f"{_UNIT}test_backlog.py",
         f"{_UNIT}test_supervisor.py",
+        f"{_UNIT}test_supervisor_takeover.py",
         f"{_UNIT}test_supervisor_faults.py",
     ),
     "gateway/robot/core/speed.py": (
@@ -188,11 +190,11 @@ JUDGES: Final = {
         f"{_PEOPLE}test_console_stops.py",
         _TIMES,
     ),
-    "gateway/people/client/pace.py": (f"{_PEOPLE}test_pace.py", f"{_PEOPLE}test_stream.py", _TIMES),
-    "gateway/people/client/patience.py": (f"{_PEOPLE}test_patience.py", _TIMES),
+    "gateway/people/client/pace.py": (f"{_PEOPLE}test_client_times.py", f"{_PEOPLE}test_stream.py", _TIMES),
+    "gateway/people/client/patience.py": (f"{_PEOPLE}test_client_times.py", _TIMES),
     "gateway/people/client/renewal.py": (f"{_PEOPLE}test_lease_renewal.py", _TIMES),
-    "gateway/people/client/silence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
-    "gateway/people/console/pages/presence.py": (f"{_PEOPLE}test_silence.py", _TIMES),
+    "gateway/people/client/silence.py": (f"{_PEOPLE}test_client_times.py", _TIMES),
+    "gateway/people/console/pages/presence.py": (f"{_PEOPLE}test_client_times.py", _TIMES),
     "gateway/people/walking/tempo.py": (f"{_PEOPLE}test_ride_script.py", _TIMES),
     "gateway/people/walking/words.py": (f"{_PEOPLE}test_words.py", _TIMES),
     "gateway/people/walking/ride.py": (

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Effect, RequestAnswer
+from gateway.robot.core.events import ButtonDo, ButtonRequest, Effect, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
-from tests.support.history import cloned, demand
+from tests.support.history import announced, cloned, demand
 
 MOST_OF_ONE = 4
 MOST_UNPROVED = 16
@@ -87,7 +87,7 @@ class ButtonsHistory:
         """Whoever is not heard for the timeout is silent, which is told once, and in that order."""
         late = [(button.until_ns, token) for token, button in self.known.items() if button.until_ns is not None]
         late = sorted((each for each in late if now_ns >= each[0]), key=lambda each: each[0])
-        silent = [each.source for each in _told(effects) if each.kind is Kind.BUTTON_SILENT]
+        silent = [each.source for each in announced(effects, _KINDS) if each.kind is Kind.BUTTON_SILENT]
         demand(
             silent == [self.known[token].name for _, token in late], f"a button that is not heard is silent: {silent}"
         )
@@ -111,7 +111,7 @@ class ButtonsHistory:
         reason, told = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
         answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
         demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
-        kinds = [(each.kind, each.source) for each in _told(effects) if each.kind is not Kind.BUTTON_SILENT]
+        kinds = [(each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.BUTTON_SILENT]
         demand(kinds == ([] if told is None else [told]), f"{request.do}: {told} is told, not {kinds}")
         (answer,) = answers
         gives = reason is None and request.do is ButtonDo.REGISTER
@@ -165,7 +165,3 @@ class ButtonsHistory:
             del self.known[token]
         self._change(request.fresh_token, replace(fresh, least_ns=least_ns, floor_ns=least_ns or 0), now_ns)
         return None, (Kind.BUTTON_REGISTERED, name)
-
-
-def _told(effects: Sequence[Effect]) -> list[Announce]:
-    return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in _KINDS]

@@ -1,6 +1,6 @@
 """What a judge of the supervisor remembers of servos and legs; see `oracle.py`."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import Any, NamedTuple, Self, TypeVar
@@ -18,6 +18,7 @@ from gateway.robot.core.events import (
     StoppedOutside,
     Targets,
     Transmit,
+    results,
 )
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Mode, Reason
@@ -47,6 +48,11 @@ def told(effects: Iterable[Effect], kind: Kind) -> bool:
     return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)
 
 
+def announced(effects: Iterable[Effect], kinds: Collection[Kind]) -> list[Announce]:
+    """What is told of these kinds."""
+    return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in kinds]
+
+
 def spelled_out(effects: Iterable[Effect]) -> Iterator[Effect]:
     """The same, with what each frame completes behind it."""
     for effect in effects:
@@ -70,6 +76,25 @@ def is_newer(reset: Reset, age_ns: int, estops: int, rules: Rules) -> bool:
     if reset.estop is None:
         return age_ns >= rules.unnumbered_reset_ns
     return reset.estop == estops and age_ns > 0
+
+
+def judge_results(effects: Sequence[Effect]) -> None:
+    """Judge the pass over a step's outcome: all frames are written, one fails, or all do. Raises Violation."""
+    undisturbed = results(effects)
+    if not undisturbed:
+        return
+    requests = [request for request, _, _ in undisturbed]
+    demand(len({id(each) for each in requests}) == len(requests), "a request is answered once")
+    frames = [effect for effect in effects if isinstance(effect, Transmit)]
+    for failed in (frames, *([each] for each in frames)):
+        carried = {id(command) for frame in failed for command in frame.commands}
+        disturbed = results(effects, failed, "a test's fault")
+        demand([each for each, _, _ in disturbed] == requests, "a fault changes verdicts, and no order")
+        for (request, before, _), (_, verdict, why) in zip(undisturbed, disturbed, strict=True):
+            fails = id(request) in carried and not isinstance(before, Reason)
+            expected = Reason.BUS_FAULT if fails else before
+            demand(verdict == expected, f"of failed frames: {expected} and not {verdict} for request {request.number}")
+            demand(bool(why) == isinstance(verdict, Reason), "a rejection has its sentence, and nothing else has one")
 
 
 def cloned(thing: T, **changed: object) -> T:
@@ -241,7 +266,7 @@ def change_hands(
     named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in targets}
     moved = {leg_of(servo_id) for servo_id, op in targets if op.op is not Op.STOP}
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
-    told = [effect for effect in effects if isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED]
+    told = announced(effects, {Kind.SOURCE_CHANGED})
     expected = [
         Announce(
             Kind.SOURCE_CHANGED,

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from gateway.robot.core.events import Announce, Do, Effect, LeaseRequest, RequestAnswer
+from gateway.robot.core.events import Do, Effect, LeaseRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
-from tests.support.history import demand
+from tests.support.history import announced, demand
 
 MOST_ASKERS = 8
 _KINDS = frozenset({Kind.LEASE_ACQUIRED, Kind.LEASE_RELEASED, Kind.LEASE_TAKEN, Kind.LEASE_ASKED, Kind.LEASE_EXPIRED})
@@ -46,7 +46,7 @@ class LeaseHistory:
         """Whoever is silent for the ttl loses it, and it is told once."""
         self.is_new = False
         late = self.due_ns is not None and now_ns >= self.due_ns
-        expired = [each.source for each in _told(effects) if each.kind is Kind.LEASE_EXPIRED]
+        expired = [each.source for each in announced(effects, _KINDS) if each.kind is Kind.LEASE_EXPIRED]
         demand(expired == ([self.holder] if late else []), "a holder that falls silent loses the lease in its ttl")
         if late:
             self.end()
@@ -74,7 +74,9 @@ class LeaseHistory:
         demand(reasons == [reason], f"{request.do} is answered with {reason}, not {reasons}")
         by = self.holder if request.do is Do.RELEASE else request.source
         if kind is not None and reason is None:
-            told = [(each.kind, each.source) for each in _told(effects) if each.kind is not Kind.LEASE_EXPIRED]
+            told = [
+                (each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.LEASE_EXPIRED
+            ]
             demand(told == [(kind, by)], f"a change of the lease is told once: {told}")
         if reason is None:
             self._carry_out(request, now_ns)
@@ -118,7 +120,3 @@ class LeaseHistory:
                 self.due_ns = now_ns + self.rules.lease_ttl_ns
             case Do.RELEASE:
                 self._give(request.to, None, now_ns if request.to is not None else None)
-
-
-def _told(effects: Sequence[Effect]) -> list[Announce]:
-    return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in _KINDS]

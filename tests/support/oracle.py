@@ -40,11 +40,11 @@ from tests.support.history import (
     demand,
     is_coalesced,
     is_newer,
+    judge_results,
     rejections_of,
     told,
 )
 from tests.support.motion import LandingHistory, stepped
-from tests.support.outcome_judge import judge_results
 from tests.support.robot_history import RobotHistory
 
 

@@ -1,6 +1,8 @@
 """The commands of this program in a text for people, each parsed by the program's own parser."""
 
+import ast
 import re
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -33,6 +35,21 @@ def parse_commands(text: str) -> list[list[str]]:
                 raise click.UsageError(f"{' '.join(words)} finds no folder of certificates without --dir")
         commands += [words] if words else []
     return commands
+
+
+def texts(source: str, shown: Callable[[ast.expr], str]) -> list[str]:
+    """The strings of a module but its docstrings, each on one line, and each value in them as `shown` has it."""
+    tree = ast.parse(source)
+    inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    inner |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    found = [
+        node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant) and id(node) not in inner
+    ]
+    parts = [node.values if isinstance(node, ast.JoinedStr) else [node] for node in found]
+    whole = (
+        "".join(str(each.value) if isinstance(each, ast.Constant) else shown(each) for each in few) for few in parts
+    )
+    return [" ".join(text.split()) for text in whole]
 
 
 @cache

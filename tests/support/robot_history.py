@@ -10,13 +10,12 @@ from gateway.robot.core.leg import Rules
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.backlog_history import BacklogHistory
-from tests.support.body_history import BodyHistory
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import CLOSED, LegHistory, ServoHistory, cloned, demand
 from tests.support.lease_history import LeaseHistory
 from tests.support.motion import LandingHistory
-from tests.support.power_history import PowerHistory
+from tests.support.reported_history import BodyHistory, PowerHistory
 
 
 class RobotHistory:

@@ -199,9 +199,8 @@ def test_who_comes_in_and_with_how_much(tmp_path: Path, name: str) -> None:
     assert {key: get(made, key) for key in wanted} == wanted
 
 
-@pytest.mark.parametrize("name", ["gateway"])
-def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(tmp_path: Path, name: str) -> None:
-    (limit,) = get(config(FILES[name], tmp_path), "low_pass_filter")
+def test_what_is_far_too_large_is_dropped_before_it_reaches_the_gateway(gateway: zenoh.Config) -> None:
+    (limit,) = get(gateway, "low_pass_filter")
     assert limit["flows"] == ["ingress"]
     assert set(limit["messages"]) == {"put", "delete", "query", "reply"}
     assert limit["key_exprs"] == ["**"]

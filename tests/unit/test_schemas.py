@@ -201,18 +201,6 @@ def test_what_carries_a_token_does_not_show_it() -> None:
     assert token not in str(raised.value)
 
 
-@pytest.mark.parametrize(("name", "fields"), [
-    ("StateReport", "mode time uptime_s legs commands spi watchdog"),
-    ("ConfigReport", "version protocol simulated spi watchdog"),
-    ("Event", "time kind source key reason detail"),
-    ("FrameRecord", "time monotonic_ns bytes cause"),
-])  # fmt: skip
-def test_the_fields_of_version_1_0_are_required_and_later_ones_are_not(name: str, fields: str) -> None:
-    """A gateway of 1.0 does not send the later ones."""
-    assert sorted(SCHEMAS[name]["required"]) == sorted(fields.split())
-    assert set(SCHEMAS[name]["properties"]) >= set(fields.split())
-
-
 REPORTS = (
     "Ack", "LeaseAck", "RevocationAck", "ButtonAck", "Calibration", "StateReport", "ConfigReport", "Event",
     "FrameRecord", "BodyReport", "Telemetry",

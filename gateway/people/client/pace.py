@@ -54,12 +54,12 @@ class SetpointPace:
         self._late_s: deque[float] = deque(maxlen=_KEPT_TICKS)
 
     def begin(self, now_s: float) -> None:
-        """A setpoint is sent now; the grid begins with it."""
+        """Begin the grid with a setpoint that is sent now."""
         self._begun_s = self._last_s = now_s
         self._tick = 0
 
     def pause(self) -> None:
-        """Until the next `begin` no tick counts as missed."""
+        """Count no tick as missed until the next `begin`."""
         self._begun_s = None
 
     def next_s(self, now_s: float, least_s: float = -math.inf) -> float:
@@ -102,11 +102,11 @@ class Retries:
         self._asked_s: deque[float] = deque(maxlen=MOST_QUESTIONS)
 
     def asked(self, now_s: float) -> None:
-        """A question has found the robot stopped, or had no answer."""
+        """Record a question that found the robot stopped, or had no answer."""
         self._asked_s.append(now_s)
 
     def succeeded(self) -> None:
-        """Legs have started."""
+        """Record that legs have started."""
         self._asked_s.clear()
 
     @property
@@ -137,15 +137,15 @@ class Doubt:
         self._sent_s = now_s
 
     def received(self, now_s: float) -> None:
-        """The gateway has published something, or answered."""
+        """Record that the gateway has published something, or answered."""
         self._received_s = now_s
 
     def raise_it(self) -> None:
-        """A report needs the gateway's answer to decide."""
+        """Record a report that only the gateway's answer can confirm."""
         self._raised = True
 
     def asked(self) -> None:
-        """The gateway is asked now. Later reports raise a new doubt."""
+        """Record that the gateway is asked now. Later reports raise a new doubt."""
         self._raised = False
 
     def is_there(self, now_s: float) -> bool:

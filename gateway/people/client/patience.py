@@ -26,10 +26,10 @@ An answer takes milliseconds. Zenoh notices a dead link only after its lease, an
 
 
 class QuestionStep(Enum):
-    """What to do next."""
+    """The next step of a question."""
 
     WAIT = auto()
-    """For replies, until `next_s` at most."""
+    """Wait for replies, until `next_s` at most."""
     AGAIN = auto()
     """Resend it by each session."""
     OTHER_WAY = auto()

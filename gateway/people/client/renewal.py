@@ -15,15 +15,15 @@ if TYPE_CHECKING:
     from schemas.lease import LeaseAck
 
 RENEWALS: Final = 3
-"""In each time to live, so two may be lost."""
+"""Renewals in each time to live, so two may be lost."""
 LEAST_ANSWER_S: Final = 0.1
-"""For an answer to a renewal: a third of the shortest time to live (200 ms) would be less."""
+"""The shortest wait for an answer to a renewal. A third of the shortest time to live (200 ms) would be less."""
 TRY_AGAIN_S: Final = 0.3
-"""While waiting for a hand-over: how often to try, besides after each event."""
+"""The period of tries while waiting for a hand-over. Each event causes a try, too."""
 
 
 class Holds(Enum):
-    """Whether a lease is ours."""
+    """The lease's state for this client."""
 
     NOT_YET = auto()
     YES = auto()
@@ -50,7 +50,7 @@ class Renewal:
         self.holds = Holds.NOT_YET
         self.ttl_ms = 0.0
         self.lost: LeaseLostError | None = None
-        """How it was lost."""
+        """How the lease was lost."""
         self.gives = False
         """Whether a hand-over is in progress, during which a rejected renewal is no loss."""
         self.due_s = math.inf
@@ -71,14 +71,14 @@ class Renewal:
         self.due_s = now_s + self._period_s
 
     def answered(self, ack: "LeaseAck", asked_s: float) -> None:
-        """The gateway's answer to a renewal sent at `asked_s`."""
+        """Take the gateway's answer to a renewal sent at `asked_s`."""
         if ack.accepted:
             self._confirmed_s = max(self._confirmed_s, asked_s)
         else:
             self._lose(ack.reason or "", f"the lease is lost, {ack.holder or 'nobody'} holds it now", ack.holder)
 
     def unanswered(self, now_s: float) -> None:
-        """A renewal has had no answer until now."""
+        """Record that a renewal has had no answer until now."""
         if now_s - self._confirmed_s > self.ttl_ms / 1000:
             detail = f"the gateway has not answered for {self.ttl_ms:g} ms, and the lease lives no longer than that"
             self._lose(Reason.NO_LEASE, detail, None)

@@ -1,7 +1,7 @@
 """How long a gateway has published no state, and what to do then. Pure: `now_ns` is monotonic.
 
-The newest state decides. The liveliness token ends within milliseconds of the gateway's process, but not when that
-hangs or a cable is pulled.
+The newest state decides, not the liveliness token: that ends with the gateway's process, but not if the process hangs
+or a cable is pulled.
 """
 
 import math
@@ -35,11 +35,11 @@ class Silence:
         self._diagnose_ns = -math.inf
 
     def opened(self, now_ns: int) -> None:
-        """A session is open: the silence counts from now on."""
+        """Record that a session is open: the silence counts from now on."""
         self._since_ns = now_ns
 
     def not_opened(self) -> None:
-        """No session: the cause may be diagnosed at once."""
+        """Record that no session opened: the cause may be diagnosed at once."""
         if self._since_ns is None:
             self._since_ns = -math.inf
 

@@ -233,7 +233,7 @@ class Walk:
 
     @property
     def now(self) -> str:
-        """One sentence on what the robot does (`It walks`), or that this is unknown: its state is over 1 s old."""
+        """One sentence on what the robot does (`It walks`), or that the newest state is over 1 s old."""
         with self._changed:
             ride = self._using()
             # Legs that it has not started yet were not stopped.

@@ -24,11 +24,11 @@ _LIFTED_S: Final = 0.3
 """Longer than a walking robot's feet are ever unloaded together."""
 _LIFTED: Final = 0.2
 _CARRIES: Final = 0.05
-"""Of the weight. A foot that presses more touches the ground."""
+"""The part of the weight above which a foot touches the ground."""
 _WEIGHS_S: Final = 1.0
-"""The weight is the mean of the forces in this time: a hard step must not count as weight."""
+"""The weight is the mean of the forces over this time, so that a hard step does not count as weight."""
 _LEVELS_1_S: Final = 1.5
-"""Of the remaining lean, corrected each second: slow against a stride, so that swinging feet do not excite it."""
+"""The part of the lean corrected per second: slow against a stride, so that swinging feet do not excite it."""
 _LEVELS_RAD_S: Final = 0.2
 LEANS_RAD: Final = math.radians(15.0)
 """The most that the body leans against its feet to be level."""
@@ -39,17 +39,17 @@ _RISES_M_S: Final = 0.03
 EARLY_M: Final = 0.010
 """Servos give way under load. A foot that touches below this height goes on to the expected ground."""
 LATE_S: Final = 0.12
-"""The longest that a foot waits for its contact before it goes on down: sensors may be 0.1 s late."""
+"""The longest wait of a foot for its contact before it goes further down: sensors may be 0.1 s late."""
 WAIT_FORGOTTEN: Final = 0.8
-"""How much of that time remains after each foot whose contact was reported at once."""
+"""The part of that wait which is kept after each contact that was reported at once."""
 _CERTAIN_S: Final = 0.07
-"""Uneven ground alone makes contacts this late: below it the sensors count as punctual."""
+"""Uneven ground alone delays contacts by this much: sensors with a smaller lateness count as punctual."""
 _LEARNS_S: Final = (0.02, 0.005)
-"""How much the lateness changes with each of the first contacts, and with each later one."""
+"""The step of the lateness (seconds) for each of the first contacts, and for each later contact."""
 _FIRST: Final = 12
 SINKS_M_S: Final = 0.10
 DEEPEST_M: Final = 0.030
-"""How far below the expected ground a foot goes down."""
+"""How far below the expected ground a foot goes at most."""
 
 
 def terrain_named(name: str) -> str:
@@ -60,11 +60,11 @@ def terrain_named(name: str) -> str:
 
 
 class ReceivedTelemetry:
-    """The newest telemetry, which another thread receives."""
+    """Holds the newest telemetry, which another thread receives."""
 
     def __init__(self) -> None:
         self._newest: tuple[Telemetry | None, float] = (None, 0.0)
-        """The telemetry and when it was received: one object."""
+        """The telemetry and when it was received, as one object for both threads."""
 
     def take(self, telemetry: Telemetry, now_s: float) -> None:
         self._newest = telemetry, now_s
@@ -76,24 +76,24 @@ class ReceivedTelemetry:
 
 
 class Felt(NamedTuple):
-    """What the sensors report now. Without sensors all is unknown, and the walk is as on level ground."""
+    """The sensors' report now. Without sensors all is unknown, and the robot walks as on level ground."""
 
     roll_rad: float | None = None
     pitch_rad: float | None = None
     tilt_deg: float | None = None
     feet: Mapping[int, bool] = {}
-    """Whether a foot touches the ground, by leg; only feet whose sensors count."""
+    """By leg, whether its foot touches the ground. Only feet whose sensors count."""
     carrying: tuple[bool, ...] | None = None
-    """Of legs 1 to 6, as measured."""
+    """By leg (1 to 6), whether it carries, as measured; None: not measured."""
     fault: str = ""
-    """Why nothing may move now, in a sentence."""
+    """Why nothing may move now, as a sentence; "" if legs may move."""
 
 
 NOTHING: Final = Felt()
 
 
 class Senses:
-    """Reads telemetry tick by tick."""
+    """Judges telemetry, tick by tick."""
 
     def __init__(self) -> None:
         self._weight = 0.0
@@ -101,7 +101,7 @@ class Senses:
         self._tilted_s = self._lifted_s = 0.0
 
     def take(self, telemetry: Telemetry | None, seconds: float, *, stands: bool = True) -> Felt:
-        """Return what this telemetry (None: none is fresh) shows. `stands`: feet alone carry it, not the belly."""
+        """Return what this telemetry (None: none is fresh) shows. `stands`: the belly does not carry the robot."""
         if telemetry is None:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
@@ -141,14 +141,14 @@ class Lateness(NamedTuple):
     contacts: int = 0
 
     def after(self, late_s: float) -> "Lateness":
-        """Return the lateness after a contact, reported this long after its foot arrived (below 0: before)."""
+        """Return the lateness after a further contact, `late_s` after its foot arrived (below 0: before)."""
         step_s = _LEARNS_S[self.contacts >= _FIRST]
         median_s = self.median_s + math.copysign(step_s, late_s - self.median_s)
         return Lateness(max(0.0, min(LATE_S, median_s)), self.contacts + 1)
 
     @property
     def certain_s(self) -> float:
-        """The lateness, in seconds; 0 for punctual sensors."""
+        """The lateness in seconds, or 0 for punctual sensors."""
         return self.median_s if self.median_s > _CERTAIN_S else 0.0
 
 
@@ -184,7 +184,7 @@ def lowered_by(heights_m: list[float], seconds: float) -> float:
 
 
 def _lean(telemetry: Telemetry) -> tuple[float | None, float | None, float | None]:
-    """Roll, pitch (radians, as `BodyPose`) and tilt (degrees)."""
+    """Return roll and pitch (radians, as in `BodyPose`) and tilt (degrees), each None if not measured."""
     if telemetry.imu is None:
         return None, None, telemetry.tilt_deg
     w, x, y, z = telemetry.imu.orientation_wxyz

@@ -58,17 +58,17 @@ from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
 _LATE_M: Final = 0.002
-"""A foot is lifted at a tick, up to a tick too late."""
+"""How far a foot may leave its disc: it is lifted at a tick, up to one tick late."""
 _LEAST_FEET: Final = 3
 _LEANS_LESS: Final = 0.97
 _ALMOST: Final = 1e-9
 _TRIES: Final = 8
 _LONGEST_S: Final = 0.1
-"""The longest time that one tick counts: a late tick must not move anything further."""
+"""The longest time that counts for one tick, so that a late tick moves nothing further."""
 
 
 class Engine:
-    """Walks, stands and sits; `step` once a tick. Not for several threads at once."""
+    """Walks, stands and sits. Call `step` once a tick. Not for several threads at once."""
 
     def __init__(
         self, robot: Robot, gait: str = "tripod", angles_deg: Pose | None = None, odometry: Odometry = ORIGIN
@@ -89,20 +89,20 @@ class Engine:
         self.commanded = STILL
         self.scaled = STILL
         self.limit = ""
-        """Why the velocity is scaled down, in a sentence; "" if it is not."""
+        """Why the velocity is scaled down, as a sentence; "" if it is not."""
         self.lost: frozenset[int] = frozenset()
         """Legs that somebody else has stopped: `step` leaves them out."""
         self._senses = Senses()
         self.felt = NOTHING
         """What the sensors reported at the latest step."""
         self._leans_rad = LEANS_RAD
-        """How far the body may lean; less after a lean left its legs no stride."""
+        """The most that the body may lean; reduced after a lean left the legs no stride."""
         self._barred = ""
         """Why no velocity has an effect, until a command to stand still."""
         self._stuck = False
         self._pace = 1.0
         self._slowest = 0
-        """The last servo that was too slow."""
+        """The ID of the last servo that was too slow; 0: none."""
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
         self._state = State(BodyPose(0.0), {}, {}, odometry=odometry)
@@ -155,12 +155,12 @@ class Engine:
         self._wanted.append(None)
 
     def walk_as(self, gait: str) -> None:
-        """Change the gait; a walk pauses meanwhile. Raises WalkError for an unknown one."""
+        """Change the gait. A walk pauses until that is done. Raises WalkError for an unknown gait."""
         gaits.gait(gait)
         self._next_gait = gait
 
     def find(self, angles_deg: Pose) -> None:
-        """Begin from the angles of the running legs, as in `__init__`; keeps the commands and the odometry."""
+        """Begin again from the angles of the running legs, as in `__init__`. Commands and odometry are kept."""
         found = self._planner.found(angles_deg)
         self._state = State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
 
@@ -226,12 +226,12 @@ class Engine:
 
     @property
     def pose(self) -> Pose:
-        """The angles of all legs that are not lost, after the latest step."""
+        """The angles (degrees) of all legs that are not lost, after the latest step."""
         return {leg: angles for leg, angles in self._state.pose.items() if leg not in self.lost}
 
     @property
     def whole_pose(self) -> Pose:
-        """The angles of all six legs; of a lost leg the last commanded."""
+        """The angles (degrees) of all six legs; for a lost leg, its last commanded angles."""
         return dict(self._state.pose)
 
     @property
@@ -241,12 +241,12 @@ class Engine:
 
     @property
     def odometry(self) -> Odometry:
-        """Where its steps have carried it."""
+        """Where the robot's steps have carried it."""
         return self._state.odometry
 
     @property
     def stance(self) -> Stance:
-        """The stance in which it stands and walks."""
+        """The stance in which the robot stands and walks."""
         return self._stance
 
     @property
@@ -256,18 +256,18 @@ class Engine:
 
     @property
     def corrected_rad(self) -> float:
-        """How far the body leans against its feet to be level."""
+        """The body's lean against its feet, which keeps it level (radians)."""
         return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
 
     @property
     def hanging(self) -> frozenset[int]:
-        """The legs whose feet found no ground: they hang over an edge."""
+        """The legs whose feet found no ground, so they hang over an edge."""
         return self._state.hanging
 
     # ---- postures
 
     def _begin_what_is_wanted(self) -> None:
-        """Once it stands still, change the gait, then begin the way to another posture."""
+        """Once the robot stands still, change the gait, then begin the way to another posture."""
         state = self._state
         if state.swings or state.velocity.moves or state.moves or self.lost:
             return
@@ -282,7 +282,7 @@ class Engine:
             state.sits, state.part = wanted is None, 0.0
 
     def _step_within_reach(self) -> None:
-        """Step feet back that the former gait left outside this gait's discs: no velocity would lift them."""
+        """Step feet back into this gait's discs if the former gait left them outside: no velocity would lift them."""
         state = self._state
         outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
         if outside and not state.sits:
@@ -353,9 +353,9 @@ class Engine:
             self._lift(state)
 
     def _swing(self, state: State, leg: int, swing: Swing, seconds: float, touches: bool | None) -> None:
-        """From the line on which the ground carries the foot to the one on which it will land.
+        """Move a foot from the line on which the ground carried it to the line on which it will land.
 
-        `touches`: whether the foot is felt on the ground; None: nobody knows.
+        `touches`: whether the foot is felt on the ground; None: unknown.
         """
         gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
@@ -379,7 +379,7 @@ class Engine:
         state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
 
     def _rest(self, leg: int) -> Vector:
-        """Where the foot rests: further out, the more the body leans against its feet."""
+        """Return where the foot rests: the more the body leans against its feet, the further out."""
         rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
         return between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
 
@@ -398,7 +398,7 @@ class Engine:
     # ---- velocities
 
     def _hurry(self, state: State, target: Velocity, seconds: float) -> None:
-        """Change the tempo towards what this velocity and the present one need. A walk that ends keeps its tempo."""
+        """Change the tempo towards the need of `target` and the present velocity. A walk that ends keeps its tempo."""
         now = state.velocity
         walks = now.moves or bool(state.swings)
         if target.moves or not walks:
@@ -407,7 +407,7 @@ class Engine:
         self._quick, self._lift_m, self._climb = at_tempo(self._gait, state.tempo)
 
     def _stride_of(self, velocity: Velocity) -> float:
-        """The longest stride at the gait's usual tempo, as a part of its disc."""
+        """Return the longest stride at the gait's usual tempo, as a part of its disc."""
         if not velocity.moves:
             return 0.0
         half_s = self._gait.stance_s / 2
@@ -415,7 +415,7 @@ class Engine:
         return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
 
     def _capped(self, target: Velocity) -> float:
-        """The part of this velocity whose strides fit into the discs."""
+        """Return the part (0 to 1) of this velocity whose strides fit into the discs."""
         key = target, self._stance, self._gait
         if self._cap[0] != key:
             self._cap = (
@@ -426,15 +426,15 @@ class Engine:
 
     @property
     def _within_m(self) -> float:
-        """How far from its resting place a foot stands at most."""
+        """Return how far (m) from its resting place a foot may stand."""
         return self._stance.radius_m / outward(self._gait.swing_s, self._gait.stance_s)
 
     def _allowed(self, state: State, velocity: Velocity) -> float:
-        """The part of this velocity with which every standing foot stays in its disc until it is lifted."""
+        """Return the part (0 to 1) of this velocity that keeps each standing foot in its disc until it is lifted."""
         return largest(lambda part: self._stays(state, velocity.times(part)))
 
     def _begun(self, state: State, velocity: Velocity) -> float:
-        """`_allowed` for a walk that begins: it first lifts the feet that would limit the velocity."""
+        """Return `_allowed` for a walk that begins. It first lifts the feet that would limit the velocity."""
         for state.clock in sorted({*self._quick.lifts}):
             if allowed := self._allowed(state, velocity):
                 return allowed
@@ -452,7 +452,7 @@ class Engine:
         return True
 
     def _report(self, target: Velocity, cap: float, pace: float, seconds: float, slowest: int) -> None:
-        """Servos are too slow in a few moments of a stride only: the mean over a stride counts."""
+        """Set `scaled` and `limit`. Servos are too slow only in moments of a stride: its mean counts."""
         self._pace += (pace - self._pace) * min(1.0, seconds / self._gait.period_s)
         self._slowest = slowest or self._slowest
         self.scaled = target.times(cap * self._pace)

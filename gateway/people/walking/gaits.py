@@ -1,6 +1,6 @@
 """The gaits: when each leg swings. Pure.
 
-Another gait is a line in the table. The page, the keys of `walk`, its help and the bridge's numbers follow the table.
+To add a gait, add a line to the table: the page, the keys and help of `walk`, and the bridge's numbers follow it.
 """
 
 from typing import Final, NamedTuple
@@ -13,11 +13,11 @@ class Gait(NamedTuple):
     """Each leg swings once in a stride. Legs 1, 3, 5 are the left ones from the front, 2, 4, 6 the right ones."""
 
     period_s: float
-    """Of a stride: one swing and one stance of each leg."""
+    """The duration of a stride: one swing and one stance of each leg."""
     duty: float
     """The part of a stride in which a leg stands."""
     lifts: tuple[float, float, float, float, float, float]
-    """When legs 1 to 6 lift off."""
+    """When legs 1 to 6 lift off, as parts of a stride."""
 
     @property
     def swing_s(self) -> float:
@@ -42,7 +42,7 @@ NUMBERS: Final = dict(enumerate(dict.fromkeys(("wave", "ripple", "tripod", *GAIT
 """The gaits' numbers on ROS 2: first those of the Elkapod's own stack, then the others."""
 
 TRIPODS: Final = ((1, 4, 5), (2, 3, 6))
-"""The robot can stand on each: front and rear leg of one side, middle leg of the other."""
+"""The robot can stand on each: the front and rear leg of one side, and the middle leg of the other."""
 
 
 def gait(name: str) -> Gait:

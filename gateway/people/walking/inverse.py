@@ -30,10 +30,10 @@ from gateway.people.walking.motion import (
 )
 
 Angles = tuple[float, float, float]
-"""Of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
+"""The angles of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
 
 _OFF: Final = 0.02
-"""Radians by which an axis may differ from the closed form's shape; Newton's method corrects it."""
+"""How far (radians) an axis may differ from the closed form's shape. Newton's method corrects the difference."""
 _CLOSE_M: Final = 1e-9
 _ITERATIONS: Final = 8
 _PARALLEL: Final = 1e-12
@@ -42,7 +42,7 @@ _PARALLEL: Final = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Where the parts of a leg are, in the body's frame: for the foot's position, its derivative and the masses."""
+    """The positions of a leg's parts in the body's frame: for the foot, its derivative and the masses."""
 
     joints_m: tuple[Vector, Vector, Vector]
     foot_m: Vector
@@ -53,7 +53,7 @@ class Limb:
     """One leg's chain of three joints."""
 
     def __init__(self, geometry: Geometry, leg: int) -> None:
-        """Raises WalkError for a chain without the shape above."""
+        """Raises WalkError for a chain without the module's shape."""
         self.leg = leg
         mount = geometry.leg_mounts[leg]
         self._mount_m = mount.xyz_m
@@ -80,7 +80,7 @@ class Limb:
         return Reach((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))
 
     def inverse(self, foot_m: Vector) -> Angles:
-        """Return the joint angles (radians) that put the foot there. Raises WalkError if the leg does not reach."""
+        """Return the joint angles (radians) for this foot position. Raises WalkError if the leg does not reach it."""
         angles = self._guess(foot_m)
         for _ in range(_ITERATIONS):
             reach = self.forward(angles)
@@ -93,7 +93,7 @@ class Limb:
     # ---- the closed form
 
     def _plan(self) -> None:
-        """The same leg as a turntable and two rods in a plane, whose points are complex numbers."""
+        """Describe the leg as a turntable and two rods in a plane, whose points are complex numbers."""
         first, second, third = self._turns
         one = apply(first, self._axes[0])
         two = apply(second, self._axes[1])
@@ -155,7 +155,7 @@ class Limb:
 
 
 def _improved(angles: Angles, reach: Reach, off_m: Vector) -> Angles:
-    """One step of Newton's method; a little damped, since a straight leg has no inverse."""
+    """Return the angles after one step of Newton's method, slightly damped since a straight leg has no inverse."""
     columns = [
         cross(axis, minus(reach.foot_m, joint_m)) for axis, joint_m in zip(reach.axes, reach.joints_m, strict=True)
     ]

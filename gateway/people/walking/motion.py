@@ -42,14 +42,14 @@ def apply(matrix: Matrix, vector: Vector) -> Vector:
 
 
 def back(matrix: Matrix, vector: Vector) -> Vector:
-    """`vector` before the rotation: apply its inverse, the transpose."""
+    """Return `vector` before the rotation: the product with its inverse, which is the transpose."""
     (a, b, c), (d, e, f), (g, h, i) = matrix
     x, y, z = vector
     return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
 
 def product(first: Matrix, second: Matrix) -> Matrix:
-    """The matrix product: `second` in the frame that `first` has rotated."""
+    """Return the matrix product: `second` in the frame that `first` has rotated."""
     (a, b, c), (d, e, f), (g, h, i) = second
     (r, s, t), (u, v, w), (x, y, z) = first
     return (
@@ -60,13 +60,13 @@ def product(first: Matrix, second: Matrix) -> Matrix:
 
 
 def matrix(rotation: Quaternion) -> Matrix:
-    """The rotation of a unit quaternion."""
+    """Return the rotation of a unit quaternion."""
     x, y, z = (rotated(rotation, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
 
 
 def rotation_by(axis: Vector, angle: float) -> Matrix:
-    """The rotation by an angle about an axis of length 1."""
+    """Return the rotation by an angle (radians) about an axis of length 1."""
     if axis == (0.0, 0.0, 1.0):
         cosine, sine = math.cos(angle), math.sin(angle)
         return (cosine, -sine, 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0)
@@ -74,7 +74,7 @@ def rotation_by(axis: Vector, angle: float) -> Matrix:
 
 
 def spun(first: Matrix, axis: Vector, angle: float) -> Matrix:
-    """`first`, followed by a rotation by an angle about an axis of its frame: most joints turn about z."""
+    """Return `first`, followed by a rotation (radians) about an axis of its frame. Most joints turn about z."""
     if axis != (0.0, 0.0, 1.0):
         return product(first, rotation_by(axis, angle))
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -87,24 +87,24 @@ def spun(first: Matrix, axis: Vector, angle: float) -> Matrix:
 
 
 def perpendicular(axis: Vector) -> Vector:
-    """A unit vector perpendicular to `axis`."""
+    """Return a unit vector perpendicular to `axis`."""
     other = (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0)
     found = minus(other, scaled(axis, dot(other, axis)))
     return scaled(found, 1 / math.sqrt(dot(found, found)))
 
 
 def angle_about(axis: Vector, begin: Vector, end: Vector) -> float:
-    """The angle in radians by which `begin` turns about `axis` to `end`; both are perpendicular to it."""
+    """Return the angle (radians) from `begin` to `end` about `axis`; both are perpendicular to `axis`."""
     return math.atan2(dot(axis, cross(begin, end)), dot(begin, end))
 
 
 def wrapped(angle: float) -> float:
-    """The same angle between -pi and pi."""
+    """Return the same angle (radians) between -pi and pi."""
     return math.remainder(angle, 2 * math.pi)
 
 
 ABSURD: Final = 10.0
-"""m/s or rad/s. No walking robot is so fast: a larger value is a mistake in units."""
+"""In m/s or rad/s. No walking robot is so fast: a larger value is a mistake in units."""
 _STRAIGHT: Final = 1e-9
 
 
@@ -128,11 +128,11 @@ class Velocity(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether it is not zero."""
+        """Whether the velocity is not zero."""
         return any(self)
 
     def times(self, factor: float) -> "Velocity":
-        """The same direction, `factor` times as fast."""
+        """Return the velocity in the same direction, `factor` times as fast."""
         return Velocity(self.forward_m_s * factor, self.left_m_s * factor, self.turn_rad_s * factor)
 
 
@@ -158,18 +158,18 @@ def carried(point: Vector, velocity: Velocity, seconds: float) -> Vector:
 
 
 class Odometry(NamedTuple):
-    """Where its steps have carried the body since the beginning. Slipping feet are not noticed."""
+    """Where the steps have carried the body since the beginning. Slipping feet are not noticed."""
 
     x_m: float = 0.0
     y_m: float = 0.0
     heading_rad: float = 0.0
 
     def after(self, velocity: Velocity, seconds: float) -> "Odometry":
-        """The odometry after a further motion with `velocity`, which is in the body's frame. @private"""
+        """Return the odometry after a further motion with `velocity` (body's frame). @private"""
         return self.then(Odometry(*travelled(velocity, seconds)))
 
     def then(self, further: "Odometry") -> "Odometry":
-        """The odometry after a further one, which began here. @private"""
+        """Return the odometry after `further`, which began here. @private"""
         cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
         return Odometry(
             self.x_m + cosine * further.x_m - sine * further.y_m,
@@ -186,13 +186,13 @@ class BodyPose(NamedTuple):
 
     height_m: float
     roll_rad: float = 0.0
-    """To the right."""
+    """Lean to the right."""
     pitch_rad: float = 0.0
-    """Forward, nose down."""
+    """Lean forward, nose down."""
 
     @property
     def turn(self) -> Matrix:
-        """From the body's frame into the ground frame."""
+        """The rotation from the body's frame into the ground frame."""
         return matrix(from_rpy((self.roll_rad, self.pitch_rad, 0.0)))
 
     def seen(self, point: Vector, turn: Matrix) -> Vector:
@@ -200,12 +200,12 @@ class BodyPose(NamedTuple):
         return back(turn, (point[0], point[1], point[2] - self.height_m))
 
     def grounded(self, point: Vector, turn: Matrix) -> Vector:
-        """A point of the body's frame in the ground frame."""
+        """Return a point of the body's frame in the ground frame. `turn`: as for `seen`."""
         x, y, z = apply(turn, point)
         return x, y, z + self.height_m
 
     def towards(self, other: "BodyPose", part: float) -> "BodyPose":
-        """The pose between the two: `part` is 0 here and 1 there."""
+        """Return the pose between this (`part` 0) and `other` (`part` 1)."""
         pairs = zip(self, other, strict=True)
         height_m, roll_rad, pitch_rad = (a + (b - a) * part for a, b in pairs)
         return BodyPose(height_m, roll_rad, pitch_rad)
@@ -234,19 +234,19 @@ class WalkState(NamedTuple):
     commanded: Velocity
     """The requested velocity; 0 after `hold_s`."""
     scaled: Velocity
-    """The velocity that the legs can reach: the same direction, slower for the reason in `limit`."""
+    """The velocity that the legs can reach: the same direction, slower because of `limit`."""
     limit: str
     odometry: Odometry
-    """Where its steps have carried it since the walk began."""
+    """Where the steps have carried the body since the walk began."""
     lost: tuple[int, ...]
     """Legs that somebody else has stopped."""
     terrain: str = "level"
     """`adapt`: the robot walks by its sensors, if it has some."""
     tilt_deg: float | None = None
-    """Of the body against the world's up, as measured; None: not measured."""
+    """The body's tilt against the world's up, as measured; None: not measured."""
     carrying: tuple[bool, ...] | None = None
-    """Which of legs 1 to 6 carry, as measured."""
+    """By leg (1 to 6), whether it carries, as measured; None: not measured."""
     corrected_deg: float = 0.0
-    """How far the body leans against its feet to be level."""
+    """The body's lean against its feet, which keeps it level."""
     hanging: tuple[int, ...] = ()
     """Legs that found no ground."""

@@ -22,7 +22,7 @@ MARGIN_M: Final = 0.010
 
 
 def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles], masses: Masses = MASSES) -> Vector:
-    """The centre of mass in the ground frame, in metres."""
+    """Return the centre of mass in the ground frame (m)."""
     mounts = [mount.xyz_m for mount in robot.geometry.leg_mounts.values()]
     low, high = (tuple(limit(axis) for axis in zip(*mounts, strict=True)) for limit in (min, max))
     moment = scaled(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2), masses.body_kg)
@@ -35,7 +35,7 @@ def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles
 
 
 def margin_m(point: Point, feet: Iterable[Point]) -> float:
-    """Return how far `point` is inside the polygon of the feet (below 0: outside; minus infinity below three feet)."""
+    """Return how far (m) `point` is inside the feet's polygon (below 0: outside; minus infinity below three feet)."""
     hull = _hull(sorted(set(feet)))
     if len(hull) < 3:
         return -math.inf
@@ -43,7 +43,7 @@ def margin_m(point: Point, feet: Iterable[Point]) -> float:
 
 
 def _hull(points: list[Point]) -> list[Point]:
-    """The convex hull, counter-clockwise (Andrew's monotone chain)."""
+    """Return the convex hull, counter-clockwise (Andrew's monotone chain)."""
 
     def half(ordered: Iterable[Point]) -> list[Point]:
         chain: list[Point] = []
@@ -63,11 +63,11 @@ def _left_of(begin: Point, end: Point, point: Point) -> float:
 
 
 RAISED_M: Final = 0.02
-"""The height of a lying robot's feet when its legs start, so that they do not push against the ground."""
+"""The height of a lying robot's feet when its legs start, so that the feet do not push against the ground."""
 _SAMPLES: Final = 8
 """The samples of a move in the check of a plan."""
 _SAME_DEG: Final = 2.0
-"""How far a plan's first pose may differ from the present pose. Beyond it the leg is bent the other way."""
+"""How far a plan's first pose may differ from the present pose. Above it a leg is bent the other way."""
 
 
 class Planner:
@@ -117,7 +117,7 @@ class Planner:
     # ---- the plans
 
     def _plans(self, figure: Figure, goal: Stance) -> Iterator[list[Move]]:
-        """Lower hanging feet, go to a height at which all feet can step, step, and take the pose."""
+        """Yield plans: lower hanging feet, go to a height at which all feet can step, step, and take the pose."""
         body, feet = figure.body, figure.feet
         hanging = [leg for leg in LEGS if feet[leg][2] > 0.0]
         begin = [lowered(feet, hanging)] if hanging else []
@@ -138,7 +138,7 @@ class Planner:
             yield [*bent, *shift(near.body, level), *further, *shift(level, goal.body)]
 
     def _bent(self, pose: Pose, stance: Stance) -> Iterator[Move]:
-        """Three legs at a time: joint by joint to above their places, and down."""
+        """Yield moves, three legs at a time: joint by joint to above their places, and down."""
         above = {leg: (x, y, LIFT_M) for leg, (x, y, _) in stance.feet.items()}
         wanted = Figure(stance.body, above, {})
         wanted.place(self._robot, LEGS)
@@ -147,7 +147,7 @@ class Planner:
             yield lowered(above, tripod)
 
     def _folded(self, pose: Pose) -> Iterator[Move]:
-        """Three legs at a time to the pose of a lying robot."""
+        """Yield moves, three legs at a time, to the pose of a lying robot."""
         rest = self._rest.pose
         first, second = TRIPODS
         yield Bend({leg: (pose[leg], rest[leg]) for leg in first})
@@ -156,7 +156,7 @@ class Planner:
     # ---- whether one works
 
     def _works(self, begin: Figure, plan: Sequence[Move]) -> bool:
-        """Whether the legs can follow the plan from their pose, and the robot does not fall."""
+        """Return whether the legs can follow the plan from their pose, and the robot does not fall."""
         figure = begin.copy()
         try:
             for move in plan:
@@ -166,7 +166,7 @@ class Planner:
         return True
 
     def _try(self, figure: Figure, move: Move) -> None:
-        """The figure after a move. Raises WalkError."""
+        """Apply the move to the figure. Raises WalkError if the legs cannot follow, or the robot would fall."""
         if not isinstance(move, Shift):
             stand = [leg for leg in LEGS if leg not in move.paths and figure.feet[leg][2] < ON_GROUND_M]
             above = figure.body.height_m > self._seat.body.height_m
@@ -187,7 +187,7 @@ def lying_deg(robot: Robot) -> dict[int, float]:
 
 
 def balanced(robot: Robot, figure: Figure, stand: Iterable[int]) -> bool:
-    """Whether the centre of mass is at least MARGIN_M inside the polygon of the feet that stand."""
+    """Return whether the centre of mass is at least MARGIN_M inside the polygon of the feet that stand."""
     joints_rad = {leg: robot.joints_rad(leg, angles) for leg, angles in figure.pose.items()}
     x, y, _ = centre_of_mass(robot, figure.body, joints_rad)
     return margin_m((x, y), [figure.feet[leg][:2] for leg in stand]) >= MARGIN_M

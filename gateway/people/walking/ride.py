@@ -36,11 +36,11 @@ from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
 HOLD_S: Final = 0.5
-"""As in diff_drive_controller and twist_mux."""
+"""After this time a velocity no longer counts, as in diff_drive_controller and twist_mux."""
 REST_S: Final = 10.0
-"""Servos that hold a robot up get hot."""
+"""After this time without a command the robot sits: servos that hold a robot up get hot."""
 START_PAUSE_S: Final = 0.015
-"""Least pause between the starts of two legs, when servos draw most: a tick of 50 Hz, less its jitter."""
+"""The least pause between the starts of two legs, when servos draw most: a tick of 50 Hz, less its jitter."""
 GIVES_UP_S: Final = 2.0
 """How long a fallen or lifted robot stands still; then nothing is sent, so the gateway stops it."""
 _ALL: Final = frozenset(LEGS)
@@ -50,13 +50,13 @@ class Silences(NamedTuple):
     """How many seconds each kind of silence may last."""
 
     hold_s: float = HOLD_S
-    """After a command: then the robot stands, and the command's press is used up."""
+    """After a command. Then the robot stands, and the command's press is used up."""
     rest_s: float = REST_S
-    """After a command, while the robot stands: then it sits down and is stopped."""
+    """After a command, while the robot stands. Then the robot sits down and is stopped."""
     idle_s: float = math.inf
-    """After a press, or a wish that moves, although wishes continue: then the robot sits down as well."""
+    """After a press, or a wish that moves, although wishes continue. Then the robot sits down as well."""
     halted_s: float = math.inf
-    """After a command, if the robot cannot sit because a leg is lost: then it is stopped as it stands."""
+    """After a command, if a lost leg keeps the robot from sitting. Then the robot is stopped where it stands."""
 
 
 class Wish(NamedTuple):
@@ -66,7 +66,7 @@ class Wish(NamedTuple):
     velocity: Velocity = STILL
     gait: str = "tripod"
     height_m: float | None = None
-    """The body's height; None: the usual one."""
+    """The body's height; None: the usual height."""
     sits: bool = False
 
 
@@ -85,7 +85,7 @@ class Phase(Enum):
 
 
 class RideTask(Enum):
-    """What the shell does next; see `RideStep`."""
+    """The shell's next task; see `RideStep`."""
 
     WAIT = auto()
     """Wait until `wake_s`, or until there is something to report."""
@@ -101,7 +101,7 @@ _NO_LEGS: Final[Pose] = {}
 
 
 class RideStep(NamedTuple):
-    """What to do, and when to call `next` again at the latest (monotonic seconds)."""
+    """The next task, and when to call `next` again at the latest (monotonic seconds)."""
 
     do: RideTask
     pose: Pose = _NO_LEGS
@@ -109,7 +109,7 @@ class RideStep(NamedTuple):
 
 
 class Ride:
-    """Not for several threads at once; times are seconds of one monotonic clock."""
+    """The state of one ride. Not for several threads at once. Times are seconds of one monotonic clock."""
 
     # mutants accepted (Forget, Step): the first look sets it; no press is below 0
     def __init__(
@@ -130,12 +130,12 @@ class Ride:
         self._once = once
         self._terrain = terrain_named(terrain)
         self.silences = silences
-        """Its times; may be changed at any time."""
+        """The ride's times. May be changed at any time."""
         self.phase = Phase.RESTS
         self.error: GatewayError | None = None
-        """The error that ended it, until `start_again` has succeeded."""
+        """The error that ended the ride, until `start_again` has succeeded."""
         self.over = False
-        """Its driver is silent or has left, and its legs are stopped. A command continues, unless `once`."""
+        """The driver is silent or has left, and the legs are stopped. A command starts them again, unless `once`."""
         self.detail = ""
         """Why the newest press moves nothing: a sentence for people."""
         self.spent = -1
@@ -146,19 +146,19 @@ class Ride:
         self._leaving = False
         self._wants_again = False
         self._takes_over = running is not None and running.keys() == _ALL
-        """Without a command so far: begin only if all six still run."""
+        """Before the first command: begin only if all six legs still run."""
         self._found = False
         """Whether the gateway was asked who runs, since the legs were last at rest."""
         self._ours = False
-        """Whether legs that it started may run."""
+        """Whether legs that this ride started may run."""
         self._running: frozenset[int] = frozenset()
         self._arrived = True
         """Whether started servos have arrived."""
         self._sent: dict[int, Angles] = {}
-        """Where each leg was sent last."""
+        """The angles (degrees) last sent to each leg."""
         self._started_s = -math.inf
         self._sound_s = now_s
-        """When it last had neither fallen nor been lifted."""
+        """When the robot had last neither fallen nor been lifted."""
         self._said_s = self._pressed_s = now_s
         self._begin(robot, gait, running or {})
         if self._takes_over:
@@ -193,12 +193,12 @@ class Ride:
         self._wanted(now_s)
 
     def walk_as(self, gait: str, now_s: float) -> None:
-        """Change the gait; a walk pauses meanwhile."""
+        """Change the gait. A walk pauses until that is done."""
         self._engine.walk_as(gait)
         self._said_s = now_s
 
     def wish(self, wish: Wish, now_s: float) -> None:
-        """Carry out what has changed. With a used press a wish only shows that the driver is there. Raises nothing."""
+        """Carry out the changes to the newest wish. With a used press a wish only shows that the driver is there."""
         self.apply_silences(now_s)
         self._said_s = now_s
         if wish.press > self._press:
@@ -228,7 +228,7 @@ class Ride:
     # ---- what the shell does
 
     def next(self, now_s: float, telemetry: Telemetry | None = None) -> RideStep:
-        """What to do now. `telemetry`: None if none is fresh."""
+        """Return the task to do now. `telemetry`: None if none is fresh."""
         self.apply_silences(now_s)
         if self._wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
@@ -339,7 +339,7 @@ class Ride:
         self._spend(error.lasting if isinstance(error, GatewayError) else str(error))
 
     def ended(self) -> None:
-        """The legs are stopped. A command that came meanwhile starts them again."""
+        """Record that the legs are stopped. A command that came in the meantime starts them again."""
         self._ours, self._found, self._running = False, False, frozenset()
         if self.phase is Phase.ENDS:
             self.phase = Phase.RESTS if self.over else Phase.STARTS
@@ -366,7 +366,7 @@ class Ride:
 
     @property
     def body(self) -> BodyPose:
-        """The pose in which it stands and walks."""
+        """The body's pose in which the robot stands and walks."""
         return self._engine.stance.body
 
     @property
@@ -395,18 +395,18 @@ class Ride:
         self._engine = Engine(robot, gait, running, odometry)
         self._velocity = STILL
         self._sits = True
-        """Whether it is to lie; false after a command to stand or walk."""
+        """Whether the robot is to lie; false after a command to stand or walk."""
         self._ticked_s = self._busy_s = -math.inf
-        """When it was moved last, and when it was last on its way to another posture."""
+        """When the robot was last moved, and when it was last on its way to another posture."""
         self._prepare()
 
     def _prepare(self, stance: Stance | None = None) -> None:
-        """Compute now what takes longer than a tick."""
+        """Compute the feet's wider places now, which takes longer than a tick."""
         if self._terrain == "adapt":
             self.robot.widened((stance or self._engine.stance).body)
 
     def _tick(self, now_s: float, telemetry: Telemetry | None) -> Pose:
-        """The angles of all legs now, in degrees."""
+        """Return the angles of all legs now, in degrees."""
         if now_s - self._said_s > self.silences.hold_s:
             self._velocity = STILL
         if self._engine.posture is Posture.MOVING:
@@ -419,7 +419,7 @@ class Ride:
         return self._engine.step(self._velocity, elapsed_s, telemetry if self._terrain == "adapt" else None)
 
     def _is_silent(self, now_s: float) -> bool:
-        """A way to another posture is no silence: the time counts from its end."""
+        """Return whether `rest_s` is over, since the newest command or the end of a change of posture."""
         return now_s - max(self._said_s, self._busy_s) > self.silences.rest_s
 
     def _check(self) -> None:

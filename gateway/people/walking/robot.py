@@ -18,14 +18,14 @@ from schemas.telemetry import GatewayState, LimitsReport, ServoLimitsReport
 
 
 class Range(NamedTuple):
-    """The range of one servo, in the degrees of commands."""
+    """The range of one servo in degrees, as commanded, and its speed."""
 
     min_deg: float = 0.0
     max_deg: float = 180.0
     max_speed_deg_s: float = math.inf
 
     def within(self, other: "Range") -> "Range":
-        """The range that both allow."""
+        """Return the range that both allow."""
         return Range(
             max(self.min_deg, other.min_deg),
             min(self.max_deg, other.max_deg),
@@ -38,9 +38,9 @@ class Stance(NamedTuple):
 
     body: BodyPose
     feet: Mapping[int, Vector]
-    """Where they rest, in the ground frame."""
+    """By leg, where its foot rests, in the ground frame."""
     radius_m: float
-    """Of the disc around its resting place. Each foot stays in its disc, on the ground and lifted."""
+    """The radius of the disc around each resting place. A foot stays in its disc, on the ground and lifted."""
     why: str = ""
     """The limit that keeps the discs from being larger."""
 
@@ -51,7 +51,7 @@ class Stance(NamedTuple):
 
 
 Pose = Mapping[int, Angles]
-"""Angles of legs, in the degrees of commands."""
+"""By leg, the commanded angles in degrees."""
 
 FEED_S: Final = 1.5
 """One servo that is fed alone and judged (0.3 s), and 18 at the board's slowest pace of 54 ms each (docs/stops.md)."""
@@ -59,22 +59,22 @@ LIFT_M: Final = 0.035
 STRIDE_RADIUS_M: Final = 0.055
 """How far a foot goes from where it rests; with longer strides the legs of the Elkapod touch."""
 LEAST_RADIUS_M: Final = 0.008
-"""A smaller disc leaves no stride."""
+"""The smallest disc that leaves room for a stride."""
 WIDE_RAD: Final = math.radians(12.0)
 """A body that leans this far needs its feet further out: legs right below it would have no stride."""
 _WIDE_RADIUS_M: Final = 0.030
 _SPARE_DEG: Final = 0.5
-"""Of a joint's limits, kept free in the disc."""
+"""Kept free of each joint's limits within the discs."""
 _REACH_STEP_M: Final = 0.01
 _HEIGHT: Final = 0.7
-"""The usual height, as a part of that at which the femur is level and the tibia upright."""
+"""The usual height, as a part of the height at which the femur is level and the tibia upright."""
 _DIRECTIONS: Final = tuple((math.cos(angle), math.sin(angle)) for angle in (math.tau * k / 12 for k in range(12)))
 _HALVINGS: Final = 6
 _CLEARANCE_M: Final = 0.003
 
 
 class Robot:
-    """Where its feet can be, and by which angles."""
+    """Computes where the robot's feet can be, and by which angles."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class Robot:
         self.geometry = geometry
         self.starts_whole = starts_whole
         self.limp_s = FEED_S if fed_singly else 0.0
-        """For this time after the last start a servo may not be fed yet."""
+        """For this time (seconds) after the last start a servo may not be fed yet."""
         self.limbs = {leg: Limb(geometry, leg) for leg in LEGS}
         self.ranges = {10 * leg + joint: self._range(10 * leg + joint, ranges) for leg in LEGS for joint in JOINTS}
         heights_m = [mount.xyz_m[2] for mount in geometry.leg_mounts.values()]
@@ -102,7 +102,7 @@ class Robot:
         coxa_m, femur_m, tibia_m = parts_m
         steps = int((femur_m + tibia_m) / _REACH_STEP_M)
         self._reaches_m = tuple(coxa_m + femur_m + _REACH_STEP_M * step for step in range(-2, steps))
-        """How far from its mount a foot may rest: below the knee or further out. The shortest needs the least force."""
+        """Distances (m) from its mount at which a foot may rest, the nearest (least force) below the knee."""
         shoulder_m = (max(heights_m) + min(heights_m)) / 2 + geometry.joints[0].origin_xyz_m[2]
         self.usual_m = round(max(_HEIGHT * (tibia_m - shoulder_m), self.lying_m), 3)
         """The height at which the robot stands by default."""
@@ -119,20 +119,20 @@ class Robot:
         return first, second, third
 
     def joints_rad(self, leg: int, angles_deg: Angles) -> Angles:
-        """The three joint angles of a leg, in radians."""
+        """Return the three joint angles (radians) for a leg's commanded angles."""
         first, second, third = (
             self.geometry.joint_rad(10 * leg + joint, angle) for joint, angle in zip(JOINTS, angles_deg, strict=True)
         )
         return first, second, third
 
     def foot_m(self, leg: int, angles_deg: Angles) -> Vector:
-        """Where the foot is in the body's frame."""
+        """Return where the foot is at these angles (degrees), in the body's frame."""
         return self.limbs[leg].forward(self.joints_rad(leg, angles_deg)).foot_m
 
     def _stance(self, body: BodyPose, *, walks: bool = True) -> Stance:
-        """The stance at this pose with the largest discs. Raises WalkError if there is none.
+        """Return the stance at this pose with the largest discs. Raises WalkError if there is none.
 
-        `walks`: the feet need room for a stride; without it they only stand.
+        `walks`: the feet need room for a stride; else they only stand.
         """
         if not all(map(math.isfinite, body)):
             raise WalkError("a height and a leaning are finite numbers")
@@ -157,7 +157,7 @@ class Robot:
         return Stance(body, MappingProxyType(feet), radius_m, str(why))
 
     def _widened(self, body: BodyPose) -> Mapping[int, Vector]:
-        """Where feet keep `_WIDE_RADIUS_M` in each lean by WIDE_RAD; the stance's places if there are none."""
+        """Return places where feet keep `_WIDE_RADIUS_M` in each lean by WIDE_RAD; if there are none, the stance's."""
         height_m, roll_rad, pitch_rad = body
         leaning = [
             BodyPose(height_m, roll_rad + WIDE_RAD * across, pitch_rad + WIDE_RAD * along)
@@ -185,7 +185,7 @@ class Robot:
         }
 
     def _radius_m(self, body: BodyPose, feet: Mapping[int, Vector], most_m: float) -> float:
-        """The radius below `most_m` within which all feet reach."""
+        """Return the radius, up to `most_m`, within which all feet reach."""
         low, high = 0.0, most_m
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
@@ -206,7 +206,7 @@ class Robot:
                     self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
 
     def _range(self, servo_id: int, ranges: Mapping[int, Range]) -> Range:
-        """The range that the servo and the joint allow."""
+        """Return the range that both the servo and the joint allow."""
         servo = self.geometry.servos[servo_id]
         ends = [servo.servo_deg(limit) for limit in self.geometry.joints[servo_id % 10 - 1].limits_rad]
         joint = Range(min(ends), max(ends), MAX_SPEED_DEG_S)
@@ -273,7 +273,7 @@ def running_deg(state: GatewayState) -> dict[int, Angles]:
 
 
 def arrived(state: GatewayState) -> bool:
-    """Whether all running servos have reached their commanded angles; an older gateway reports no targets."""
+    """Return whether all running servos have reached their commanded angles. An older gateway reports no targets."""
     running = (servo for leg in state.legs for servo in leg.servos if servo.running)
     return all(servo.target_deg in (None, servo.angle_deg) for servo in running)
 

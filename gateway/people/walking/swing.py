@@ -27,18 +27,18 @@ class Swing(NamedTuple):
     left: Vector
     part: float = 0.0
     free: bool = False
-    """Whether its foot was felt to be in the air: only then a contact is news."""
+    """Whether the foot was felt in the air: only then a contact is news."""
     met: bool = False
-    """Whether it was felt on the ground after that."""
+    """Whether the foot was felt on the ground after that."""
     late_s: float = 0.0
-    """For how long it has been where the ground was expected."""
+    """For how long the foot has been where the ground was expected."""
     trail: tuple[tuple[float, float], ...] = ()
     """Its latest ticks, the newest first: how long ago (seconds), and the foot's height (metres)."""
 
     def down(
         self, height_m: float, now_m: float, touches: bool | None, seconds: float, waits_s: float, lag_s: float
     ) -> "Descent":
-        """A tick later. `height_m`: where the gait wants the foot, which is at `now_m`; `touches`: None: unknown.
+        """Return the descent a tick later. `height_m`: by the gait; `now_m`: of the foot; `touches`: None if unknown.
 
         The foot waits `waits_s` for its contact before it goes on down, and longer at the lowest point. A contact is
         reported `lag_s` late: the ground is where the foot was at contact.
@@ -61,51 +61,51 @@ class Swing(NamedTuple):
         return Descent(lower_m, swing._replace(late_s=self.late_s + seconds))
 
     def met_now(self, touches: bool | None) -> bool:
-        """Whether its foot is felt on the ground after it was in the air."""
+        """Return whether the foot is felt on the ground after it was in the air."""
         return self.free and touches is True
 
     def _trail_after(self, now_m: float, seconds: float) -> tuple[tuple[float, float], ...]:
         return (seconds, now_m), *((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < LATE_S)
 
     def _height_m(self, ago_s: float, now_m: float) -> float:
-        """The height of the foot at that time, in metres."""
+        """Return the height of the foot (m) `ago_s` ago."""
         before = (at_m for since_s, at_m in self.trail if since_s >= ago_s - _ALMOST)
         return next(before, now_m) if ago_s else now_m
 
 
 class Descent(NamedTuple):
-    """Where the foot is, and its swing, if it has not come down."""
+    """The foot's height, and its swing unless it has come down."""
 
     height_m: float
     swing: Swing | None = None
     hangs: bool = False
-    """It found no ground as far down as it may go."""
+    """Whether the foot found no ground as far down as it may go."""
     rises_m: float = 0.0
-    """How far (metres) it went too deep before its contact was reported."""
+    """How far (metres) the foot went too deep before its contact was reported."""
 
 
 @dataclass(slots=True)
 class State(Figure):
-    """All that a tick changes. A tick that is too fast is undone, so it works on a copy; the values are immutable."""
+    """All that a tick changes. A tick works on a copy, since one that is too fast is undone. Values are immutable."""
 
     swings: dict[int, Swing] = field(default_factory=dict)
     velocity: Velocity = STILL
     tempo: float = 1.0
-    """The part of its gait's period that a stride takes now."""
+    """The present period of a stride, as a part of the gait's."""
     clock: float = 0.0
     """The time in strides."""
     odometry: Odometry = ORIGIN
     part: float = 0.0
     """The part of its first move that is done, 0 to 1."""
     rests: dict[int, Vector] = field(default_factory=dict)
-    """Where feet rest that were set down further out than in their stance, since the body leans."""
+    """By leg, where its foot rests if the body's lean put it further out than in the stance."""
     rises: dict[int, float] = field(default_factory=dict)
-    """How far (metres) feet went too deep, since their contact was reported late."""
+    """By leg, how far (metres) its foot went too deep because its contact was reported late."""
     waits_s: float = LATE_S
     """How long a foot waits for its contact where the ground was expected."""
     lateness: Lateness = UNKNOWN_LATENESS
     paused_s: float = 0.0
-    """How long (seconds) feet wait in a stride; its stances last longer by this time."""
+    """How long (seconds) feet wait in a stride. Its stances last longer by this time."""
     hanging: frozenset[int] = frozenset()
     """Legs whose feet found no ground, when the walk went `over`."""
     over: Velocity = STILL
@@ -118,7 +118,7 @@ class State(Figure):
         return new
 
     def touched(self, late_s: float) -> None:
-        """Take a contact, this long after its foot arrived at the expected ground (below 0: before)."""
+        """Take a contact, `late_s` after its foot arrived at the expected ground (below 0: before)."""
         self.lateness = self.lateness.after(late_s)
 
     def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:
@@ -132,11 +132,11 @@ class State(Figure):
             self.hanging, self.over = self.hanging | {leg}, over if over.moves else self.over
 
     def goes_over(self, velocity: Velocity) -> bool:
-        """Whether this velocity leads further over an edge. The way back is allowed."""
+        """Return whether this velocity leads further over an edge. The way back is allowed."""
         return bool(self.hanging) and sum(a * b for a, b in zip(velocity, self.over, strict=True)) > 0
 
     def rise(self, seconds: float) -> None:
-        """Feet that went too deep go up to the ground again."""
+        """Raise feet that went too deep to the ground again."""
         for leg, left_m in list(self.rises.items()):
             (x, y, z), up_m = self.feet[leg], min(left_m, SINKS_M_S * seconds)
             self.feet[leg] = x, y, z + up_m
@@ -145,7 +145,7 @@ class State(Figure):
                 del self.rises[leg]
 
     def pause(self, period_s: float, seconds: float) -> bool:
-        """Whether the stride waits for a foot now."""
+        """Count a wait of the stride for a foot. Return whether it waits now."""
         waits = any(swing.late_s for swing in self.swings.values())
         if waits or self.paused_s:
             self.paused_s += (seconds if waits else 0.0) - self.paused_s * min(1.0, seconds / period_s)

@@ -17,24 +17,24 @@ from gateway.people.walking.swing import State
 from gateway.people.walking.ways import CLIMB, LONGEST_S
 
 SLEW_M_S2: Final = 0.25
-"""The acceleration over the ground."""
+"""The largest acceleration over the ground."""
 SLEW_RAD_S2: Final = 1.2
-"""The angular acceleration."""
+"""The largest angular acceleration."""
 _LEAST_TEMPO: Final = 0.37
-"""Of a gait's period, with usual servos. A shorter period loses more by their speed than its strides gain."""
+"""The shortest period, as a part of the gait's. Usual servos lose more speed below it than strides gain."""
 TEMPO_SPARE: Final = 0.93
-"""Of a disc: feet are lifted at ticks, up to a tick late."""
+"""The usable part of a disc: feet are lifted at ticks, up to one tick late."""
 _TEMPO_S: Final = 1.0
 """A change of the tempo by 1 takes this long, since the change moves swinging feet."""
 _QUICK_LIFT_M: Final = 0.020
 """How high feet are lifted at the least tempo."""
 _QUICK_CLIMB: Final = 0.3
-"""The part of a swing for that climb: a foot below 10 mm, which may touch, moves straight up and down."""
+"""The part of a swing for that climb. Below 10 mm a foot, which may touch, moves straight up and down."""
 SPEED_SPARE: Final = 0.95
-"""Of a servo's speed: the gateway measures from its own last frame, whose time varies a little."""
+"""The usable part of a servo's speed: the gateway measures from its own last frame, whose time varies a little."""
 _HALVINGS: Final = 7
 STOPS_WITHIN: Final = 0.35
-"""Of a stride. The velocity is then 0, so that the last swing ends within the stride."""
+"""The part of a stride after which a walk that ends has velocity 0: its last swing then ends within the stride."""
 HALT_S: Final = 0.15
 """The time to stop after the loss of a leg."""
 _ALMOST: Final = 1e-9
@@ -47,12 +47,12 @@ def least(robot: Robot) -> float:
 
 
 def wanted(stride: float, least_tempo: float) -> float:
-    """Return the tempo for this stride, given in parts of its disc at the gait's usual tempo."""
+    """Return the tempo for this stride (as a part of its disc, at the gait's usual tempo)."""
     return max(least_tempo, min(1.0, TEMPO_SPARE / stride if stride else 1.0))
 
 
 def nearer(now: float, then: float, seconds: float) -> float:
-    """The tempo after `seconds` on its way to `then`."""
+    """Return the tempo after `seconds` on its way from `now` to `then`."""
     most = seconds / _TEMPO_S
     return now + max(-most, min(most, then - now))
 
@@ -76,7 +76,7 @@ def fastest(robot: Robot, before: Pose, after: Pose, seconds: float) -> tuple[fl
 
 
 def needs_s(change: Velocity) -> float:
-    """How many seconds a change of velocity takes."""
+    """Return how many seconds a change of velocity takes."""
     return max(math.hypot(change.forward_m_s, change.left_m_s) / SLEW_M_S2, abs(change.turn_rad_s) / SLEW_RAD_S2)
 
 

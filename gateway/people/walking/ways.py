@@ -29,7 +29,7 @@ _TURNING: Final = 0.05
 ON_GROUND_M: Final = 0.004
 """A foot below this height stands."""
 _THERE_M: Final = 0.005
-"""A foot this near to its place need not step."""
+"""A foot that is nearer to its place need not step."""
 
 
 class Shift(NamedTuple):
@@ -87,9 +87,9 @@ class Figure:
     feet: dict[int, Vector]
     pose: dict[int, Angles]
     moves: tuple[Move, ...] = ()
-    """The rest of the way to another posture."""
+    """The moves left on the way to another posture."""
     sits: bool = False
-    """Whether it sits or lies, after its moves."""
+    """Whether the robot sits or lies after its moves."""
 
     def copy(self) -> Self:
         new = copy(self)
@@ -141,12 +141,12 @@ def shift(begin: BodyPose, end: BodyPose) -> Iterator[Shift]:
 
 
 def smooth(part: float) -> float:
-    """From 0 to 1, without velocity or acceleration at either end."""
+    """Rise from 0 to 1, without velocity or acceleration at either end."""
     return part**3 * (10.0 + part * (6.0 * part - 15.0))
 
 
 def across(part: float) -> float:
-    """How far a swing is from its lift-off to its landing, 0 to 1.
+    """Return how far a swing is from its lift-off to its landing, 0 to 1.
 
     At both ends the foot stays above one place: servos give way under load, and a low foot that moves would push the
     robot back. With 15 % of the swing at each end the simulated robot (tests/walking) goes as far as its steps; without
@@ -156,18 +156,18 @@ def across(part: float) -> float:
 
 
 def up(part: float, climb: float = CLIMB) -> float:
-    """How high a stride's swing is, 0 to 1."""
+    """Return how high a stride's swing is, 0 to 1."""
     return ease(min(part, 1.0 - part) / climb)
 
 
 def ease(part: float) -> float:
-    """From 0 to 1, without velocity at either end; less sudden in the middle than `smooth`."""
+    """Rise from 0 to 1, without velocity at either end; less steep in the middle than `smooth`."""
     part = max(0.0, min(1.0, part))
     return part * part * (3.0 - 2.0 * part)
 
 
 def bump(part: float) -> float:
-    """From 0 up to 1 and back to 0, without velocity at either end."""
+    """Rise from 0 to 1 and fall back to 0, without velocity at either end."""
     return 16.0 * (part * (1.0 - part)) ** 2
 
 
@@ -177,7 +177,7 @@ def outward(swing_s: float, stance_s: float) -> float:
 
 
 def between(begin: Vector, end: Vector, part: float) -> Vector:
-    """The point (or pose) on the straight line from `begin` (0) to `end` (1)."""
+    """Return the point (or pose) on the straight line from `begin` (0) to `end` (1)."""
     (a, b, c), (d, e, f) = begin, end
     rest = 1.0 - part
     return a * rest + d * part, b * rest + e * part, c * rest + f * part

@@ -76,18 +76,18 @@ class Newest:
 
     @property
     def arrived(self) -> bool:
-        """Whether no servo is still on its way to where it was commanded."""
+        """Whether all servos are where they were commanded."""
         state, _ = self._newest
         return state is None or arrived(state)
 
     def sentence(self, now_s: float, walk: WalkState | None) -> str:
-        """See `robot_now`."""
+        """Return `robot_now` for the newest state."""
         state, came_s = self._newest
         return robot_now(state, now_s - came_s, walk)
 
 
 def _of_mode(state: GatewayState) -> str:
-    """The sentence of the mode; "" if the legs may run."""
+    """Return the mode's sentence, or "" if the legs may run."""
     if state.mode == Mode.ESTOPPED:
         by = "" if state.estop_source is None else f" by {state.estop_source}"
         return f"Emergency stop{by}: nothing runs until a reset"

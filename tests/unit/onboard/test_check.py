@@ -4,7 +4,7 @@ import ast
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +23,7 @@ from tests.box import faults
 from tests.support.certs_folder import DAY, NOW, make_folder
 from tests.support.gateway_process import dialling
 from tests.support.machine_tree import PI_4, MachineTree
-from tests.support.remedies import parse_commands
+from tests.support.remedies import parse_commands, texts
 from tests.unit.onboard.test_check_installation import PLANTED, Installed
 
 __all__ = ["make_folder"]  # a fixture
@@ -441,23 +441,13 @@ def test_the_docs_name_the_command_that_prints_each_fault_that_a_box_tries() -> 
 
 def test_each_command_that_a_message_names_is_the_programs() -> None:
     files = [file for file in sorted(GATEWAY.rglob("*.py")) if re.search(r"hexapod-gateway |run\[", file.read_text())]
-    spoken = (text for file in files for text in texts(file) if text.count(" ") > 1)
+    spoken = (text for file in files for text in texts(file.read_text(), value) if text.count(" ") > 1)
     found = [words for text in spoken for words in parse_commands(text)]
     assert len(found) > 50
 
 
-def texts(file: Path) -> Iterator[str]:
-    """The strings of a module, with 7 for each value in them but the name of a wire."""
-    parts = set[int]()
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.JoinedStr):
-            parts |= {id(each) for each in node.values}
-            yield "".join(str(each.value) if isinstance(each, ast.Constant) else value(each) for each in node.values)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts:
-            yield " ".join(node.value.split())
-
-
 def value(shown: ast.expr) -> str:
+    """7, but for the name of a wire."""
     return WITH_UART if "WITH_UART" in ast.unparse(shown) else "7"
 
 

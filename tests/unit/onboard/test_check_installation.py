@@ -3,7 +3,6 @@
 import os
 import re
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,6 @@ from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
 from gateway.people.client.requests import Identity
 from gateway.robot.settings import Settings
-from gateway.robot.zenoh_io import revoked
 from schemas.telemetry import RevocationsReport
 from tests.support.certs_folder import NOW, make_folder
 
@@ -202,17 +200,6 @@ def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: P
     (folders.own / "ca.pem").write_text("")
     assert folders.bring() == [], "another line says it"
     assert list(results(security.CERTIFICATES[1:], CheckedRobot(Settings()))) == []
-
-
-def test_the_list_in_force_is_named_with_its_number_and_date_and_that_there_is_none(folder: Path) -> None:
-    shut_out = partial(results, security.CERTIFICATES[2:], of(folder))
-    certs.folder.issue(folder, "anna", "operator", now=NOW)
-    (none,) = shut_out()
-    assert (none.verdict, none.sentence.partition(":")[0]) == (Verdict.OK, "there is no list")
-    certs.folder.revoke(folder, "anna", now=NOW)
-    revoked.keep(folder / "revoked.crl", certs.folder.revoke(folder, "operator-40", now=NOW))
-    (two,) = shut_out()
-    assert (two.verdict, two.sentence) == (Verdict.OK, f"list 2 of {NOW:%Y-%m-%d} shuts out 2")
 
 
 @pytest.mark.parametrize(("number", "verdict"), [(None, Verdict.WARNING), (1, Verdict.WARNING), (2, Verdict.OK)])

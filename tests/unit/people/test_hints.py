@@ -11,6 +11,7 @@ import pytest
 from gateway.own_command import CONNECT_VARIABLE, DEFAULT_ENDPOINT, command, reach_by, this_command
 from gateway.people.terminal import hint, say
 from tests.support.command import run_here
+from tests.support.remedies import texts
 
 EVIL = "eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
 SHOWN = r"eve\x1b[2J\x1b]0;owned\x07\r\naccepted"
@@ -67,25 +68,12 @@ REACHES: Final = re.compile(r"\b(status|console|walk|send|stop|estop|reset|check
 ENOUGH: Final = re.compile("--connect|--zenoh-config|--link|--listen|--sim|sudo")
 
 
-def texts(tree: ast.AST) -> list[str]:
-    """All strings of a module but its docstrings and whole names such as `hexapod-gateway walk`, a call as `…()`."""
-    inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-    said = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    found = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant)]
-    return [
-        "".join(str(each.value) if isinstance(each, ast.Constant) else f"{ast.unparse(each)[2:-1]}" for each in parts)
-        for node in found
-        if id(node) not in inner | said
-        for parts in [node.values if isinstance(node, ast.JoinedStr) else [node]]
-    ]
-
-
 def test_commands_that_reach_a_gateway_are_built_in_one_place() -> None:
     by_hand = [
         f"{path.relative_to(GATEWAY)}: {text}"
         for path in GATEWAY.rglob("*.py")
         if re.search(r"hexapod-gateway [a-z]|this_command\(\)\}", source := path.read_text(encoding="utf-8"))
-        for text in texts(ast.parse(source))
+        for text in texts(source, lambda value: ast.unparse(value)[2:-1])
         for found in re.finditer(r"(hexapod-gateway|this_command\(\)\}*) (?P<command>[a-z-]+)", text)
         if REACHES.fullmatch(found["command"]) and text != found[0] and not ENOUGH.search(text)
     ]

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from queue import Empty
@@ -11,24 +10,20 @@ from typing import Any, Final
 import pytest
 from mcap.reader import make_reader
 
-from gateway.geometry import load, urdf
+from gateway.geometry import load
 from gateway.model.frames import stop_leg
 from gateway.people.recorder.drawing import (
-    DESCRIPTION,
     DRAWN,
-    JOINT_COMMANDS,
-    LOG,
     Drawing,
-    definition,
 )
 from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, ReportQueue, Table
-from gateway.people.ros2.messages import Message, String
+from gateway.people.ros2.messages import Message
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.state import Payloads
 from schemas.telemetry import Kind
 from tests.support.full_disk import disk_that_takes
-from tests.support.mcap_file import about, checked
+from tests.support.mcap_file import checked
 from tests.support.measuring import MEASURED
 from tests.support.published import event, state
 from tests.support.ros2_messages import decode
@@ -99,28 +94,6 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "ride.mcap"
 
 
-def test_mcaps_own_reader_finds_every_report_as_it_was_published_and_what_is_drawn(path: Path) -> None:
-    recorded(path)
-    found: dict[str, list[Any]] = {}
-    for topic, content in checked(path):
-        found.setdefault(topic, []).append(content)
-    assert found.keys() == REPORTS.keys() | DRAWN.keys()
-    for key in REPORTS:
-        assert found[key] == [report for topic, report, _ in reports(600) if topic == key]
-    assert len(found[LOG]) == len(found[keys.EVENT])
-    assert found[DESCRIPTION] == [String(urdf(load()))]
-    assert about(path)["protocol"] == "1.0"
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        summary = reader.get_summary()
-        assert reader.get_header().profile == "ros2"
-    assert summary is not None
-    assert summary.statistics is not None
-    assert summary.statistics.message_count == sum(map(len, found.values()))
-    drawn = {schema.name: schema.data.decode() for schema in summary.schemas.values()}
-    assert drawn == {kind.TYPE: definition(kind) for kind in DRAWN.values()}, "JSON has no schema, for rosbags"
-
-
 def drawn_in(path: Path, topic: str) -> list[Message]:
     """What viewers draw of it, in a whole file."""
     with path.open("rb") as file:
@@ -131,11 +104,6 @@ def drawn_in(path: Path, topic: str) -> list[Message]:
 def positions(message: Message) -> dict[str, float]:
     """Joint → radians."""
     return dict(zip(message.name, message.position, strict=True))
-
-
-def commands(drawn: dict[str, Message]) -> dict[str, float]:
-    """Of the joints whose servos run: joint → radians."""
-    return {name: at_rad for name, at_rad in positions(drawn[JOINT_COMMANDS]).items() if not math.isnan(at_rad)}
 
 
 def test_what_the_gateway_publishes_is_what_is_recorded() -> None:

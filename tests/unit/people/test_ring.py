@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,37 +20,40 @@ from tests.support.robot import WALL_NS
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
-CONTENTS: list[tuple[int, bytes, form.Content]] = [
-    (form.START, form.start(5, {"version": "1"}), form.Start(5, {"version": "1"})),
-    (form.END, form.mode("done"), form.End("done")),
+WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., form.Content], tuple[Any, ...]]] = [
+    (form.START, form.start, form.Start, (5, {"version": "1"})),
+    (form.END, form.mode, form.End, ("done",)),
     (
         form.COMMAND,
-        form.command(7, "put", "hexapod/leg/3/cmd", "anna", 12.5, ((31, ServoOp(Op.START, 90_25)), (32, STOP))),
-        form.CommandRecord(7, "put", "hexapod/leg/3/cmd", "anna", 12.5, ((31, ServoOp(Op.START, 90_25)), (32, STOP))),
+        form.command,
+        form.CommandRecord,
+        (7, "put", "hexapod/leg/3/cmd", "anna", 12.5, ((31, ServoOp(Op.START, 90_25)), (32, STOP))),
     ),
-    (
-        form.COMMAND,
-        form.command(8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS),
-        form.CommandRecord(8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS),
-    ),
-    (form.DECISION, form.decision(7, "stale", "k", None), form.Decision(7, "stale", "k", None)),
-    (form.FRAME, form.frame(FRAME, "watchdog", 45_000), form.FrameWritten(FRAME, "watchdog", 45_000)),
-    (form.MODE, form.mode("active"), form.ModeChange("active")),
-    (
-        form.EVENT,
-        form.event("bus_fault", None, "k", None, "x" * 500, 3),
-        form.EventPublished("bus_fault", None, "k", None, "x" * 500, 3),
-    ),
-    (form.LAG, form.number(20_000_000), form.Lag(20_000_000)),
-    (form.LEFT_OUT, form.left_out(1234, "anna"), form.LeftOut(1234, "anna")),
-    (form.LEFT_OUT, form.left_out(2**40, None), form.LeftOut(2**32 - 1, None)),
-    (form.INCIDENT, form.incident(9, "20260101-000000-000-estop"), form.IncidentBegun(9, "20260101-000000-000-estop")),
+    (form.COMMAND, form.command, form.CommandRecord, (8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS)),
+    (form.DECISION, form.decision, form.Decision, (7, "stale", "k", None)),
+    (form.FRAME, form.frame, form.FrameWritten, (FRAME, "watchdog", 45_000)),
+    (form.MODE, form.mode, form.ModeChange, ("active",)),
+    (form.EVENT, form.event, form.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
+    (form.LAG, form.number, form.Lag, (20_000_000,)),
+    (form.LEFT_OUT, form.left_out, form.LeftOut, (1234, "anna")),
+    (form.LEFT_OUT, form.left_out, lambda _, source: form.LeftOut(2**32 - 1, source), (2**40, None)),
+    (form.INCIDENT, form.incident, form.IncidentBegun, (9, "20260101-000000-000-estop")),
 ]
+"""A record's kind, how it is written, what is read of it, and its values."""
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "black-box"
+
+
+def image(*records: tuple[int, bytes, int]) -> bytes:
+    """A ring of these types, contents and times, in their order."""
+    slots = len(records) + 1
+    made = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
+    for number, (kind, rest, ns) in enumerate(records, 1):
+        form.put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
+    return bytes(made)
 
 
 def filled(path: Path, records: int, slots: int = 50) -> None:
@@ -70,13 +74,13 @@ def modes(path: Path) -> list[int]:
 
 def test_everything_is_read_as_it_was_written(path: Path) -> None:
     ring = RecordRing(path, 100)
-    for ns, (kind, rest, _) in enumerate(CONTENTS):
-        ring.append(kind, ns, rest)
+    for ns, (kind, write, _, values) in enumerate(WRITTEN):
+        ring.append(kind, ns, write(*values))
     ring.append(99, 0, b"of a later version")
     ring.close()
     content = ring_reader.read(path)
-    assert [record.content for record in content.records] == [wanted for *_, wanted in CONTENTS]
-    assert [record.ns for record in content.records] == list(range(len(CONTENTS)))
+    assert [record.content for record in content.records] == [made(*values) for _, _, made, values in WRITTEN]
+    assert [record.ns for record in content.records] == list(range(len(WRITTEN)))
     assert content.damaged == 0
 
 
@@ -172,22 +176,11 @@ def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
     bad = [rest[:length] for length in range(len(rest))]
     bad += [rest[:8] + bytes((15,)) + rest[9:], rest[:-1] + b"\xff"]
     for each in bad:
-        image = bytearray(header.new(5).ljust(header.file_bytes(5), b"\0"))
-        form.put(image, form.HEADER_BYTES + form.SLOT, form.CARRIED_OUT, 1, 0, each)
-        records, damaged, missing = parse(bytes(image))
+        records, damaged, missing = parse(image((form.CARRIED_OUT, each, 0)))
         assert (len(records), damaged, missing) == (0, 1, 0)
 
 
 # ---- rings that no gateway wrote, or one with the largest that settings allow: what reading them costs is bounded
-
-
-def ring_of(slots: int, record: Callable[[int], tuple[int, bytes]]) -> bytes:
-    """A full ring's bytes; `record` says what has each sequence number. One a millisecond."""
-    image = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
-    for number in range(1, slots + 1):
-        kind, rest = record(number)
-        form.put(image, form.HEADER_BYTES + number % slots * form.SLOT, kind, number, number * 1_000_000, rest)
-    return bytes(image)
 
 
 def begun(number: int) -> tuple[int, bytes]:
@@ -197,7 +190,7 @@ def begun(number: int) -> tuple[int, bytes]:
 
 @pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
 def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int], tuple[int, bytes]]) -> None:
-    records, _, _ = parse(ring_of(5_000, what))
+    records, _, _ = parse(image(*((*what(number), number * 1_000_000) for number in range(1, 5_001))))
     decoded: list[int] = []
 
     def counted(index: int) -> form.Record:
@@ -242,15 +235,6 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence
 # ---- found by the fuzzer
 
 
-def image(*records: tuple[int, int, bytes]) -> bytes:
-    """A ring of these types, times and contents, in their order."""
-    slots = len(records) + 1
-    made = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
-    for number, (kind, ns, rest) in enumerate(records, 1):
-        form.put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
-    return bytes(made)
-
-
 @pytest.mark.parametrize(
     "told",
     [
@@ -265,7 +249,7 @@ def image(*records: tuple[int, int, bytes]) -> bytes:
     ids=repr,
 )
 def test_a_calibration_that_no_gateway_published_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
-    ring = bytearray(image((form.CALIBRATION, 1, told[: form.ROOM])))
+    ring = bytearray(image((form.CALIBRATION, told[: form.ROOM], 1)))
     header.put_calibration(ring, told)
     records, damaged, _ = parse(bytes(ring))
     assert (len(records), damaged) == (0, 1)
@@ -284,7 +268,7 @@ def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
 
 @pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
 def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
-    records, damaged, _ = parse(image((form.START, 1, form.start(WALL_NS, {"pid": fact}))))
+    records, damaged, _ = parse(image((form.START, form.start(WALL_NS, {"pid": fact}), 1)))
     assert (len(records), damaged) == (0, 1)
-    records, damaged, _ = parse(image((form.START, 1, form.start(WALL_NS, {"\udfff": 1}))))
+    records, damaged, _ = parse(image((form.START, form.start(WALL_NS, {"\udfff": 1}), 1)))
     assert (len(records), damaged) == (0, 1)

@@ -2,11 +2,14 @@
 
 import itertools
 import math
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pytest
 from hypothesis import event, given
 from hypothesis import strategies as st
+from ruamel.yaml import YAML
 
 from gateway.geometry import load
 from gateway.people.ros2.joints import JointNames, JointsError, positions
@@ -179,3 +182,24 @@ def test_from_where_the_robot_is_it_goes_no_faster_either() -> None:
 def test_trajectories_that_are_not_taken(message: Message, why: str) -> None:
     with pytest.raises(JointsError, match=why):
         read(message)
+
+
+# ---- what examples/ros2 configures
+
+
+FOLDER: Final = Path(__file__).parents[3] / "examples/ros2"
+"""Priorities and seconds, as elkapod_core has them."""
+
+
+@pytest.fixture(scope="module")
+def mux() -> dict[str, Any]:
+    found = YAML(typ="safe").load(FOLDER / "twist_mux.yaml")
+    assert found.keys() == {"twist_mux"}
+    parameters: dict[str, Any] = found["twist_mux"]["ros__parameters"]
+    return parameters
+
+
+def test_what_twist_mux_publishes_is_what_the_bridge_takes(mux: dict[str, Any]) -> None:
+    """By DDS a topic has one type: cmd_vel is a Twist."""
+    assert mux["use_stamped"] is False
+    assert "-r cmd_vel_out:=/hexapod/cmd_vel" in (FOLDER / "twist_mux.yaml").read_text()

@@ -112,7 +112,7 @@ async def test_a_copy_that_fails_is_logged_and_stops_nothing(
     assert not durable.staged_for(ring).is_file()
     said = [entry.message for entry in caplog.records if "incident" in entry.message]
     assert len(said) == 1
-    assert said[0].startswith("what precedes this incident is kept for a minute only: [Errno ")
+    assert said[0].startswith("the time before this incident is not copied, and is lost after a minute: [Errno ")
 
 
 # ---- a copy's bytes

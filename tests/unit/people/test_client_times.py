@@ -1,0 +1,277 @@
+"""The client's rules of time: how long a question waits, a stream's grid, a gateway's silence. In virtual time."""
+
+import doctest
+import random
+from types import ModuleType
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gateway.people.client import pace as pace_module
+from gateway.people.client import silence as silence_module
+from gateway.people.client.pace import LATE_PART, MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians, SetpointPace
+from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, RESEND_S, Patience, Query, QuestionStep
+from gateway.people.client.silence import SILENT_MS, WHY_EVERY_S, Silence
+from gateway.people.console.pages.page_messages import LinkMessage
+from gateway.people.console.pages.presence import GatewayPresence
+
+END_S = 10.0
+
+
+def asked(*, again: bool = True, other_ways: bool = False) -> tuple[Patience[str], Query[str]]:
+    """A question that was sent at 0 s."""
+    patience: Patience[str] = Patience(0.0, END_S, again=again, other_ways=other_ways)
+    return patience, patience.sent(0.0)
+
+
+def test_the_dialled_programs_answer_counts_at_once() -> None:
+    patience, query = asked()
+    assert patience.step(0.001) is QuestionStep.WAIT
+    patience.replied(query, "own", own=True)
+    patience.replied(query, "later", own=True)
+    assert (patience.step(0.002), patience.answer) == (QuestionStep.OVER, "own")
+
+
+def test_anothers_answer_is_better_than_none_in_the_end() -> None:
+    patience, query = asked()
+    assert patience.step(ATTEMPT_S) is QuestionStep.AGAIN
+    patience.replied(query, "foreign", own=False)
+    assert patience.step(END_S) is QuestionStep.OVER
+    assert patience.answer == "foreign"
+
+
+def test_a_stop_without_an_answer_is_sent_again_each_second_until_its_end() -> None:
+    patience, _ = asked()
+    assert patience.next_s == ATTEMPT_S
+    assert patience.step(ATTEMPT_S - 0.001) is QuestionStep.WAIT
+    for number in range(1, 10):
+        assert patience.step(number * ATTEMPT_S) is QuestionStep.AGAIN
+        patience.sent(number * ATTEMPT_S)
+        assert patience.step(number * ATTEMPT_S) is QuestionStep.WAIT
+        assert patience.next_s == (number + 1) * ATTEMPT_S
+    assert (patience.step(END_S), patience.answer) == (QuestionStep.OVER, None)
+
+
+def test_while_another_query_is_under_way_a_lost_link_changes_nothing() -> None:
+    patience, first = asked()
+    patience.sent(0.1)
+    patience.ended(first, 0.2)
+    assert (patience.step(0.9), patience.next_s) == (QuestionStep.WAIT, ATTEMPT_S)
+
+
+def test_what_is_no_stop_is_sent_once_and_ends_where_everybody_has_declined() -> None:
+    patience, query = asked(again=False)
+    assert patience.next_s == END_S
+    assert patience.step(END_S - 0.001) is QuestionStep.WAIT
+    patience.ended(query, 1.0)
+    assert (patience.step(1.0), patience.answer) == (QuestionStep.OVER, None)
+    assert asked(again=False)[0].step(END_S) is QuestionStep.OVER
+
+
+def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -> None:
+    patience, _ = asked(other_ways=True)
+    assert (patience.step(OTHER_WAY_S - 0.001), patience.next_s) == (QuestionStep.WAIT, OTHER_WAY_S)
+    assert patience.step(OTHER_WAY_S) is QuestionStep.OTHER_WAY
+    assert (patience.step(OTHER_WAY_S), patience.next_s) == (QuestionStep.WAIT, ATTEMPT_S)
+    lost, query = asked(other_ways=True)
+    lost.ended(query, 0.01)
+    assert lost.step(0.01) is QuestionStep.OTHER_WAY
+    assert lost.step(0.01) is QuestionStep.WAIT
+
+
+@given(st.lists(st.tuples(st.sampled_from(["own", "foreign", "ends", "wait"]), st.floats(0, 0.4)), max_size=30))
+def test_in_any_order_a_stop_is_sent_again_within_a_second_until_an_answer_counts(
+    happens: list[tuple[str, float]],
+) -> None:
+    patience, query = asked()
+    under_way, sent_s, now_s, own = [query], 0.0, 0.0, False
+    for what, by_s in happens:
+        now_s += by_s
+        if what == "ends" and under_way:
+            patience.ended(under_way.pop(0), now_s)
+        elif what in ("own", "foreign") and under_way:
+            patience.replied(under_way[0], what, own=what == "own")
+            own = own or what == "own"
+        step = patience.step(now_s)
+        assert (step is QuestionStep.OVER) == (patience.answer is not None or now_s >= END_S)
+        assert not own or patience.answer is not None
+        if step is QuestionStep.AGAIN:
+            under_way.append(patience.sent(now_s))
+            sent_s = now_s
+        elif step is QuestionStep.WAIT:
+            assert now_s < patience.next_s <= sent_s + (ATTEMPT_S if under_way else RESEND_S)
+        else:
+            return
+
+
+# ---- the grid of a stream's setpoints: no drift, no bursts, what was missed is counted; and when the gateway is asked
+
+
+BEGUN_S = 1000.0
+PERIOD_S = 0.02
+
+
+def begun() -> SetpointPace:
+    pace = SetpointPace(1 / PERIOD_S)
+    pace.begin(BEGUN_S)
+    return pace
+
+
+def test_after_any_stalls_there_is_no_burst_and_no_drift() -> None:
+    """Every tick is either one setpoint's or missed, and two setpoints are at least half a period apart."""
+    dice = random.Random(1)  # noqa: S311
+    pace = begun()
+    sent_s = [BEGUN_S]
+    for _ in range(10_000):
+        ready_s = sent_s[-1] + dice.expovariate(1 / PERIOD_S)
+        due_s = pace.next_s(ready_s)
+        sent_s.append(max(ready_s, due_s))
+        assert due_s == pytest.approx(BEGUN_S + (len(sent_s) - 1 + pace.missed) * PERIOD_S, abs=1e-6)
+        assert sent_s[-1] - due_s <= LATE_PART * PERIOD_S + 1e-6
+        assert sent_s[-1] - sent_s[-2] >= (1 - LATE_PART) * PERIOD_S - 1e-6
+    assert pace.missed > 1000
+
+
+WATCHDOG_S = 0.25
+
+
+def streaming() -> Doubt:
+    """A stream that has just sent, and just received."""
+    doubt = Doubt(WATCHDOG_S)
+    doubt.sent(BEGUN_S)
+    doubt.received(BEGUN_S)
+    return doubt
+
+
+def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
+    doubt = streaming()
+    for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True), (60.0, True)):
+        doubt.sent(BEGUN_S + late_s)  # the program goes on
+        assert doubt.is_there(BEGUN_S + late_s) is is_there
+    doubt.received(BEGUN_S + 60)
+    assert not doubt.is_there(BEGUN_S + 60)
+    assert SILENCE_S == 0.5
+
+
+def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:
+    radians = Radians()
+    assert [radians.suspected([(MOST_DEG, 0.0)], now_s) for now_s in (0.0, RADIANS_S, RADIANS_S + 1)] == [
+        False,
+        True,
+        False,
+    ]
+    degrees = Radians()
+    assert not any(degrees.suspected([(angle,)], now_s) for angle, now_s in ((MOST_DEG + 0.01, 0), (1, 9), (1, 99)))
+    late = Radians()
+    late.suspected([(1.0,)], 0.0)
+    late.suspected([(90.0,)], 0.1)
+    assert not late.suspected([(1.0,)], RADIANS_S)
+
+
+# ---- how long a gateway has published nothing, and what pages are shown of that
+
+
+MS = 1_000_000
+
+
+def opened() -> Silence:
+    silence = Silence()
+    silence.opened(0)
+    return silence
+
+
+def test_after_a_second_without_a_state_it_is_silent_until_the_next() -> None:
+    silence = opened()
+    assert [silence.is_long(ms * MS) for ms in (0, 1000, 1001)] == [False, False, True]
+    silence.received(5000 * MS)
+    assert [silence.is_long(ms * MS) for ms in (5000, 6000, 6001)] == [False, False, True]
+    assert SILENT_MS == 1000
+
+
+def test_while_the_first_session_is_being_opened_nobody_is_silent() -> None:
+    assert not Silence().is_long(3600_000 * MS)
+
+
+def test_where_no_session_can_be_opened_it_is_looked_why_at_once() -> None:
+    silence = Silence()
+    silence.not_opened()
+    assert silence.must_diagnose(0)
+    silence = opened()
+    silence.not_opened()  # the link broke before the session had its subscriptions: its second has begun
+    assert not silence.must_diagnose(1000 * MS)
+
+
+def test_each_look_costs_the_robot_something_and_so_has_three_seconds_before_it() -> None:
+    silence = opened()
+    looks = []
+    for ms in range(0, 10_000, 100):
+        if silence.must_diagnose(ms * MS):
+            looks.append(ms)
+            silence.diagnosed((ms + 500) * MS)  # so long did it take
+    assert looks == [1100, 4600, 8100]
+    silence.received(10_000 * MS)
+    assert not silence.must_diagnose(10_500 * MS), "it is back"
+    assert WHY_EVERY_S == 3
+
+
+# ---- what pages are shown
+
+
+CONNECTED = LinkMessage(status="connected")
+
+
+def live() -> GatewayPresence:
+    presence = GatewayPresence()
+    presence.received_token(True)
+    presence.received_state()
+    assert presence.link == CONNECTED
+    return presence
+
+
+def test_until_the_first_state_nobody_is_there() -> None:
+    presence = GatewayPresence()
+    assert presence.link.status == "gone"
+    presence.not_opened("nobody listens")
+    assert presence.link == LinkMessage(status="gone", detail="nobody listens")
+    presence.diagnosed(["its port is closed", "it is off"])
+    presence.not_opened("nobody listens")
+    assert presence.link == LinkMessage(status="gone", detail="its port is closed\nit is off"), "which says more"
+    presence.received_state()
+    assert presence.link == CONNECTED
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_a_gateway_that_hangs_is_silent_and_a_link_that_is_cut_is_gone(linked: bool) -> None:
+    presence = live()
+    presence.fell_silent(linked=linked)
+    assert presence.link.status == ("silent" if linked else "gone")
+    presence.diagnosed(["its journal says why"])
+    presence.fell_silent(linked=linked)
+    assert presence.link.detail == "its journal says why", "what was found goes on being shown"
+    presence.received_state()
+    assert presence.link == CONNECTED
+
+
+def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_back() -> None:
+    presence = live()
+    presence.received_token(False)
+    ended = LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")
+    assert presence.link == ended
+    presence.received_state()  # which was under way
+    presence.fell_silent(linked=True)  # to a router
+    assert presence.link == ended
+    presence.received_token(True)
+    presence.received_state()
+    assert presence.link == CONNECTED
+
+
+def test_why_nobody_was_there_is_not_shown_once_somebody_is() -> None:
+    presence = live()
+    presence.diagnosed(["it is off"])  # the look took a second
+    assert presence.link == CONNECTED
+
+
+@pytest.mark.parametrize(("module", "count"), [(pace_module, 16), (silence_module, 5)])
+def test_the_examples_are_right(module: ModuleType, count: int) -> None:
+    assert doctest.testmod(module) == (0, count)
