@@ -540,3 +540,17 @@ def test_a_device_that_came_back_has_its_time_to_answer(parts: Parts) -> None:
     assert "(the last one: none has come)" in str(parts.bus.silent(5370 * MS))
     parts.bus.release()
     assert parts.closed == 1, "its signs of life would come there"
+
+
+def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Parts) -> None:
+    parts.bus.open()
+    assert parts.wait(400) is not None
+    parts.spi_fails = True
+    with pytest.raises(SpiError):
+        parts.cycle()
+    parts.bus.release()
+    assert parts.closed == 1
+    parts.spi_fails = False
+    with pytest.raises(SpiError, match="no well-formed answer"):
+        parts.bus.open()
+    assert parts.opened == 2

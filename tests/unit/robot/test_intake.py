@@ -9,14 +9,15 @@ from hypothesis import strategies as st
 
 from gateway.model.frames import STOP as STOP_OP
 from gateway.model.frames import Op, ServoOp
-from gateway.robot.core.intake import Rejection, words_of_stop
+from gateway.robot.core import intake
+from gateway.robot.core.intake import Rejection, echo_of, words_of_stop
 from gateway.robot.core.message import Received, Verb
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey
 from schemas.telemetry import Reason
 from tests.fuzz.targets import ENCODINGS, KEYS, check_intake
 from tests.support.bad_commands import FAULTS
-from tests.support.commands import LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, STOP, as_json, legal, parsed
+from tests.support.commands import LEG, LEG_3, LEGS_KEY, RESET_KEY, SERVO_32, START_90, STOP, as_json, legal, parsed
 from tests.support.reading import Intent, decode
 
 JSON = "application/json"
@@ -189,6 +190,39 @@ def test_a_legal_command_with_one_value_replaced(command: tuple[str, dict[str, A
         inner = inner[place]
     raw = json.dumps(changed).encode()
     check_intake(parsed(key), raw, decode(parsed(key), raw, JSON))
+
+
+def test_of_a_key_of_the_senders_own_making_little_is_looked_at_and_less_repeated_and_no_token() -> None:
+    token = "0123456789abcdef" * 2
+    assert echo_of("x" * 101) == "x" * 100
+    assert echo_of(f"{token}/" * 4) == "(hex digits)/" * 4, "none is cut in two before it is recognised"
+    assert echo_of("a" * 200 + "/x") == "(hex digits)"
+
+
+SENT = {"sent_ms": 1, "lease": "0" * 32}
+ALL_LEGS = {"legs": {str(number): {"servos": [START_90] * 3} for number in range(1, 7)}}
+
+
+@pytest.mark.parametrize(
+    ("key", "command"),
+    [
+        *((SERVO_32, command) for command in (STOP, START_90, START_90 | SENT, STOP | {"sent_ms": None})),
+        *((LEG_3, command) for command in (LEG, LEG | SENT, {"servos": [STOP] * 3})),
+        *((LEGS_KEY, command) for command in (ALL_LEGS | SENT, {"legs": {"2": LEG}}, {"legs": {"2": LEG, "6": LEG}})),
+        *((RESET_KEY, command) for command in ({}, {"estop": 7}, {"estop": 7} | SENT)),
+    ],
+    ids=repr,
+)
+def test_only_a_payload_with_more_colons_than_fields_is_read_twice(
+    key: CommandKey, command: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_twice: list[bytes] = []
+    monkeypatch.setattr(intake, "name_given_twice", read_twice.append)
+    assert isinstance(decode(key, as_json(command | {"source": "x"}), JSON), Intent)
+    assert read_twice == [] or None in command.values()
+    for source in ("x:", ":" * 64):
+        assert isinstance(decode(key, as_json(command | {"source": source}), JSON), Intent)
+        assert read_twice.pop() == as_json(command | {"source": source})
 
 
 @pytest.mark.parametrize(

@@ -105,13 +105,6 @@ async def test_a_stop_that_was_written_is_accepted_though_another_commands_frame
     assert [(ack.accepted, ack.reason) for ack in answers] == [(False, Reason.BUS_FAULT)]
 
 
-async def test_a_start_whose_frame_fails_is_rejected_and_the_legs_that_were_written_are_named() -> None:
-    robot = await started_and_quiet()
-    robot.controller.fail_next(1)
-    ack = robot.ask(LEG_3, START)
-    assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, None)
-
-
 # ---- A command of several frames that fails after some were written is answered as what it is, with these legs named
 
 

@@ -212,11 +212,6 @@ def test_the_end_waits_for_none_of_them() -> None:
     assert runs_of(robot) == [5030, 5050, 5070]
 
 
-def test_a_bus_that_opens_again_owes_the_repeats_of_its_own_stops() -> None:
-    robot = at_rest().play("5000 estop\n 5020 time\n 5025 fail\n 5050 open")
-    assert runs_of(robot)[:3] == [5070, 5090, 5110]
-
-
 # ---- nothing that is owed moves to a later time
 
 
@@ -257,17 +252,6 @@ def test_stops_that_keep_coming_postpone_no_repeat_and_no_run() -> None:
     assert len(runs) == 3 + 6
     assert max(later - earlier for earlier, later in pairwise(runs)) <= RUN_MS + 60
     assert max(later - earlier for earlier, later in pairwise(repeats)) <= 20
-
-
-def test_a_start_that_is_dropped_again_and_again_does_not_postpone_the_round() -> None:
-    """Of leg 6, the only one at rest: it waits to be started, and a Stop elsewhere ends that."""
-    robot = play("rules timeout_ms=10000, start_pause_ms=1000")
-    for number in range(1, 6):
-        robot.play(f"{1000 * number - 900} leg {number} start 90 → …; command {number} start 90; …")
-        robot.play(f"{min(1000 * number + 99, 4199)} pass" if number < 5 else "4100 time")
-    for at_ms in range(4200, 4900, 100):
-        robot.play(f"{at_ms} leg 6 start 90 → nothing\n {at_ms + 50} servo 11 stop")
-    robot.play("4900 time → repeat 6 stop")  # 0.8 s behind the one before
 
 
 # ---- on the wire

@@ -59,12 +59,3 @@ async def test_a_bus_at_fault_takes_it(make: Callable[[], Awaitable[FedRobot | F
         robot.put(keys.leg_command(3), leg("set", 91, 91, 91))
     await asyncio.sleep(0.021)
     assert robot.line.fed == NONE
-
-
-@pytest.mark.parametrize("make", [runs, elkapod_runs])
-async def test_an_emergency_stop_that_waits_for_the_state_takes_it(
-    make: Callable[[], Awaitable[FedRobot | FedElkapod]],
-) -> None:
-    robot = await make()
-    supply_of(robot).cut_early()
-    assert robot.line.fed == NONE
