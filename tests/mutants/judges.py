@@ -57,7 +57,6 @@ _CALIBRATION_REQUESTS: Final = (
 _LEASE: Final = (f"{_UNIT}test_lease.py", f"{_UNIT}test_lease_conductor.py")
 _CHECKER: Final = ("tests/unit/people/test_lease_checker.py", f"{_UNIT}test_lease_conductor.py")
 _BUS: Final = (
-    f"{_UNIT}test_awaited.py",
     f"{_UNIT}test_bus_failing.py",
     f"{_UNIT}test_bus.py",
     f"{_UNIT}test_bus_device.py",
@@ -112,7 +111,6 @@ JUDGES: Final = {
     "gateway/robot/core/message.py": (f"{_UNIT}test_conductor_safety.py",),
     "gateway/robot/core/intake.py": (
         f"{_UNIT}test_intake.py",
-        f"{_UNIT}test_targets.py",
         f"{_UNIT}test_calibration_intake.py",
         f"{_UNIT}test_conductor.py",
         f"{_UNIT}test_conductor_safety.py",
@@ -168,8 +166,8 @@ JUDGES: Final = {
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/model/calibration.py": (*_CALIBRATION, f"{_UNIT}test_calibration_intake.py"),
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/core/targets.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
-    "gateway/robot/core/flat.py": (f"{_UNIT}test_targets.py", f"{_UNIT}test_intake.py"),
+    "gateway/robot/core/targets.py": (f"{_UNIT}test_intake.py",),
+    "gateway/robot/core/flat.py": (f"{_UNIT}test_intake.py",),
     "gateway/robot/core/losses.py": (f"{_UNIT}test_rejected_stops.py", f"{_UNIT}test_conductor_safety.py"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/answers.py": (*_CONDUCTOR, f"{_PEOPLE}test_recorder.py", f"{_UNIT}test_power_conductor.py"),

@@ -71,7 +71,7 @@ def test_each_kind_of_key_takes_put_get_and_delete(
     [("hexapod/leg/*/cmd", START), ("hexapod/servo/*/cmd", servo_payload("start", 5))],
 )
 def test_a_wildcard_means_all_that_it_matches(client: Client, expression: str, payload: dict[str, object]) -> None:
-    """Other wildcards: tests/unit/robot/test_targets.py."""
+    """Other wildcards: tests/unit/robot/test_intake.py."""
     heard = frames(client)
     client.session.put(expression, json.dumps(payload))
     heard.wait_for_all(lambda records: servos_of(records, stop=False) >= set(SERVO_IDS))

@@ -128,7 +128,7 @@ TARGETS: Final[dict[Target, TargetRules]] = {
         _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }
-"""Every target. If a row is missing, `unit/robot/test_targets.py` fails, and no gateway starts."""
+"""Every target. If a row is missing, `unit/robot/test_intake.py` fails, and no gateway starts."""
 
 
 def servos_of(key: CommandKey) -> frozenset[int]:

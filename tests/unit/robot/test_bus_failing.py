@@ -12,12 +12,14 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.model.frames import STOP, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.protocol import BatchReport
 from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.bus import Bus
-from schemas.robot import LEGS
+from schemas.robot import LEGS, SERVO_IDS
+from tests.support.controllers import Controller
 
 PREFIXED, PLAIN = Framing.LENGTH_PREFIXED, Framing.PLAIN
 MS = 1_000_000
@@ -190,3 +192,80 @@ def test_calls_of_zeros_that_took_900_ms_to_fail_are_enough_though_they_were_few
 
 
 # ---- what outlasts what
+
+
+# ---- What the controller may still await after calls that failed, and the shortest way back
+
+
+LEG_STOPS = tuple(stop_leg(leg).to_bytes() for leg in LEGS)
+STOPS = (*LEG_STOPS, *(OneServo(servo_id, STOP).to_bytes() for servo_id in SERVO_IDS))
+
+
+def transfers_of(stop: bytes) -> tuple[bytes, ...]:
+    return (ZERO,) if stop == ZERO else (stop[:1], stop)
+
+
+def awaiting(count: int) -> Controller:
+    """A controller with no servo on that awaits so many bytes."""
+    controller = Controller(Framing.LENGTH_PREFIXED, clock=lambda: 0)
+    controller.take(bytes((count,)))
+    assert controller.missing == count
+    return controller
+
+
+@pytest.mark.parametrize("count", range(64))
+def test_from_wherever_a_controller_is_stops_and_zeros_start_nothing_and_harm_nothing(count: int) -> None:
+    """And what it then awaits is what is computed, for each two of them."""
+    for pair in itertools.product((*STOPS[:8], STOPS[-1], ZERO), (*STOPS, ZERO)):
+        controller, awaited = awaiting(count), frozenset({count})
+        for stop in pair:
+            for data in transfers_of(stop):
+                controller.take(data)
+                awaited = after(awaited, (data,))
+        assert awaited == {controller.missing}, pair
+        assert not controller.energised
+        assert not controller.corruptions
+        assert controller.dead is None
+
+
+def test_what_may_have_been_lost_is_each_transfer_and_those_behind_it() -> None:
+    assert after_failure(NOTHING, ()) == NOTHING
+    assert after_failure(NOTHING, [ZERO] * 16) == NOTHING, "zeros do a synchronised controller nothing"
+    assert after_failure(NOTHING, transfers_of(LEG_STOPS[0])) == {0, 14}
+    assert after_failure(frozenset({0, 14}), transfers_of(LEG_STOPS[0])) == {0, 13, 14}
+    assert after_failure(ANYTHING, [ZERO]) == ANYTHING
+    assert after(ANYTHING, [ZERO] * 14) == NOTHING
+
+
+def test_a_controller_that_gave_up_within_a_frame_may_await_the_last_byte_of_another() -> None:
+    """It takes the body's first byte for a length; each frame behind it leaves it so, and only zeros bring it back."""
+    possible = after_stall(NOTHING, transfers_of(LEG_STOPS[0]))
+    assert possible == {0, 1, 14}
+    assert after(frozenset({1}), transfers_of(LEG_STOPS[1])) == {1}
+
+
+@pytest.mark.parametrize("stop", LEG_STOPS)
+def test_one_stop_of_a_leg_brings_back_a_controller_that_lost_up_to_three_bodies(stop: bytes) -> None:
+    awaited = NOTHING
+    for _ in range(3):
+        awaited = after_failure(awaited, transfers_of(stop))
+        assert next_on_the_way_back(awaited, (stop,)) == stop
+        assert after(awaited, transfers_of(stop)) == NOTHING
+
+
+@pytest.mark.parametrize("failures", range(7))
+def test_the_way_back_ends(failures: int) -> None:
+    awaited, written = NOTHING, 0
+    for number in range(failures):
+        awaited = after_failure(awaited, transfers_of(LEG_STOPS[number % 6]))
+    while awaited != NOTHING:
+        unit = next_on_the_way_back(awaited, LEG_STOPS[:3])
+        awaited = after(awaited, transfers_of(unit))
+        written += len(transfers_of(unit))
+    assert written <= 63, "the longest length that a Stop has in it"
+    assert next_on_the_way_back(NOTHING, LEG_STOPS) == LEG_STOPS[0]
+
+
+def test_where_stops_lead_nowhere_soon_it_is_zeros() -> None:
+    assert next_on_the_way_back(ANYTHING, LEG_STOPS[:3]) == ZERO
+    assert next_on_the_way_back(frozenset({1}), LEG_STOPS[:3]) == ZERO, "one transfer, not two"

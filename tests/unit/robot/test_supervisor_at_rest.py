@@ -8,6 +8,7 @@ import pytest
 
 from gateway.model.frames import stop_leg
 from gateway.model.framing import Framing
+from gateway.robot.core.leg import Rules
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.robot import MS, leg, started_and_quiet
@@ -134,7 +135,7 @@ ESTOP: Final = """
 
 def at_rest() -> Scenes:
     """Opened at 0 ms, and nothing is owed any more at 5000 ms."""
-    robot = play("rules repeats=3, rest_runs=3")
+    robot = Scenes(Rules(repeats=3))
     assert runs_of(robot) == [20, 40, 60, *(60 + RUN_MS * run for run in (1, 2, 3, 4))], "after the Stops at the start"
     return robot
 

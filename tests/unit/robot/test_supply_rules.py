@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import pytest
 
-from gateway.robot.runtime.supply import RobotSupply
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from tests.support.elkapod import all_legs
@@ -39,11 +38,6 @@ async def elkapod_runs(**sections: dict[str, Any]) -> FedElkapod:
     await asyncio.sleep(UP_S)
     assert robot.line.fed == ALL
     return robot
-
-
-def supply_of(robot: FedRobot | FedElkapod) -> RobotSupply:
-    assert robot.conductor.supply is not None
-    return robot.conductor.supply
 
 
 # ---- what takes it, by the wire
