@@ -168,7 +168,7 @@ def _check_owner(found: os.stat_result, path: Path) -> None:
 
 
 def _merged(ring: "_Slots", copies: Iterable["_Slots"]) -> tuple[Records, int, int]:
-    """A ring's records, behind those of its copies that are older than all of these."""
+    """A ring's records, after those of its copies that are older than all of these."""
     found = _Decoded()
     for copy in copies:
         found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
