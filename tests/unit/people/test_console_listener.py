@@ -113,6 +113,22 @@ async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
         writer.close()
 
 
+async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None:
+    reader, writer = await asyncio.open_connection(*stand.address[:2])
+    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
+    strangers: list[asyncio.StreamWriter] = []
+    for count in (MAX_CONNECTIONS, 0):
+        writer.write(f"GET /stop.js HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n{cookie}\r\n".encode())
+        head = await reader.readuntil(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 200 ")
+        await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
+        opened = [await asyncio.open_connection(*stand.address[:2]) for _ in range(count)]
+        strangers += [each for _, each in opened]
+        assert not opened or await opened[0][0].read() == b"", "the oldest stranger makes room for the newest"
+    for each in (writer, *strangers):
+        each.close()
+
+
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
     shown = await stand.proved(stand.session.key)
     reader, writer = await asyncio.open_connection(*stand.address[:2])
