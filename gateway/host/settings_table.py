@@ -114,7 +114,7 @@ class ZenohSettings(Section):
 
 @dataclass(frozen=True)
 class WireSettings(Section):
-    """What the controller speaks."""
+    """The controller's protocol."""
 
     name: str = _setting(str(FRAMED), "what the controller speaks ([protocol.md](protocol.md)): `hexapod-1.0`, `elkapod-2025` or a [plug-in](protocol.md#bring-your-own-wire), with its options as further keys. `spi.framing` and `spi.frame_gap_us` are for `hexapod-1.0`; a plug-in uses no `[spi]`")
     options: Mapping[str, object] = _others()

@@ -85,7 +85,7 @@ class Drawing:
         self._geometry = geometry
         self.joints = CommandedJoints(geometry)
         self._drawn: dict[str, tuple[int, object]] = {}
-        """By topic with a period: when it was drawn last (ns), and the value that was shown."""
+        """By topic (with a period), when it was drawn last (ns), and the value that was shown."""
         self._body: BodyReport | None = None
         self._body_ns = 0
 
