@@ -37,8 +37,9 @@ def test_every_file_that_is_named_is_there() -> None:
     assert {*MADE, *commented} <= JUDGES.keys()
     named = {operator for found in comments.values() for comment in found for operator in comment.operators}
     assert named <= {short(operator) for operator in operators()}
-    for file in {*JUDGES, *(test for tests in JUDGES.values() for test in tests)}:
-        assert (ROOT / file.partition("::")[0]).is_file()
+    for each in {*JUDGES, *(test for tests in JUDGES.values() for test in tests)}:
+        file, _, test = each.partition("::")
+        assert f"def {test}" in (ROOT / file).read_text(encoding="utf-8"), each
 
 
 @pytest.mark.parametrize("file", MADE)
