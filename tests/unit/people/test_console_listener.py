@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
+from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth, proof
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import Entry, Sessions, SignIn
@@ -102,6 +103,11 @@ async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text
     except ConnectionError:
         return
     assert not answer or answer.split()[1] in (b"400", b"403", b"405", b"414", b"431")
+
+
+async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listener, "UNKNOWN_S", 0.1)
+    assert await stand.ask("GET / HTTP/1.1\r\n") == b""
 
 
 async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
