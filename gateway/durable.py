@@ -108,7 +108,7 @@ def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]
 
 
 def like_the_folder(path: Path, descriptor: int) -> None:
-    """As root, give the open file to the owner of its folder, so that the service can write it. Raises OSError."""
+    """If root, give the open file to the owner of its folder, so that the service can write it. Raises OSError."""
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         folder = path.parent.stat()
         os.fchown(descriptor, folder.st_uid, folder.st_gid)

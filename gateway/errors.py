@@ -63,7 +63,7 @@ class RejectedError(GatewayError):
     """The gateway rejected a command: `reason` (docs/interface.md), and `detail`, a sentence."""
 
     def __init__(self, reason: str, detail: str) -> None:
-        """From the gateway's answer."""
+        """`reason` and `detail`: as in the gateway's answer."""
         super().__init__(f"rejected: {reason}: {detail}")
         self.reason = reason
         self.detail = detail

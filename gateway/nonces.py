@@ -3,7 +3,7 @@
 from typing import Final
 
 MOST_NONCES: Final = 256
-"""At a time; one more replaces the oldest. So a flood of challenges hurts only clients that are slow to use theirs."""
+"""The most open nonces: one more replaces the oldest. A flood of challenges hurts only clients that use theirs late."""
 
 
 class Nonces:

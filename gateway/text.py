@@ -11,24 +11,24 @@ MAX_ECHO: Final = 80
 
 
 def visible(text: str) -> str:
-    """The text with Python's escapes for unprintable characters: `\\n`, `\\x1b`, `\\u2028`."""
+    """Return the text with Python's escapes for unprintable characters: `\\n`, `\\x1b`, `\\u2028`."""
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def visible_json(value: object) -> str:
-    """The value as JSON; in ASCII if a character is unprintable. Other types become their `str`."""
+    """Return the value as JSON; in ASCII if a character is unprintable. Other types become their `str`."""
     text = json.dumps(value, ensure_ascii=False, default=str)
     return text if text.isprintable() else json.dumps(value, default=str)
 
 
 def echo(value: object) -> str:
-    """The value as JSON, cut to `MAX_ECHO` characters."""
+    """Return the value as JSON, cut to `MAX_ECHO` characters."""
     text = visible_json(value)
     return text if len(text) <= MAX_ECHO else text[:MAX_ECHO] + "…"
 
 
 def key_name(name: str) -> str:
-    """The name, if it can be a bare key of TOML; else quoted."""
+    """Return the name, if it can be a bare key of TOML; else quoted."""
     return name if re.fullmatch(r"[\w-]{1,80}", name, re.ASCII) else echo(name)
 
 

@@ -16,10 +16,10 @@ GROUP: Final = "hexapod_gateway.wires"
 
 
 class Capabilities(NamedTuple):
-    """What a wire can do. Everything above a wire decides by this, never by the wire's name."""
+    """A wire's capabilities. Everything above a wire decides by these, never by the wire's name."""
 
     whole_robot: bool = False
-    """Only all servos together can be started and stopped."""
+    """Whether only all servos together can be started and stopped."""
     measures: bool = False
     """The wire returns telemetry, which shows whether the controller is alive."""
     acknowledges: bool = False

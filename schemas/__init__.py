@@ -1,1 +1,1 @@
-"""What travels on Zenoh: keys and payloads."""
+"""The keys and payloads on Zenoh."""

@@ -115,6 +115,6 @@ _MAX_ECHO: Final = 60
 
 
 def _short(text: str) -> str:
-    """The sender's text on one line, cut to `_MAX_ECHO` characters."""
+    """Return the sender's text on one line, cut to `_MAX_ECHO` characters."""
     quoted = text if text and text.isprintable() else json.dumps(text)
     return quoted if len(quoted) <= _MAX_ECHO else quoted[:_MAX_ECHO] + "…"

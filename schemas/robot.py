@@ -4,7 +4,7 @@ from typing import Final
 
 LEGS: Final = range(1, 7)
 JOINTS: Final = range(1, 4)
-"""From the body outward."""
+"""The joints, from the body outward."""
 SERVO_IDS: Final[tuple[int, ...]] = tuple(10 * leg + joint for leg in LEGS for joint in JOINTS)
 """Leg, then joint: 11 to 63."""
 MAX_DEG: Final = 180.0

@@ -32,7 +32,7 @@ ROBOT_FILES: Final = ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _WEB_CA: Final = "-ca"  # follows a console's name in the names of its CA's files
 _NO_SERIAL: Final = 1
-"""For a revoked laptop without files. Our serial numbers are random, so no certificate has this one."""
+"""Stands for a revoked laptop without files. Our serial numbers are random, so no certificate has this one."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ def _free_common_name(directory: Path, role: str) -> str:
 
 
 def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
-    """The hosts in normal form, each once. Raises ConfigError without one, or for an IPv6 address."""
+    """Return the hosts in normal form, each once. Raises ConfigError without one, or for an IPv6 address."""
     found = authority.parse_hosts(hosts)
     if not found:
         raise ConfigError("name at least one host by which laptops reach the robot: --host robot.local")
@@ -308,7 +308,7 @@ def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
 
 
 def _pair(stem: Path, pair: KeyPair) -> dict[Path, FileContent]:
-    """The two files of a pair: the key (0600) and the certificate."""
+    """Return the two files of a pair: the key (0600) and the certificate."""
     return {
         stem.with_name(f"{stem.name}.key"): FileContent(pair.key_pem(), SECRET_MODE),
         stem.with_name(f"{stem.name}.pem"): FileContent(pair.certificate_pem()),

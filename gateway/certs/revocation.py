@@ -24,7 +24,7 @@ from gateway.errors import ConfigError
 
 REVOCATION_FILE: Final = "revoked.crl"
 MAX_LIST_BYTES: Final = 1_000_000
-"""Of the file; one entry takes some 125 bytes."""
+"""The largest list that is read. One entry takes some 125 bytes."""
 
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
 """`operator-07/alice` as UTF8String. The identifier is made from a UUID (ITU-T X.667), which needs no registration."""

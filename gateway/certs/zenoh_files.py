@@ -133,7 +133,7 @@ def endpoint(host: str, port: int) -> str:
 
 
 def _fill(template: str, **values: str) -> bytes:
-    """The template with each @NAME@ replaced by its value, and the limits of all files filled in."""
+    """Return the template with each @NAME@ replaced by its value, and the limits of all files filled in."""
     limits = {"SIZE_LIMIT": str(SIZE_LIMIT), "MAX_MESSAGE_SIZE": str(MAX_MESSAGE_SIZE)}
     limits |= {"MAX_SESSIONS": str(MAX_SESSIONS), "ACCEPT_TIMEOUT_MS": str(ACCEPT_TIMEOUT_MS)}
     for key, value in (values | limits).items():

@@ -17,7 +17,7 @@ MAX_FILE_BYTES: Final = 1_000_000
 """The default file has 4000. The limit keeps a recording, given by mistake, from being read whole."""
 
 MAX_SPEED_DEG_S: Final = 300.0
-"""Of a servo without a speed in the settings. An MG996R without load reaches 353."""
+"""The speed of a servo without one in the settings. An MG996R without load reaches 353."""
 
 MAX_M: Final = 100.0
 """Longer than any robot: a larger number is in other units."""

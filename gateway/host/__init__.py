@@ -1,1 +1,1 @@
-"""What our processes need from their machine: descriptors, priorities, logs, threads, the service's folders."""
+"""Serves our processes on their machine: descriptors, priorities, logs, threads, the service's folders."""

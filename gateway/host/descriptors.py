@@ -14,7 +14,7 @@ from gateway.errors import ConfigError
 from gateway.limits import ACCEPT_PENDING, MAX_SESSIONS
 
 OWN: Final = 48
-"""For the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""
+"""Descriptors of the service itself: 22 with TLS, metrics and a real device, and room for files opened briefly."""
 NEEDED: Final = OWN + MAX_SESSIONS + ACCEPT_PENDING
 SPARES_PER_OPENING: Final = 2
 """Closed for each attempt to open the device: a real one needs one, an emulated one (umockdev) two."""

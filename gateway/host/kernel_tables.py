@@ -1,4 +1,4 @@
-"""By the kernel's tables: whether a boot empties a folder, and which sockets of this machine listen on a port."""
+"""Reads the kernel's tables: whether a boot empties a folder, and which sockets of this machine listen on a port."""
 
 import ipaddress
 import socket

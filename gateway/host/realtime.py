@@ -26,14 +26,14 @@ from pathlib import Path
 from typing import Final
 
 LOOP_PRIORITY: Final = 20
-"""For the loop, which runs the watchdog, and the emergency stop's threads: the service unit's maximum."""
+"""Priority of the loop, which runs the watchdog, and the emergency stop's threads: the service unit's maximum."""
 RECEIVER_PRIORITY: Final = 10
 """For the other receiver threads. They own the state or hold the interpreter's lock while they write frames; preempted
 then, they would delay a Stop."""
 PAGE_PRIORITY: Final = 1
-"""For the metrics page and the log: low, but not preempted while they hold the interpreter's lock."""
+"""Priority of the metrics page and the log: low, but not preempted while they hold the interpreter's lock."""
 ZENOH_NICE: Final = -10
-"""For Zenoh's own threads: ahead of other programs, but a flood does not starve those."""
+"""Niceness of Zenoh's own threads: ahead of other programs, but a flood does not starve those."""
 SWITCH_INTERVAL_S: Final = 0.0005
 """How long another thread may hold the interpreter's lock while the loop waits. Python's default of 5 ms is half of an
 emergency stop's allowed time."""

@@ -114,7 +114,7 @@ class ZenohSettings(Section):
 
 @dataclass(frozen=True)
 class WireSettings(Section):
-    """What the controller speaks."""
+    """The controller's protocol."""
 
     name: str = _setting(str(FRAMED), "what the controller speaks ([protocol.md](protocol.md)): `hexapod-1.0`, `elkapod-2025` or a [plug-in](protocol.md#bring-your-own-wire), with its options as further keys. `spi.framing` and `spi.frame_gap_us` are for `hexapod-1.0`; a plug-in uses no `[spi]`")
     options: Mapping[str, object] = _others()
@@ -177,7 +177,7 @@ class SpiSettings(Section):
     framing: Framing = _setting(Framing.PLAIN, "what the controller needs; a real device requires it")
     # The published firmware needed 6 (measured), or 20 if its loop takes twice the estimate. At most 1 ms: the gateway
     # waits for the pause, six times for six legs.
-    frame_gap_us: float = _setting(50.0, "least pause behind a transfer, chip select asserted; then 10 µs released. With `length-prefixed` 20 at least, else the published firmware loses frames, Stops too", (0, 1000))
+    frame_gap_us: float = _setting(50.0, "least pause after a transfer, chip select asserted; then 10 µs released. With `length-prefixed` 20 at least, else the published firmware loses frames, Stops too", (0, 1000))
 
     def of(self, wire: WireSettings) -> "SpiSettings":
         """Return the settings for this wire: by default with its clock, and without a framing if it has none."""
@@ -304,7 +304,7 @@ class PowerSettings(Section):
     interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"`, or an interface of python-can, such as `"socketcan"` (also for gs_usb) or `"slcan"`; `""`: none', fault=_interface)
     channel: str = _setting("can0", 'its channel, such as `"can0"` or `"/dev/ttyACM0"`')
     servos: tuple[int, ...] = _setting((), "the servo on each output, 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` tests one", fault=_each_once)
-    # It answers within 55 ms; where a mask meets its counter one pass behind an answer, within 394 ms.
+    # It answers within 55 ms; where a mask meets its counter one pass after an answer, within 394 ms.
     confirm_ms: float = _setting(450.0, "a later confirmation is reported; a healthy board takes up to 394 ms (512 ms at its slowest)", (60, 2000))
 
     @property

@@ -79,7 +79,7 @@ class Sensed(NamedTuple):
     feet_n: tuple[float, ...]
     """The ground's force on the feet of legs 1 to 6."""
     torques_nm: tuple[float, ...]
-    """Of the servos, in the order of SERVO_IDS."""
+    """The servos' torques, in the order of SERVO_IDS."""
 
 
 class SensedPage(SharedPage):

@@ -15,7 +15,7 @@ class Worker:
     """
 
     def __init__(self, name: str, priority: int | None = PAGE_PRIORITY) -> None:
-        """With a `priority`, it is not preempted while it holds the interpreter's lock (realtime.py). None: normal."""
+        """With a `priority`, nothing preempts it while it holds the interpreter's lock (realtime.py). None: normal."""
         self._priority = priority
         self._waiting: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self.thread = threading.Thread(target=self._run, name=name, daemon=True)

@@ -32,7 +32,7 @@ UART_BAUD: Final = 1_152_000
 """8 bits, no parity, two stop bits, no flow control."""
 START: Final = bytes.fromhex("7E 21 87 00 00 00 00 00 FF 0F")
 SHUTDOWN: Final = bytes.fromhex("7E 11 38 00 00 00 00 00 FF 0F")
-"""To the controller; neither is acknowledged."""
+"""Messages to the controller, which acknowledges neither."""
 HEARTBEAT_BYTES: Final = 20
 _HEARTBEAT_BEGIN: Final = bytes((BEGIN, 0xAA))
 _HEARTBEAT_END: Final = bytes((0xFF, END))

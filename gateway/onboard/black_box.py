@@ -89,7 +89,7 @@ def _folder(settings: Settings) -> Path:
 
 
 def _find(folder: Path) -> list[_Found]:
-    """All incidents, oldest first: ids need not be in order after a change of the clock."""
+    """Return all incidents, oldest first: ids need not be in order after a change of the clock."""
     try:
         content = ring_reader.read(folder / RING_FILE)
     except ring_reader.NoRingError as error:
@@ -103,7 +103,7 @@ def _find(folder: Path) -> list[_Found]:
 
 
 def _one(settings: Settings, name: str) -> _Found:
-    """The incident with this id; of `last`, the newest."""
+    """Return the incident with this id; the newest for `last`."""
     folder = _folder(settings)
     found = _find(folder)
     if name == LAST and found:

@@ -24,7 +24,7 @@ from gateway.model.protocols import FRAMED
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")
 _FORMER: Final = Path("/opt/hexapod-gateway")
-"""From the installer before the package. Its unit and command hide the package's until `setup` removes them."""
+"""The folder of the installer before the package, whose unit and command hide the package's until `setup` ran."""
 _SERVICE: Final = "hexapod-gateway"
 _CONSOLE: Final = "hexapod-console"
 _SERVOS: Final = SERVICE_RUNTIME / "servos"
@@ -111,7 +111,7 @@ def _how_to_go_on(reason: str, command: str) -> str:
 
 
 def _is_set_up() -> bool:
-    """Whether the configuration states a wire, or the service is enabled without one."""
+    """Return whether the configuration states a wire, or the service is enabled without one."""
     try:
         stated = tomllib.loads(CONFIGURATION.read_text())
         other = stated.get("wire", {}).get("name", FRAMED) != FRAMED

@@ -32,7 +32,7 @@ class SimulationProcess:
 
     name: str
     lost: str
-    """What follows from its unexpected end: the second half of a sentence."""
+    """The consequence of its unexpected end, as the second half of a sentence."""
 
     def __init__(
         self, module: str, options: Mapping[str, object], pages: Sequence[int], folder: Path, begun: str

@@ -110,7 +110,7 @@ class _Chosen(NamedTuple):
 
 
 def _choose(path: Path | None) -> _Chosen:
-    """The settings to use. Raises ConfigError only if neither a service nor the file has any.
+    """Return the settings to use. Raises ConfigError only if neither a service nor the file has any.
 
     The controller understands the service's settings, so these precede the file's. Another device that a person
     names, by a file or a variable, precedes both.

@@ -24,7 +24,7 @@ from gateway.robot.blackbox.paths import tried
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")
 _POLL_S: Final = 0.1
-"""Between two checks whether a gateway has ended before it is ready."""
+"""The period of checks whether a gateway has ended before it is ready."""
 _END_S: Final = 5.0
 
 
@@ -92,7 +92,7 @@ def _environment(variables: Mapping[str, str]) -> dict[str, str]:
 
 
 def _command() -> str:
-    """The command relative to the working directory, so that printed commands can be copied."""
+    """Return the command relative to the working directory, so that printed commands can be copied."""
     return str(_COMMAND.relative_to(Path.cwd()) if _COMMAND.is_relative_to(Path.cwd()) else _COMMAND)
 
 

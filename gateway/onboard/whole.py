@@ -16,7 +16,7 @@ CURRENT: Final = LIBRARY / "current"
 SHOWN: Final = 3
 """Most files named in a sentence."""
 _LOADED: Final = (".py", ".so")
-"""What Python loads from the release's folder."""
+"""The files that Python loads from the release's folder."""
 _DPKG_S: Final = 60
 
 

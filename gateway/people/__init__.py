@@ -1,1 +1,1 @@
-"""What people and programs use; every part of it is a Zenoh client like any other."""
+"""The side of people and programs: each part is a Zenoh client like any other."""

@@ -58,9 +58,9 @@ LIMIT_MA: Final = 3950.0
 MEASUREMENTS: Final = 10
 """This many in a row above the limit block an output."""
 AWAKE_NS: Final = 160_000_000
-"""From the button to the first frame it accepts: ten delays of the firmware, one of them 150 ms."""
+"""Time from the button to the first accepted frame: ten delays of the firmware, one of them 150 ms."""
 OFF_PASSES: Final = 1000
-"""From 66 to standby."""
+"""Passes of the firmware's loop from frame 66 to standby."""
 OUTPUTS_PER_CONVERTER: Final = 6
 SERVO_MV: Final = 7400
 """Setting of converters 1 to 3 at the start."""
@@ -74,7 +74,7 @@ TOO_HOT_C: Final = 70
 _HOT_CONVERTERS: Final = (0b00111, 0b10000, 0b01000)
 """Which converters each temperature sensor switches off."""
 HOT_NS: Final = 140_000_000
-"""Between two frames 65 during an overtemperature."""
+"""The period of frame 65 during an overtemperature."""
 
 _POWER_OFF: Final = CanFrame(0x66)
 _MASK_BYTES: Final = {CONVERTER_OVERCURRENT: 1, OVERTEMPERATURE: 1, SERVO_OVERCURRENT: 3}
@@ -84,7 +84,7 @@ _MASK_BYTES: Final = {CONVERTER_OVERCURRENT: 1, OVERTEMPERATURE: 1, SERVO_OVERCU
 class _Error:
     code: int
     mask: int = 0
-    """Of outputs with SERVO_OVERCURRENT, of converters with other codes."""
+    """The mask of outputs with SERVO_OVERCURRENT, of converters with other codes."""
 
     @property
     def data(self) -> bytes:
@@ -283,7 +283,7 @@ class SimulatedBoard:
                 self.fail(SERVO_OVERCURRENT, 1 << place)
 
     def _rail(self, question: int) -> bytes:
-        """The answer, in mA, mV or °C."""
+        """Return the answer, in mA, mV or °C."""
         if question == TEMPERATURES_C:
             return struct.pack(">3h", *self.temperatures_c)
         one, two, three = (0 if self._off_converters >> place & 1 else SERVO_MV for place in range(3))
@@ -299,7 +299,7 @@ class SimulatedBoard:
 
 
 def _numbers(values: Iterable[float]) -> bytes:
-    """Each value truncated, limited to 16 bits, big-endian."""
+    """Return each value truncated, limited to 16 bits, big-endian."""
     return b"".join(max(0, min(int(value), 0xFFFF)).to_bytes(2, "big") for value in values)
 
 

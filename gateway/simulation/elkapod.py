@@ -43,7 +43,7 @@ FULL_V: Final = 8.4
 EMPTY_V: Final = 6.4
 """Two cells at rest: full at 4.2 V each, and switched off at 3.2 V each."""
 RESISTANCE_OHM: Final = 0.06
-"""Of the pack, its plug and its wires."""
+"""The resistance of the pack, its plug and its wires."""
 CAPACITY_AS: Final = 5.0 * 3600
 
 BASE_A: Final = 1.0
@@ -64,7 +64,7 @@ class SimulatedBattery:
 
     @property
     def voltage_v(self) -> float:
-        """At its plug, under the present load."""
+        """The voltage at the plug, under the present load."""
         return EMPTY_V + (FULL_V - EMPTY_V) * self.charge - RESISTANCE_OHM * self.current_a
 
     @property
@@ -75,7 +75,7 @@ class SimulatedBattery:
 
 HEARTBEAT_NS: Final = 50_000_000
 MOST_HEARTBEATS: Final = 4096 // elkapod.HEARTBEAT_BYTES
-"""As many as a terminal's buffer holds; further ones are lost."""
+"""The heartbeats that a terminal's buffer holds. Further ones are lost."""
 GARBAGE: Final = bytes(range(FRAME_BYTES))
 """The first answer after power-up. Only its first byte shows that it is no measurement."""
 

@@ -95,7 +95,7 @@ addEventListener("DOMContentLoaded", () => {
 """
 """Notes each line that a page says once it has begun, also one that another replaces before anybody reads it."""
 HELD_UP: Final = re.compile(
-    "was frozen|the newest state is|too late|received nothing|takes nothing|watchdog|use the switch|NO SIGNAL|is lost"
+    "was frozen|the newest state is|too late|received nothing|accepts nothing|watchdog|use the switch|NO SIGNAL|is lost"
 )
 """What a page says where it, the console or the gateway stood still."""
 

@@ -128,7 +128,12 @@ def _mutant(source: str, mutated: str, operator: str) -> Mutant:
     first = _alike(lines, others)
     last = _alike(lines[first:][::-1], others[first:][::-1])
     was, becomes = (_in_a_line(text[first : len(text) - last]) for text in (lines, others))
-    return Mutant(first + 1, operator.removeprefix("Replace").split("Operator_")[-1], was, becomes, mutated)
+    return Mutant(first + 1, short(operator), was, becomes, mutated)
+
+
+def short(operator: str) -> str:
+    """An operator's name as comments have it: `Step`, `Gt_GtE`."""
+    return operator.removeprefix("Replace").split("Operator_")[-1]
 
 
 def _in_a_line(lines: list[str]) -> str:

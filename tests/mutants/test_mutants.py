@@ -14,9 +14,10 @@ import pytest
 
 from tests.mutants.__main__ import ROOT, below_floor
 from tests.mutants.by_hand import MADE, made_by_hand
-from tests.mutants.generated import Accepted, accepted, mutants_of
+from tests.mutants.generated import Accepted, accepted, mutants_of, short
 from tests.mutants.judges import JUDGES
 from tests.mutants.judging import Outcome, Subject, verdicts
+from tests.mutants.operators import operators
 
 SAMPLED: Final = ("spi/guard", "core/flat", "core/landing")
 """Files whose tests are quick, and notice each mutant of them that is not accepted."""
@@ -31,10 +32,14 @@ def test_a_sample_is_noticed() -> None:
 
 
 def test_every_file_that_is_named_is_there() -> None:
-    commented = {path for path in (ROOT / "gateway").rglob("*.py") if accepted(path.read_text(encoding="utf-8"))}
-    assert {*MADE, *(str(path.relative_to(ROOT)) for path in commented)} <= JUDGES.keys()
-    for file in {*JUDGES, *(test for tests in JUDGES.values() for test in tests)}:
-        assert (ROOT / file.partition("::")[0]).is_file()
+    comments = {path: accepted(path.read_text(encoding="utf-8")) for path in (ROOT / "gateway").rglob("*.py")}
+    commented = {str(path.relative_to(ROOT)) for path, found in comments.items() if found}
+    assert {*MADE, *commented} <= JUDGES.keys()
+    named = {operator for found in comments.values() for comment in found for operator in comment.operators}
+    assert named <= {short(operator) for operator in operators()}
+    for each in {*JUDGES, *(test for tests in JUDGES.values() for test in tests)}:
+        file, _, test = each.partition("::")
+        assert f"def {test}" in (ROOT / file).read_text(encoding="utf-8"), each
 
 
 @pytest.mark.parametrize("file", MADE)

@@ -208,7 +208,7 @@ def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
     monkeypatch.setattr(sys, "stdin", io.StringIO("23\n\nyes\nyes\nyes\n"))
     end = gateway.run("check", "--move")
     assert end.returncode == 0, str(end)
-    assert "all 18 servos will go at once to where it lies" in end.stderr
+    assert "all 18 servos will go at once to its lying pose" in end.stderr
     assert "All servos are stopped." in end.stderr
     heard.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
     start, held, moved, stopped = legs_written(heard)[:4]

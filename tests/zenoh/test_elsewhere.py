@@ -53,7 +53,7 @@ def test_a_program(gateway: Gateway) -> None:
         (("stop",), 0, "all six legs are stopped"),
         (("status",), 0, "No servo runs"),
         (("walk", "--forward", "0.05", "--seconds", "0.2"), 0, "walked 0.0"),
-        (("walk",), 1, "needs a Unix terminal; on Windows, run it in WSL, or give --seconds"),
+        (("walk",), 1, "needs a Unix terminal; on Windows, run it in WSL, or use --seconds"),
     ],
     ids=["send", "stop", "status", "walk", "walk by keys"],
 )

@@ -288,7 +288,7 @@ _OF_A_LEG: Final = len(JOINTS)
 
 STOP_CODE, SET_CODE = 65_535, 20_000
 _OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
-"""By the operation's code. Operation and angle (0 to 18000) are one number of 16 bits."""
+"""The code of each operation. Operation and angle (0 to 18000) are one number of 16 bits."""
 _MAX_BYTE: Final = 255
 
 

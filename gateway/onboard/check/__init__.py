@@ -68,7 +68,7 @@ def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: floa
 
 
 def _go_on_as_the_service(robot: CheckedRobot) -> None:
-    """As root, go on in a child process of the service's user, if that exists: root may do more than the service."""
+    """If root, go on in a child process of the service's user, if that exists: root may do more than the service."""
     if os.geteuid() or robot.service is None:
         return
     for module in _LOADED_LATE:
@@ -157,7 +157,7 @@ def _denied(path: Path) -> bool:
 
 
 def _simulated() -> str:
-    """The endpoint at which a gateway with a simulated controller answers, as `make run` starts it; "": none."""
+    """Return the endpoint at which a gateway with a simulated controller answers, as `make run` starts it; "": none."""
     with suppress(ConfigError, GatewayError, ValidationError):
         settings = settings_file.load(None, simulated=True)
         for endpoint in listen_endpoints(service_config(settings.zenoh)):

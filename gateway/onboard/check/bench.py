@@ -23,7 +23,7 @@ STREAM_S: Final = 0.3  # setpoints stream for this time before the step acts
 _QUIET_S: Final = 0.15  # after this time all pending frames are sent: a leg's rate slot comes every 20 ms
 
 Figures = dict[str, float | int | str]
-"""What a step measured. Names end with the unit."""
+"""A step's measurements. Their names end with the unit."""
 
 
 class FailedError(Exception):

@@ -23,7 +23,7 @@ _MIDDLE_DEG: Final = 90.0
 _BY_DEG: Final = 5.0
 _ROUNDS: Final = 20
 _HOLD_S: Final = 0.5
-"""Between two motions, so that a person can see them."""
+"""The pause between two motions, so that a person can see them."""
 _LATE_MS: Final = 20.0
 """The shortest watchdog that can be set."""
 _UNPLUGGED_S: Final = 60.0
@@ -226,4 +226,4 @@ STEPS: Final = (
     WireStep("times", _times),
     WireStep("unplugged", _unplugged),
 )
-"""In order: later steps need what earlier ones opened."""
+"""The steps in their order: later steps need what earlier ones opened."""

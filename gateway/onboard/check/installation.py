@@ -66,7 +66,7 @@ def _clock(_: CheckedRobot) -> Seen | None:
 
 
 def _realtime(robot: CheckedRobot) -> Seen:
-    """The priority that the kernel granted the running service; without one, whether this process gets it."""
+    """Read the priority that the kernel granted the running service; without one, whether this process gets it."""
     seen = Seen(running=None, rejected="", limit=resource.getrlimit(resource.RLIMIT_RTPRIO)[0], to="this user")
     with suppress(OSError):
         threads = [int(each.name) for each in Path(f"/proc/{robot.unit.get('MainPID', 0)}/task").iterdir()]
@@ -110,7 +110,7 @@ def names(found: Sequence[str], folder: Path | str, **more: object) -> Seen | No
 
 
 def _release(robot: CheckedRobot) -> Seen | None:
-    """The installed release, the one that `current` links to, and the one that the service has loaded."""
+    """Read the installed release, the one that `current` links to, and the one that the service has loaded."""
     link = robot.path(whole.CURRENT)
     loaded = re.search(rf"{whole.LIBRARY}/([^/\s]+)/", text(robot.path(f"proc/{robot.unit.get('MainPID', 0)}/maps")))
     if not link.is_dir():
@@ -122,7 +122,7 @@ def _release(robot: CheckedRobot) -> Seen | None:
 
 
 def _unit_file(robot: CheckedRobot) -> Seen | None:
-    """The unit in force, compared with that of the release."""
+    """Read the unit in force, compared with that of the release."""
     unit, place, link = robot.unit, f"/usr/lib/systemd/system/{SERVICE}.service", robot.path(whole.CURRENT)
     wanted, found = text(link / f"units/{SERVICE}.service"), unit.get("FragmentPath", "")
     return Seen(
@@ -202,7 +202,7 @@ def _users(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _state(robot: CheckedRobot) -> Iterator[Seen | None]:
-    """The state directory, and files in it that the service does not own or may not read and write.
+    """Read the state directory, and files in it that the service does not own or may not read and write.
 
     Nothing if it does not exist: the service's first start makes it.
     """
@@ -224,7 +224,7 @@ def _is_own(path: Path, robot: CheckedRobot) -> bool:
 
 
 def _disks(robot: CheckedRobot) -> Iterator[Seen]:
-    """The file systems of the state directory and of the root."""
+    """Read the file systems of the state directory and of the root."""
     for mount in dict.fromkeys(mount_of(each)[0] for each in (robot.path(STATE_FOLDER), robot.root)):
         disk = os.statvfs(mount)
         free_mb, inodes = disk.f_bavail * disk.f_frsize >> 20, disk.f_favail if disk.f_files else _LEAST_INODES

@@ -27,9 +27,9 @@ _SERVO: Final = 61
 """The default servo. Its leg's Stop is the last of six in a call."""
 _ANGLE_DEG: Final = 90.0
 _HOLD_S: Final = 1.5
-"""At each angle. A servo reaches it from anywhere, and a person sees it."""
+"""The pause at each angle. A servo reaches it from anywhere, and a person sees it."""
 _REST_S: Final = 0.5
-"""For some reports of currents at rest: ten a second are published."""
+"""The time for some reports of currents at rest: ten a second are published."""
 _LEAST_RISE_A: Final = 0.05
 """A servo draws about 8 mA at rest, and at least 100 mA while it moves."""
 _PERIOD_S: Final = 0.05

@@ -42,7 +42,7 @@ logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_
 
 
 def expiries(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Seen]:
-    """The certificates that the Zenoh file names, and how long they are valid."""
+    """Read the certificates that the Zenoh file names, and how long they are valid."""
     file, now, found = robot.settings.zenoh.config, now or dt.datetime.now(dt.UTC), list[certs.folder.Certificate]()
     try:
         found = list(map(certs.folder.describe, certificate_files(load_config(Path(file))))) if file else []
@@ -58,7 +58,7 @@ def expiries(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Se
 
 
 def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certificate]] | None:
-    """The Zenoh file and its authorities; None without authorities, or if another line reports them as unreadable."""
+    """Return the Zenoh file and its authorities; None without authorities, or if another line reports a fault."""
     with suppress(ConfigError):
         config = load_config(Path(robot.settings.zenoh.config)) if robot.settings.zenoh.config else zenoh.Config()
         if isinstance(ca := get(config, f"{_TLS}/root_ca_certificate"), str):
@@ -67,7 +67,7 @@ def _named(robot: CheckedRobot) -> tuple[zenoh.Config, Path, list[x509.Certifica
 
 
 def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
-    """The certificate and key for listening, and those for dialling a router: mostly the same files."""
+    """Read the certificate and key for listening, and those for dialling a router: mostly the same files."""
     if (found := _named(robot)) is None:
         return
     config, ca, cas = found
@@ -87,7 +87,7 @@ def _pairs(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _is_here(host: str) -> bool:
-    """Whether a name or address is this machine's, without a DNS query."""
+    """Return whether a name or address is this machine's, without a DNS query."""
     if host.partition(".")[0].lower() in (socket.gethostname().partition(".")[0].lower(), "localhost"):
         return True
     is_address = ":" in host or host.replace(".", "").isdigit()  # a name would have to be resolved
@@ -95,7 +95,7 @@ def _is_here(host: str) -> bool:
 
 
 def _lists(robot: CheckedRobot) -> Iterator[Seen]:
-    """Each revocation list that the service reads at its start but cannot use; without one, the list in force."""
+    """Read each revocation list that the service reads at its start but cannot use; without one, the list in force."""
     if (found := _named(robot)) is None:
         return
     folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
@@ -134,7 +134,7 @@ def _zenoh(robot: CheckedRobot) -> Iterator[Seen]:
 
 
 def _ports(robot: CheckedRobot) -> Iterator[Seen]:
-    """Each endpoint on which the service listens."""
+    """Read each endpoint on which the service listens."""
     config = configuration(robot)
     endpoints = [] if config is None else listen_endpoints(config)
     yield from (port(robot, each) for each in endpoints)
@@ -159,7 +159,7 @@ def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> S
 
 
 def _access(robot: CheckedRobot) -> Seen | None:
-    """The rules of this release that a file made by `certs` lacks, because it is older or was edited."""
+    """Read the rules of this release that a file made by `certs` lacks, because it is older or was edited."""
     config, file = configuration(robot), robot.settings.zenoh.config
     if config is None:
         return None

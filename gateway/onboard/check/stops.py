@@ -88,7 +88,7 @@ def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
 
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
-    """At each end, also by a signal, stop all legs and print a sentence about it."""
+    """Stop all legs at each end, also by a signal, and print a sentence about it."""
     stopping = False
 
     def end() -> None:
@@ -140,7 +140,7 @@ def command(bench: Bench) -> Figures:
 
 
 def _as_commanded(bench: Bench, moves: list[Frame]) -> bool:
-    """Whether the frames start the servo, set it to the end in one direction, and hold all other servos."""
+    """Return whether the frames start the servo, set it to the end in one direction, and hold all other servos."""
     motion, ops = bench.motion, dict[int, list[ServoOp]]()
     for servo_id, op in (each for frame in moves for each in frame.servos):
         ops.setdefault(servo_id, []).append(op)
@@ -240,7 +240,7 @@ def killed(bench: Bench) -> Figures:
     demand("stop-servos" in before.get("ExecStopPost", ""), "no stop-servos runs after its end, so it is not killed")
 
     def how_stop_servos_ended() -> str:
-        """As systemd shows until the new start."""
+        """Return how `stop-servos` ended, which systemd shows until the new start."""
         now = shown(SERVICE)
         found = re.search(r"stop-servos[^}]* code=(\w+) ; status=(\d+)", now.get("ExecStopPost", ""))
         new = "it did not run" if now.get("InvocationID") != before.get("InvocationID") else ""
@@ -397,4 +397,4 @@ STEPS: Final = (
               "over SPI", can_unplugged),
 )
 # fmt: on
-"""In order. After each, all legs are stopped."""
+"""The steps in their order. After each, all legs are stopped."""

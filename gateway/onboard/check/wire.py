@@ -80,14 +80,14 @@ def node(robot: CheckedRobot, path: str) -> Seen:
 
 
 def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
-    """The name of a user or group; the number if it has no name."""
+    """Return the name of a user or group; the number if it has no name."""
     with suppress(KeyError):
         return str(find(number)[0])
     return str(number)
 
 
 def _node_faults(group: str) -> tuple[Fault, ...]:
-    """The faults of a node that belongs to `group` with the package. The reading's `absent` is a remedy."""
+    """Return the faults of a node that belongs to `group` with the package. The reading's `absent` is a remedy."""
     may_not, group_has_it = "{user} may not open {path} ({rights})", f"sudo chgrp {group} {{path}}"
     return (
         failure(lambda r: r.lack, "{path} {lack}", "{absent}"),
@@ -101,7 +101,7 @@ def _node_faults(group: str) -> tuple[Fault, ...]:
 
 
 def _locked_by(path: str) -> str:
-    """The program that has locked a node, from the kernel's list."""
+    """Return the program that has locked a node, from the kernel's list."""
     status = os.stat(path)
     where = rf"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     found = re.search(rf"FLOCK +ADVISORY +WRITE (\d+) {where} ", text(Path("/proc/locks")))
@@ -145,7 +145,7 @@ def _carrier(robot: CheckedRobot) -> Seen | None:
 
 
 def _neighbours(robot: CheckedRobot) -> Seen | None:
-    """The drivers of other devices on the same bus."""
+    """Read the drivers of other devices on the same bus."""
     if robot.settings.wire.built_in is None:
         return None
     found = machine.neighbours(robot.settings.spi.device, robot.root)
@@ -153,7 +153,7 @@ def _neighbours(robot: CheckedRobot) -> Seen | None:
 
 
 def _speed(robot: CheckedRobot) -> Seen | None:
-    """The clock of the device, compared with the highest that the kernel allows."""
+    """Read the clock of the device, compared with the highest that the kernel allows."""
     if robot.settings.wire.built_in is None:
         return None
     with suppress(OSError):
@@ -192,7 +192,7 @@ def _megahertz(hz: int) -> str:
 
 
 def _frames(robot: CheckedRobot) -> Seen | None:
-    """The framing, and whether the driver is known to release chip select between the transfers of a call."""
+    """Read the framing, and whether the driver is known to release chip select between the transfers of a call."""
     spi = robot.settings.spi
     if not robot.settings.wire.framed:
         return None
@@ -225,7 +225,7 @@ def _calibration(robot: CheckedRobot) -> Seen:
 
 
 def _plugin(robot: CheckedRobot) -> Seen | None:
-    """The plug-in, opened and closed, unless a gateway holds it."""
+    """Open and close the plug-in, unless a gateway holds it."""
     wire = robot.settings.wire
     if wire.built_in is not None:
         return None
@@ -245,7 +245,7 @@ def _plugin(robot: CheckedRobot) -> Seen | None:
 
 
 def _uart(robot: CheckedRobot) -> Seen | None:
-    """The UART, opened and closed, unless a gateway holds it."""
+    """Open and close the UART, unless a gateway holds it."""
     path, root = robot.settings.controller.uart, robot.root
     if not robot.settings.wire.has_uart:
         return None
@@ -282,7 +282,7 @@ def heartbeat(
     clock: Callable[[], int] = time.monotonic_ns,
     pause: Callable[[float], None] = time.sleep,
 ) -> Seen:
-    """Return the number of heartbeats and of bytes that arrive within `silent_ns`."""
+    """Read the number of heartbeats and of bytes that arrive within `silent_ns`."""
     heartbeats, seen, until_ns = Heartbeats(), Seen(beats=0, bytes=0, ms=silent_ns // NS_PER_MS), clock() + silent_ns
     while clock() < until_ns:
         pause(_CYCLE_S)
@@ -296,7 +296,7 @@ def heartbeat(
 
 
 def _board(robot: CheckedRobot) -> Seen | None:
-    """The power board; None if none is configured."""
+    """Read the power board; None if none is configured."""
     power = robot.settings.power
     if not power.interface:
         return None

@@ -16,7 +16,7 @@ CONSOLE: Final = "hexapod-console"
 _CONSOLE_OPTIONS: Final = f"/etc/{CONSOLE}/console.conf"
 _CONSOLE_STATE: Final = f"/var/lib/{CONSOLE}"
 _LISTENS_S: Final = 60
-"""On a busy Pi the console needs some seconds until it listens."""
+"""The longest wait for the console to listen: on a busy Pi it needs some seconds."""
 _PAUSE_S: Final = 0.2
 
 _PACKAGED: Final = f"/usr/lib/systemd/system/{SERVICE}.service"
@@ -26,7 +26,7 @@ _FORMER: Final = (
     f"/usr/local/bin/{SERVICE}",
     f"/opt/{SERVICE}",
 )
-"""From the installer before the package. systemd and the shell would prefer these to the package's files."""
+"""Files of the installer before the package. systemd and the shell would prefer them to the package's files."""
 
 
 def remove_former(machine: Machine) -> None:
@@ -67,7 +67,7 @@ def start(machine: Machine, device: str) -> None:
 
 
 def _is_outdated(machine: Machine) -> bool:
-    """Whether a file has changed since the service's start, such as by an interrupted `setup`."""
+    """Return whether a file has changed since the service's start, such as by an interrupted `setup`."""
     kept = machine.path(KEPT_CONFIGURATION)
     if not kept.exists():
         return False

@@ -125,9 +125,9 @@ class Client(metaclass=_Brief):
         self.name = str(self.session.info.zid()) if source is None else source
         """The name in events: `source`, or the session's Zenoh id (which only a stream's commands contain)."""
         self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """For leases, and tools that renew one. @private"""
+        """The requests of leases, and of tools that renew one. @private"""
         self.button_requests = ButtonRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """For buttons, and tools that are one. @private"""
+        """The requests of buttons, and of tools that are one. @private"""
         self._lease: Lease | None = None
         self.open_parts: list[Any] = []
         """Streams and walks to close before the client. @private"""

@@ -35,12 +35,12 @@ class Press(Generic[P, W]):
     page: P | None
     """None: the page that pressed is gone."""
     id: int | None
-    """By the page's own count; None: the page wants no answer."""
+    """The page's own count; None: the page wants no answer."""
     what: W
     """The content of a request for this press."""
     pressed_ns: int
     number: int
-    """Of all pages' presses, in the order in which they came."""
+    """The number among all pages' presses, in the order in which they came."""
     attempts: int = 0
     """Requests that could have confirmed it and have ended."""
     over: bool = False

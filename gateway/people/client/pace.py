@@ -16,7 +16,7 @@ RADIANS_S: Final = 1.0
 MOST_QUESTIONS: Final = 2
 """Questions a second while the robot is stopped or the gateway does not answer."""
 _KEPT_TICKS: Final = 1000
-"""For the jitter: 20 s at 50 Hz."""
+"""The ticks kept for the jitter: 20 s at 50 Hz."""
 LIKE_RADIANS: Final = (
     f"all angles of this stream were between 0 and {MOST_DEG:g} for {RADIANS_S:g} s; angles are degrees, and these "
     'look like radians (`unit="rad"` takes them)'

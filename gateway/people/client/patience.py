@@ -39,15 +39,14 @@ class QuestionStep(Enum):
 
 
 @dataclass(eq=False, slots=True)
-class Query(Generic[A]):
+class Query(Generic[A]):  # mutants accepted (RemoveDecorator): without slots and equality it behaves alike
     """One query of a question. It ends when all programs have answered or declined, or its link is lost."""
 
     foreign: A | None = None
     """The first answer from a program that was not dialled."""
 
 
-# mutants accepted (Forget, RemoveDecorator): without slots and equality it behaves alike; the first query sets the time
-class Patience(Generic[A]):
+class Patience(Generic[A]):  # mutants accepted (Forget): the first query sets the time
     """The state of one question; `A` is its answer."""
 
     def __init__(self, now_s: float, end_s: float, *, again: bool, other_ways: bool) -> None:

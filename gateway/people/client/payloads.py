@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 Angle = SupportsFloat | SupportsIndex
 """An int, a float, or a number such as numpy's `float32` and `int64`; no bool."""
 Unit = Literal["deg", "rad"]
-"""Of angles: degrees (0 to 180), or radians (0 to π)."""
+"""The unit of angles: degrees (0 to 180), or radians (0 to π)."""
 ROUNDING_DEG: Final = 0.005
 """Half of the protocol's hundredth. An angle outside 0 to 180 by this much counts as the limit (a rounding error)."""
 

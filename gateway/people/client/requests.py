@@ -61,7 +61,7 @@ class Identity:
         return self.certificate is not None and self.key is not None
 
     def person(self) -> str:
-        """The certificate's person: its organizational unit. Raises ConfigError if there is none."""
+        """Return the certificate's person: its organizational unit. Raises ConfigError if there is none."""
         from cryptography.x509.oid import NameOID
 
         units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
@@ -110,7 +110,7 @@ class _Requests(ABC, Generic[A]):
         self._name = name
 
     def person(self, name: str | None = None) -> str:
-        """The certificate's person, else `name`, else the client's name. Raises ConfigError as `Identity.person`."""
+        """Return the certificate's person, else `name`, else the client's name. Raises as `Identity.person`."""
         return self._identity.person() if self._identity.proves else (name or self._name)
 
     def _proved(
@@ -154,7 +154,7 @@ class ButtonRequests(_Requests["ButtonAck"]):
     """The requests on `hexapod/button/cmd`."""
 
     def person(self, name: str | None = None) -> str:
-        """The name to register. A person may have several buttons, as `PERSON/…`."""
+        """Return the name to register. A person may have several buttons, as `PERSON/…`."""
         person = super().person(name)
         return name if name is not None and name.startswith(f"{person}/") else person
 

@@ -89,7 +89,7 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
 
 
 def _read(file: Path) -> str:
-    """The text of a file, or of stdin (`-`). Raises ConfigError if it is unreadable or too long."""
+    """Return the text of a file, or of stdin (`-`). Raises ConfigError if it is unreadable or too long."""
     try:
         with sys.stdin.buffer if str(file) == "-" else file.open("rb") as stream:
             text = stream.read(_MOST_BYTES + 1)

@@ -218,7 +218,7 @@ def _send(directory: Path, endpoint: str, config: Path) -> int:
 
 
 def _operators_file(directory: Path, but: str | None) -> Path:
-    """The Zenoh file of an operator of the folder whose certificate is valid, and who is not to be shut out."""
+    """Return the Zenoh file of an operator of the folder whose certificate is valid, and who is not to be shut out."""
     for each, state in certs.folder.states(directory, certs.folder.now_utc()):
         config = directory / f"{each.path.stem}.json5"
         usable = each.role == certs.OPERATOR and state == "good" and but not in (each.name, each.common_name)

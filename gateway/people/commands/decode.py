@@ -42,7 +42,7 @@ def decode(hex_bytes: Sequence[str], *, as_json: bool = False) -> int:
 
 
 def _bytes(word: str) -> bytes:
-    """The bytes of `06`, `0x06`, `0x6` or `060220020000`. Raises ValueError, also for half a byte."""
+    """Return the bytes of `06`, `0x06`, `0x6` or `060220020000`. Raises ValueError, also for half a byte."""
     if re.fullmatch(r"0x[0-9a-fA-F]", word):
         word = f"0{word[2:]}"
     digits = word.removeprefix("0x")

@@ -43,7 +43,7 @@ class NewsLine(NamedTuple):
 
     @property
     def plain(self) -> str:
-        """For people, with the local time."""
+        """Return the line for people, with the local time."""
         return f"{self.time.astimezone():%H:%M:%S} {visible(self.kind):18} {visible(self.text)}"
 
 

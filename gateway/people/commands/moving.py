@@ -27,7 +27,7 @@ STEP_DEG: Final = 5.0
 
 
 class ServoMotion(NamedTuple):
-    """What moves: one servo, from `start_deg` to `end_deg` and back."""
+    """One servo's motion, from `start_deg` to `end_deg` and back."""
 
     servo_id: int
     start_deg: float

@@ -157,7 +157,7 @@ def estop_report(ack: Ack, fetch_state: Callable[[], GatewayState]) -> int:
 
 
 def _alarm(ack: Ack, fetch_state: Callable[[], GatewayState]) -> str:
-    """The sentence about a Stop that the power board does not confirm; "" if the supply is to stay on.
+    """Return the sentence about a Stop that the power board does not confirm; "" if the supply is to stay on.
 
     The answer to a Stop that leaves the supply on has no confirmation either: the state shows what is to be off.
     """

@@ -64,7 +64,7 @@ def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, li
 
 
 def _ended(client: Client) -> bool:
-    """Whether the connection has ended, also if Zenoh, which retries each second, has opened another."""
+    """Return whether the connection has ended, also if Zenoh, which retries each second, has opened another."""
     first, end_s = _links(client), time.monotonic() + _MATCHING_S
     while (now := _links(client)) == first != set() and time.monotonic() < end_s:
         time.sleep(_PAUSE_S)

@@ -72,7 +72,7 @@ class Door:
 
 
 def _address() -> str:
-    """The address by which the network reaches this machine. Raises ConfigError."""
+    """Return the address by which the network reaches this machine. Raises ConfigError."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
         probe.connect(("192.0.2.1", 9))  # sends nothing; the system chooses the address of the way there
         return str(probe.getsockname()[0])
@@ -82,7 +82,7 @@ def _address() -> str:
 
 
 def _of_the_fleet(folder: Path, host: str) -> tuple[Path, Path] | None:
-    """A console's certificate that `certs issue --role console` made for this host, and its key."""
+    """Return a console's certificate that `certs issue --role console` made for this host, and its key."""
     for authority_file in sorted(folder.glob("*-ca.pem")):
         stem = authority_file.name.removesuffix("-ca.pem")
         if _is_good(folder / f"{stem}.pem", host) and (folder / f"{stem}.key").exists():

@@ -46,7 +46,7 @@ class Owner(NamedTuple):
 
     person: str
     role: Role
-    """What pages may do at most."""
+    """The most rights that pages get."""
     common_name: str
 
 

@@ -14,7 +14,7 @@ FRICTION: Final = 0.8
 """Rubber on wood; the Elkapod's own simulation has the same for its feet."""
 MAX_SLOPE_DEG: Final = 45.0
 MAX_ROUGH_M: Final = 0.2
-"""As high as the robot stands."""
+"""The roughest ground: as high as the robot stands."""
 
 
 class Terrain(NamedTuple):

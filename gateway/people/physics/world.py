@@ -45,7 +45,7 @@ class Body(NamedTuple):
     tilt_deg: float
     """Tilt against the ground, which may be a slope."""
     feet: tuple[bool, ...]
-    """For legs 1 to 6: whether the foot touches the ground."""
+    """By leg (1 to 6), whether the foot touches the ground."""
     joints_rad: dict[int, float]
     torques_nm: dict[int, float]
 
@@ -186,16 +186,16 @@ class World:
         mujoco.mj_forward(self.model, data)
 
     def _touching(self) -> set[int]:
-        """The legs whose lower ends touch the ground: the box of a leaning tibia is lower than its tip."""
+        """Return the legs whose lower ends touch the ground: the box of a leaning tibia is lower than its tip."""
         return {leg for leg, touches in zip(self.feet.values(), self._at_feet().any(axis=1), strict=True) if touches}
 
     def _at_feet(self) -> Any:
-        """For each of the six feet, the contacts near its tip: a matrix of booleans."""
+        """Return a matrix of booleans: for each of the six feet, the contacts near its tip."""
         tips_m, contacts_m = self.data.geom_xpos[list(self.feet)], self.data.contact.pos
         return np.linalg.norm(tips_m[:, np.newaxis] - contacts_m, axis=2) < _END_M
 
     def _depths(self) -> Iterator["_Depth"]:
-        """How deep parts are inside other parts or the ground; parts of one leg may overlap."""
+        """Yield how deep parts are inside other parts or the ground; parts of one leg may overlap."""
         model = self.model
         types = model.geom_contype.copy(), model.body_contype.copy()
         model.geom_contype[:] = model.body_contype[:] = 3  # each other, too
@@ -219,7 +219,7 @@ class World:
         return float(min(sizes[sizes > 0]))
 
     def _tip(self, leg: int) -> int:
-        """The solid sphere of a foot."""
+        """Return the solid sphere of a foot."""
         body = self.model.body(f"leg_{leg}_foot").id
         solid = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] == body]
         return int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))

@@ -7,7 +7,7 @@ of each frame, so that they can be plotted at the rate of the frames: NaN, a gap
 marked in 3D, too.
 
 A robot that is simulated with physics is drawn where its body is, in the frame `world`; what was commanded stands
-next to it, in frames of the same names behind `commanded/`.
+next to it, in frames of the same names that begin with `commanded/`.
 
 `rosbags` writes the messages as bytes (CDR), and their types as text (`ros2msg`).
 """
@@ -85,7 +85,7 @@ class Drawing:
         self._geometry = geometry
         self.joints = CommandedJoints(geometry)
         self._drawn: dict[str, tuple[int, object]] = {}
-        """By topic with a period: when it was drawn last (ns), and the value that was shown."""
+        """By topic (with a period), when it was drawn last (ns), and the value that was shown."""
         self._body: BodyReport | None = None
         self._body_ns = 0
 

@@ -31,7 +31,7 @@ class RecordedMessage(NamedTuple):
 
 
 class TargetInBox(Report):
-    """What a command asks of one servo."""
+    """The part of a command for one servo."""
 
     id: int
     op: str
@@ -153,7 +153,7 @@ class _Decisions:
 
 
 def _stops_before(start: form.Record, incident: Incident) -> Iterator[RecordedMessage]:
-    """The Stops that `stop-servos` wrote between the end of the former gateway and this start."""
+    """Yield the Stops that `stop-servos` wrote between the end of the former gateway and this start."""
     facts = start.content.facts if isinstance(start.content, form.Start) else {}
     match [facts.get(name) for name in form.STOP_FACTS]:
         case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:

@@ -107,7 +107,7 @@ class Records:
 
 @dataclass(frozen=True, slots=True)
 class Content:
-    """What a ring holds, oldest first."""
+    """The content of a ring, oldest first."""
 
     records: Records
     damaged: int
@@ -130,7 +130,7 @@ def read(path: Path) -> Content:
 
 
 def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
-    """A file's bytes, and whether a gateway writes to it. `path`: the ring, or the link to it. Raises NoRingError."""
+    """Return a file's bytes, and whether a gateway writes to it. `path`: the ring, or its link. Raises NoRingError."""
     try:
         fd = os.open(file, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError as error:
@@ -150,7 +150,7 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
 
 
 def _copies(path: Path) -> Iterator["_Slots"]:
-    """The copies in a ring's folder, oldest first, without those that are cut off or another user's."""
+    """Yield the copies in a ring's folder, oldest first, without those that are cut off or another user's."""
     try:
         found = copies_of(path.resolve())
     except OSError:
@@ -161,14 +161,14 @@ def _copies(path: Path) -> Iterator["_Slots"]:
 
 
 def _check_owner(found: os.stat_result, path: Path) -> None:
-    """In a folder such as /dev/shm anybody may have put the file where the link in ours leads. Raises NoRingError."""
+    """Raise NoRingError for another user's file: in /dev/shm anybody may put one where our link leads."""
     trusted = (path.lstat().st_uid, os.geteuid(), 0)
     if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
 
 
 def _merged(ring: "_Slots", copies: Iterable["_Slots"]) -> tuple[Records, int, int]:
-    """A ring's records, behind those of its copies that are older than all of these."""
+    """A ring's records, after those of its copies that are older than all of these."""
     found = _Decoded()
     for copy in copies:
         found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
@@ -246,7 +246,7 @@ class _Slots:
         self.oldest = next(self.numbers(max(1, self.newest - slots + 1), self.newest + 1), 0)
 
     def numbers(self, begin: int, end: int) -> Iterator[int]:
-        """The sequence numbers of whole records from `begin` to before `end`, in order."""
+        """Return the sequence numbers of whole records from `begin` to before `end`, in order."""
         slots, sequences = self._slots, self._sequences
         begin, end = max(begin, self.newest - slots + 1, 1), min(end, self.newest + 1)
         return (number for number in range(begin, end) if sequences[number % slots] == number)
@@ -261,11 +261,11 @@ class _Slots:
         return content.calibration if isinstance(content, form.Calibrated) else None
 
     def record(self, number: int, part: int) -> form.Record:
-        """A record that has been decoded before, when it was found."""
+        """Return a record that has been decoded before, when it was found."""
         return self.decoded(number)[1][part]
 
     def decoded(self, number: int) -> tuple[int, list[form.Record]]:
-        """A record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.
+        """Return a record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.
 
         Empty where it is MORE, or a type of a later version. Raises DamagedRingError.
         """

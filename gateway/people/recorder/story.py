@@ -135,7 +135,7 @@ def _is_headline(message: RecordedMessage) -> bool:
 
 
 def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero_ns: int) -> str:
-    """A sentence if a leg was silent because the gateway stood still; empty if the gateway ran."""
+    """Return a sentence if a leg was silent because the gateway stood still; empty if the gateway ran."""
     for note in notes:
         if note.content.get("what") != "lag":
             continue
@@ -148,7 +148,7 @@ def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero
 
 
 def _at(at_ns: int) -> str:
-    """A time relative to the stop, such as +0.3 ms or -0.251 s."""
+    """Return a time relative to the stop, such as +0.3 ms or -0.251 s."""
     sign = "−" if at_ns < 0 else "+" if at_ns else ""
     at_ms = abs(at_ns) / 1e6
     if 0 < at_ms < FINE_MS:
@@ -212,7 +212,7 @@ def _summary(messages: list[RecordedMessage]) -> Iterator[str]:
 
 
 def _commands(messages: list[RecordedMessage], frames: Sequence[FrameIn], name: str) -> Iterator[Line]:
-    """The last command of each leg before the incident, and the first that moves one that it stopped."""
+    """Yield the last command of each leg before the incident, and the first that moves one that it stopped."""
     concerned = _stopped_legs(frames) if kind_of(name) == "watchdog" else set(LEGS)
     stops = ((frame.leg, message.time_ns) for message, frame in frames if message.time_ns >= 0 and frame.is_stop)
     stopped_ns = dict(reversed(list(stops)))  # of each leg, its first Stop since the incident
@@ -320,7 +320,7 @@ def _stops_in_one_line(group: Sequence[FrameIn]) -> Line:
 
 
 def _landings(messages: Iterable[RecordedMessage], frames: Iterable[FrameIn]) -> Iterator[Line]:
-    """The first and the last frame of each way down, and where it left the legs: nobody commanded these frames."""
+    """Yield the first and last frame of each way down, and where it left the legs: nobody commanded these frames."""
     begun = [each.time_ns for each in messages if each.topic == keys.EVENT and each.content.get("kind") == Kind.LANDING]
     stands: dict[int, int | None] = {}  # of each servo that ever had a frame: its angle, None: stopped
     ways: dict[int, list[tuple[int, str]]] = {}  # of each landing: when its frames were written, and where legs were

@@ -69,7 +69,7 @@ class Driving:
 
     @property
     def does(self) -> str:
-        """What the bridge does, or why it rejects messages; for people."""
+        """Return what the bridge does, or why it rejects messages, for people."""
         motion = self._motion
         if not self.drives:
             return self._why_not
@@ -262,7 +262,7 @@ class Driving:
                 raise NotTakenError(self._why_not) from error
 
     def _using(self, kind: type[M], make: Callable[[], M]) -> M:
-        """The present motion of this kind, or a new one. Raises NotTakenError while another motion moves the robot."""
+        """Return the present motion of this kind, or a new one. Raises NotTakenError while another moves the robot."""
         self._end_what_is_over()  # it has ended since the last check
         motion = self._motion
         if isinstance(motion, kind):

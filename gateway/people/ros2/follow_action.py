@@ -21,7 +21,7 @@ from gateway.people.ros2.topics import Topics
 
 NAME: Final = "follow_joint_trajectory"
 FEEDBACK_S: Final = 0.05
-"""As joint_trajectory_controller's action_monitor_rate: 20 Hz."""
+"""The period of feedback, as joint_trajectory_controller's action_monitor_rate: 20 Hz."""
 _RESULT_KEPT_S: Final = 60
 """How long the result of an ended goal is kept."""
 

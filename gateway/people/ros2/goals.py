@@ -77,7 +77,7 @@ class Followed:
         return None
 
     def _exceeding(self, progress: GoalProgress, tolerances: Mapping[int, float], otherwise: float) -> str:
-        """A sentence about the first joint beyond its tolerance; "": none is."""
+        """Return a sentence about the first joint beyond its tolerance; "" if none is."""
         for name, servo_id in zip(self.names, self._servos, strict=True):
             most = tolerances.get(servo_id, otherwise)
             off = abs(progress.desired_rad[servo_id] - progress.sent_rad.get(servo_id, math.inf))

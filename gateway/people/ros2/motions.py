@@ -181,7 +181,7 @@ class Course:
         self._sent = {**self._sent, **pose}
 
     def _running_rad(self) -> dict[int, float]:
-        """The joints of the legs that have started, or are being started."""
+        """Return the joints of the legs that have started, or are being started."""
         legs = self._sent.keys() | self._sending
         return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in legs}
 

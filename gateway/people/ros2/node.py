@@ -86,14 +86,14 @@ class Node(LifecycleNode):  # type: ignore[misc]
         self._spinning = threading.Thread(target=self._spin, name="ROS 2", daemon=True)
 
     def open_on(self) -> list[str]:
-        """The addresses beyond this machine on which sockets of this process are bound: there others may reach it.
+        """Return the addresses beyond this machine to which sockets of this process are bound: others may reach them.
 
         ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST does not count: FastDDS's sockets are still open on all addresses.
         """
         return sorted({address for address in _own_addresses() if not is_local(f"udp/{address}:1")})
 
     def parameters(self, given: Parameters) -> Parameters:
-        """The node's parameters, which are read at the start; `given` are their defaults. Raises ConfigError."""
+        """Return the node's parameters, which are read at the start; `given` are their defaults. Raises ConfigError."""
         found = {name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(given).items()}
         return Parameters(**found)
 
@@ -344,13 +344,13 @@ def _keep_time_real(parameters: list[Any]) -> Any:
 
 
 def _gid(info: dict[str, Any]) -> bytes:
-    """The sender's GID; rclpy before Kilted does not report it."""
+    """Return the sender's GID; rclpy before Kilted does not report it."""
     found = info.get("publisher_gid")
     return bytes(found["data"][:_GID_BYTES]) if found else b""
 
 
 def _own_addresses() -> Iterator[str]:
-    """The addresses of this process's sockets; the any address, if the system does not show them."""
+    """Yield the addresses of this process's sockets; the any address, if the system does not show them."""
     try:
         names = os.listdir("/proc/self/fd")
     except OSError:

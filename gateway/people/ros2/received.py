@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Set
 from typing import Any, Final, NamedTuple
 
 SILENT_S: Final = 0.5
-"""As long as a velocity holds: a node that is silent for longer moves nothing."""
+"""A node that is silent for longer moves nothing. A velocity holds for this time, too."""
 
 _log: Final = logging.getLogger(__name__)
 

@@ -48,7 +48,7 @@ R = TypeVar("R", bound=BaseModel)
 def _publisher(
     node: Node, topic: str, kind: type[ros.Message], *, needed: bool = False
 ) -> Callable[[ros.Message], None]:
-    """A publisher on a topic; None if this ROS 2 lacks the type. Raises ConfigError if the topic is `needed`."""
+    """Return a publisher on a topic; None if this ROS 2 lacks the type. Raises ConfigError if the topic is `needed`."""
     try:
         return node.publisher(topic, kind)
     except ConfigError:
@@ -145,7 +145,7 @@ class Reports:
         self._tf(robot.odometry_frame(at, time_ns, base))
 
     def _take(self, key: str, kind: type[R], read: Callable[[bytes], R | None] | None = None) -> R | None:
-        """The next valid report on a key: without access control anybody may publish there."""
+        """Return the next valid report on a key: without access control anybody may publish there."""
         sample = self._received[key].handler.try_recv()
         if sample is None:
             return None

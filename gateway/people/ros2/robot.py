@@ -89,7 +89,7 @@ def _heading(angle_rad: float) -> Message:
 
 
 def _planar(along: float, yaw: float) -> tuple[float, ...]:
-    """The covariance of these standard deviations along, across and about the upright axis."""
+    """Return the covariance of these standard deviations along, across and about the upright axis."""
     sigmas = (along, along, _UNKNOWN, _UNKNOWN, _UNKNOWN, yaw)
     return tuple(sigmas[row] ** 2 if row == column else 0.0 for row in range(6) for column in range(6))
 
@@ -239,5 +239,5 @@ def diagnostic_array(statuses: tuple[Message, ...], time_ns: int, hardware_id: s
 
 
 def _text(value: object) -> str:
-    """The text without zeros, which a CDR string cannot have: it contains foreign names."""
+    """Return the text without zeros, which a CDR string cannot have: it contains foreign names."""
     return str(value).replace("\0", "\ufffd")

@@ -23,7 +23,7 @@ _MAX_BYTES: Final = 4096
 MAX_TRAJECTORY_BYTES: Final = 1_000_000
 """2000 points of 18 joints with velocities take 650 000."""
 MAX_AGE_MS: Final = 500.0
-"""As `limits.max_age_ms`: messages that a link held back for longer are rejected."""
+"""The oldest message accepted, as by `limits.max_age_ms`: a link may hold messages back."""
 
 _MOST_APART_NS: Final = 10 * 365 * 86_400_000_000_000
 """Ten years: no clock that was ever set is so far off, and no bag is so old. Simulated time, and the clock of a machine

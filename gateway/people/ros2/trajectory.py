@@ -22,7 +22,7 @@ MAX_RAD_S: Final = math.radians(MAX_SPEED_DEG_S)
 SETPOINT_S: Final = 0.02
 """Period at 50 Hz. A change within one setpoint has no speed of its own."""
 MAX_RAD_S2: Final = MAX_RAD_S / SETPOINT_S
-"""From rest to full speed within one setpoint. Accelerations are checked, but do not bend the way."""
+"""Full speed from rest within one setpoint. Accelerations are checked, but do not bend the way."""
 _SPARE: Final = 1.001
 """Part of the speed that rounding to nanoseconds and floats may add."""
 _END: Final = 1e-6
@@ -119,7 +119,7 @@ class Trajectory:
         return {servo_id: _JointCubic.of(before, after, servo_id).at(part) for servo_id in after.positions_rad}
 
     def _next(self, now_s: float) -> int:
-        """The first point that is still to come, or the last."""
+        """Return the first point that is still to come, or the last."""
         return min(bisect_right(self._times_s, self.elapsed_s(now_s)), len(self._points) - 1)
 
 
@@ -150,14 +150,14 @@ class _JointCubic(NamedTuple):
         return self.first + part * (2 * self.square + part * 3 * self.cube)
 
     def turns(self) -> Iterator[float]:
-        """The parts between the ends at which it reverses: where the speed, a p² + 2 b p + c, is zero."""
+        """Yield the parts between the ends at which the way reverses: where the speed, a p² + 2 b p + c, is zero."""
         a, b, c = 3 * self.cube, self.square, self.first
         if (under := b * b - a * c) >= 0:
             q = -(b + math.copysign(math.sqrt(under), b))  # no difference of numbers that are nearly equal
             yield from (over / below for over, below in ((q, a), (c, q)) if below and _END < over / below < 1 - _END)
 
     def fastest(self) -> float:
-        """The highest speed on the way, with its sign: at an end, or where the acceleration changes its sign."""
+        """Return the highest speed on the way, with its sign: at an end, or where the acceleration changes its sign."""
         parts = [0.0, 1.0]
         if self.cube and 0 < (middle := -self.square / (3 * self.cube)) < 1:
             parts.append(middle)

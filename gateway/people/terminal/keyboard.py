@@ -77,7 +77,7 @@ class Keyboard:
 
 
 def _sequence_end(data: bytes, place: int) -> int:
-    """The place after a control sequence whose `[` or `O` is at `place`: numbers, then a letter or `~`, no space."""
+    """Return the place after a control sequence. `place`: its `[` or `O`, before numbers and a letter or `~`."""
     place += 1
     while place < len(data) and data[place] in b"0123456789;<?":
         place += 1

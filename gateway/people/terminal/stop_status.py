@@ -1,4 +1,4 @@
-"""What a terminal shows of the emergency stop that a key has requested. Pure: `now_ns` is monotonic."""
+"""The text that a terminal shows about an emergency stop requested by a key. Pure: `now_ns` is monotonic."""
 
 from typing import Final, NamedTuple
 
@@ -23,11 +23,11 @@ class Remark(NamedTuple):
 
     @property
     def style(self) -> str:
-        """For rich."""
+        """The text's style for rich."""
         return ALARM if self.is_bad else "bold green"
 
     def is_over(self, now_ns: int) -> bool:
-        """Whether it has been shown for long enough."""
+        """Return whether the status has been shown for long enough."""
         return not self.is_bad and now_ns - self.since_ns > SHOWN_NS
 
 
@@ -78,7 +78,7 @@ class StopStatus:
         self.wanted_ns = self.outcome = None
 
     def alarm(self, now_ns: int) -> str | None:
-        """The alarm about a Stop that nobody confirms, or None."""
+        """Return the alarm about a Stop that nobody confirms, or None."""
         if self.wanted_ns is None or (not self._tries and now_ns - self.wanted_ns < PATIENCE_NS):
             return None
         waited_s = (now_ns - self.wanted_ns) / 1e9

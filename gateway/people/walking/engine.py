@@ -94,7 +94,7 @@ class Engine:
         """Legs that somebody else has stopped: `step` leaves them out."""
         self._senses = Senses()
         self.felt = NOTHING
-        """What the sensors reported at the latest step."""
+        """The sensors' report at the latest step."""
         self._leans_rad = LEANS_RAD
         """The most that the body may lean; reduced after a lean left the legs no stride."""
         self._barred = ""

@@ -116,7 +116,7 @@ _M_S: Final = 0.08
 _RAD_S: Final = 0.25
 """The speeds that tests/walking judges for a tripod gait; the engine scales them down for shorter strides."""
 _GENTLY: Final = 0.5
-"""Of the engine's own deceleration: a velocity takes effect one or two ticks after its computation."""
+"""The part of the engine's deceleration used: a velocity takes effect one or two ticks after its computation."""
 _NEAR: Final = 0.0005
 """Metres or radians that count as arrived."""
 
@@ -152,7 +152,7 @@ class Distance:
         return Velocity(turn_rad_s=speed) if self._turns else Velocity(forward_m_s=speed)
 
     def _gone(self, odometry: Odometry) -> float:
-        """The metres or radians so far."""
+        """Return the metres or radians travelled so far."""
         begin = self._begin or odometry
         if self._turns:
             return odometry.heading_rad - begin.heading_rad

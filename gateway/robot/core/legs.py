@@ -363,7 +363,7 @@ class Legs:
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
     def _send_beside(self, leg: Leg, held: list[Servo], now_ns: int, cause: Cause) -> list[Effect]:
-        """As `_send`, without the starts that wait for power."""
+        """Do as `_send`, without the starts that wait for power."""
         starts = [(servo, servo.waiting) for servo in held]
         for servo in held:
             servo.waiting = None

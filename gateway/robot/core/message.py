@@ -21,7 +21,7 @@ class Verb(StrEnum):
     DELETE = "delete"
     GET = "get"
     LOST = "lost"
-    """At least `size` puts were lost before the next messages; a Stop may be among them."""
+    """At least `size` puts were lost before the next messages. A Stop may be among them."""
 
 
 @value

@@ -38,7 +38,7 @@ SLOW_S: Final = 5.0
 """A longer write counts as hanging and is reported. It takes milliseconds, on a worn card a second."""
 
 MOST_DIGITS: Final = 18
-"""Of a revision. The gateway writes no longer ones, which would take long to parse."""
+"""The most digits of a revision. The gateway writes no longer ones, which would take long to parse."""
 
 _HEAD: Final = """\
 # How this robot's servos differ from the drawing (docs/robot.md). The gateway writes this file; restart it after

@@ -17,7 +17,7 @@ systemd's watchdog ends with a stop request; then systemd waits for TimeoutStopS
 take on a busy machine."""
 
 ANEW_S: Final = 20.0
-"""From the old program's last notification to the new program's first. TimeoutStartSec= is 30 s."""
+"""The time from the old program's last notification to the new program's first. TimeoutStartSec= is 30 s."""
 
 
 class SystemdNotifier:

@@ -41,13 +41,13 @@ from gateway.robot.power.questions import BoardQuestions
 from schemas.telemetry import Kind
 
 REPEAT_NS: Final = 20 * NS_PER_MS
-"""Between two masks, until each off is confirmed."""
+"""The period of masks until each off is confirmed."""
 START_NS: Final = 1000 * NS_PER_MS
 """After the first opening, no missing confirmation is reported for this long: a starting gateway delays its threads."""
 REPEAT_FOR_NS: Final = 3000 * NS_PER_MS
 """Longer than questions.FORGOTTEN_NS: until then, a link that lost six questions confirms nothing."""
 REPEAT_ON_NS: Final = 100 * NS_PER_MS  # mutants accepted (Mul_Div, Step): none is the only right one
-"""Between two masks until each on is confirmed, but not before the first answer is overdue."""
+"""The period of masks until each on is confirmed, once the first answer is overdue."""
 REST_NS: Final = 5 * NS_PER_MS  # mutants accepted (Step): none is the only right one
 """After an answer 6B, the board's counter is one too far for a pass of its loop, 2 ms at most."""
 STEP_NS: Final = 54 * NS_PER_MS  # mutants accepted (Step): none is the only right one
@@ -75,13 +75,13 @@ class Status(NamedTuple):
 
     alive: bool = False
     supplied: frozenset[int] = frozenset()
-    """Powered, by the board's last answer."""
+    """The servos powered by the board's last answer."""
     confirmed: bool = False
     """Whether the board has confirmed every off."""
     lost: frozenset[int] = frozenset()
     """Wanted but not powered, though the gateway has not cut them."""
     refused: Mapping[int, str] = {}
-    """Blocked by the board, and why."""
+    """The servos that the board blocks, and why."""
     fed: frozenset[int] = frozenset()
     """Confirmed to be powered since they were last wanted."""
     changes: int = 0

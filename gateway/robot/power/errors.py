@@ -19,7 +19,7 @@ class BoardErrors:
 
     def __init__(self) -> None:  # mutants accepted (Forget, Step): `delete` sets both
         self._errors: dict[int, BoardError] = {}
-        """By code, each with all outputs that it was shown with."""
+        """The errors by code, each with all outputs that it was shown with."""
         self._reported: dict[int, int] = {}
         """The reported mask by code, so that a lasting error is reported once."""
         self._shown: int | None = None

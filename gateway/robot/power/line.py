@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 POLL_S: Final = 0.01
 """How long the receiver waits for a frame, and so its latest check of the time."""
 RETRY_S: Final = 0.1
-"""Between two attempts to open the interface."""
+"""The pause between two attempts to open the interface."""
 SEND_S: Final = 0.1
 """How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
 BUSY_S: Final = 0.002

@@ -24,9 +24,9 @@ from schemas.telemetry import Kind
 READ_S: Final = 2.0
 """How long the start waits for the disk. A disk answers within milliseconds, a worn card within a second."""
 PAUSE_S: Final = 0.1
-"""Between two writes that change only the number, so that a flood of requests does not wear out the card."""
+"""The pause between two writes that change only the number: a flood of requests must not wear out the card."""
 RETRY_S: Final = 1.0
-"""Between attempts after a failed write: a full disk may have space again."""
+"""The pause between attempts after a failed write: a full disk may have space again."""
 FLUSH_S: Final = 0.2
 """How long the end of the service waits for a write."""
 _LOOK: Final = "make sure that nobody is in danger, then reset it"

@@ -16,7 +16,7 @@ from schemas.telemetry import Kind
 
 EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10
-"""Of each source and kind."""
+"""Events of each source and kind that may come at once."""
 
 INFORMATIONAL: Final = frozenset(
     {

@@ -22,9 +22,9 @@ class Metrics:
     events: Counter[Kind] = field(default_factory=Counter)
     """Events published, or omitted by the rate limit."""
     watchdog_stops: Latency = field(default_factory=Latency)
-    """From a deadline until its Stop is written."""
+    """The time from a deadline until its Stop is written."""
     emergency_stops: Latency = field(default_factory=Latency)
-    """From a received request until its sixth Stop is written; without requests whose Stops failed."""
+    """The time from a received request until its sixth Stop is written, without requests whose Stops failed."""
     sessions: int = 0
     """Open Zenoh sessions: laptops, routers, programs on this machine."""
     loop_lag: Latency = field(default_factory=Latency)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from gateway.certs.proof import ProofChecker
 
 PAUSE_S: Final = 0.05
-"""Between two requests that may write a file: 20 a second, each of which may take a millisecond."""
+"""The pause between two requests that may write a file: 20 a second, each of which may take a millisecond."""
 BY_WILDCARD: Final = Rejection(Reason.INVALID, "a wildcard does not ask this key; name the key")
 BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
 

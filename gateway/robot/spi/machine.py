@@ -97,7 +97,7 @@ def _built(version: str) -> dt.date | None:
 
 
 def _spi_device(device: str, root: Path) -> Path | None:
-    """Such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0."""
+    """Return such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0."""
     try:
         return (root / "sys/class/spidev" / Path(device).name / "device").resolve(strict=True)
     except (OSError, RuntimeError):
@@ -105,7 +105,7 @@ def _spi_device(device: str, root: Path) -> Path | None:
 
 
 def _controller(device: str, root: Path) -> Path | None:
-    """Such as /sys/devices/platform/soc/fe204000.spi."""
+    """Return such as /sys/devices/platform/soc/fe204000.spi."""
     found = _spi_device(device, root)
     return found.parents[2] if found is not None and len(found.parents) > 2 else None
 

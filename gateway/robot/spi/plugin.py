@@ -24,7 +24,7 @@ from gateway.wire import ServoWire
 from schemas.robot import SERVO_IDS
 
 _FRAMES: Final = SpiSettings(speed_hz=20_000_000, framing=Framing.PLAIN, frame_gap_us=0)
-"""With these, six legs are one call."""
+"""Settings with which six legs are one call."""
 SINGLY_NS: Final = 50_000_000
 """The longest time for servos one by one: six legs are tried, and after one second systemd ends the gateway."""
 _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)

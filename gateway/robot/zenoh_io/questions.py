@@ -27,7 +27,7 @@ QUESTIONS_DEPTH: Final = 1024
 MOST_OF_TOKEN: Final = 4
 """Waiting queries of one token. A client normally waits for an answer before its next query."""
 QUESTIONS_PER_S: Final = 20
-"""For each source without a valid token: as many as proofs are checked. Acquiring the lease takes two."""
+"""Questions of a source without a valid token: as many as proofs are checked. Acquiring the lease takes two."""
 QUESTIONS_AT_ONCE: Final = 40
 """The same in a burst, such as all pages of a console that reconnect."""
 MAX_WITHOUT_TOKEN: Final = 32

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
+from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth, proof
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import Entry, Sessions, SignIn
@@ -104,6 +105,11 @@ async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text
     assert not answer or answer.split()[1] in (b"400", b"403", b"405", b"414", b"431")
 
 
+async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listener, "UNKNOWN_S", 0.1)
+    assert await stand.ask("GET / HTTP/1.1\r\n") == b""
+
+
 async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
     silent = [await asyncio.open_connection(*stand.address[:2]) for _ in range(MAX_CONNECTIONS)]
     assert (await stand.ask("GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n")).startswith(b"HTTP/1.1 403 ")
@@ -111,6 +117,22 @@ async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
     assert not silent[1][0].at_eof()
     for _, writer in silent:
         writer.close()
+
+
+async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None:
+    reader, writer = await asyncio.open_connection(*stand.address[:2])
+    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
+    strangers: list[asyncio.StreamWriter] = []
+    for count in (MAX_CONNECTIONS, 0):
+        writer.write(f"GET /stop.js HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n{cookie}\r\n".encode())
+        head = await reader.readuntil(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 200 ")
+        await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
+        opened = [await asyncio.open_connection(*stand.address[:2]) for _ in range(count)]
+        strangers += [each for _, each in opened]
+        assert not opened or await opened[0][0].read() == b"", "the oldest stranger makes room for the newest"
+    for each in (writer, *strangers):
+        each.close()
 
 
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:

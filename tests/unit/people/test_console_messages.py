@@ -91,6 +91,7 @@ def test_the_others(message: dict[str, Any]) -> None:
         command("hexapod/estop/cmd", {}),
         command("hexapod/state", STOP),
         command("hexapod/legs/cmd", {"legs": {}}),
+        command("hexapod/legs/cmd", None),
         command("hexapod/leg/3/cmd", LEG, id="1"),
         {key: value for key, value in command("hexapod/leg/3/cmd", LEG).items() if key != "sent_ms"},
     ],

@@ -18,11 +18,25 @@ from gateway.robot import settings
 from gateway.robot.settings import FramingNotSetError, Settings
 from release import settings_page
 from tests.support.bad_settings import ENVIRONMENT_FAULTS, FILE_FAULTS
-from tests.support.settings_file import faults, load
 
 pytestmark = pytest.mark.usefixtures("_clean_environment")
 
 # ---- where settings come from
+
+
+def load(path: Path | None = None) -> Settings:
+    """As for `run --sim`: nobody has to say a framing."""
+    return settings.load(path, simulated=True)
+
+
+def faults(path: Path | None = None) -> list[str]:
+    """The lines of the ConfigError, the file's path cut off to `file`."""
+    with pytest.raises(ConfigError) as raised:
+        load(path)
+    assert raised.value.exit_code == 2
+    lines = str(raised.value).split("\n")
+    assert all(line.isprintable() for line in lines), lines
+    return [line.replace(str(path), "file") for line in lines]
 
 
 def in_toml(made: Settings) -> str:

@@ -42,7 +42,7 @@ LEAST_FRAME_S: Final = 0.03
 """Shortest time between two pictures, however much happens: drawing must not load the robot's computer."""
 DRAWER_END_S: Final = 0.5
 SMALL_ROWS: Final = 4
-"""In a terminal with fewer rows, a Stop that is not confirmed replaces everything else."""
+"""With fewer rows than this, a Stop that is not confirmed replaces everything else."""
 STOP_KEYS: Final = frozenset(" eExX")
 _READ: Final = 4096
 """The size of a terminal's buffer: keys pressed while this program could not run are one reading."""
@@ -114,11 +114,11 @@ class Keypad:
         return True
 
     def release(self) -> None:
-        """From now on no key is held."""
+        """Record that no key is held from now on."""
         self._key = ""
 
     def velocity(self, now_s: float) -> Velocity:
-        """The velocity that the held keys command now."""
+        """Return the velocity that the held keys command now."""
         if not self._key or now_s >= self._until_s:
             return STILL
         return _DIRECTIONS[self._key].times(self.speed_m_s)
@@ -148,7 +148,7 @@ class WalkScreen:
         """Whether the Stops at the end are confirmed, or none was needed."""
         self._failures: list[str] = []
         self._lock = threading.Lock()
-        """Of what is shown. Held for moments only."""
+        """The lock of the shown picture. Held for moments only."""
         self._changed = threading.Event()
         """Set to draw soon."""
         self._stop = StopStatus()
@@ -362,7 +362,7 @@ class WalkScreen:
 
 
 def fitted(lines: list[Text], columns: int, rows: int, stop: Remark | None = None) -> Text:
-    """A picture of exactly `rows` rows of at most `columns`: the first lines that fit, and the Stop key in the last.
+    """Return a picture of `rows` rows of at most `columns`: the first lines that fit, and the Stop key in the last row.
 
     In fewer than SMALL_ROWS rows a Stop that is not confirmed replaces the lines, and in a single row that key, too.
     """

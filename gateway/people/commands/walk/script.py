@@ -17,7 +17,7 @@ from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_
 from gateway.people.walking import Posture, Velocity, WalkState
 
 _ENDED_EARLY: Final = 130
-"""As a shell reports a program that Ctrl-C ended."""
+"""The exit code of a program that Ctrl-C ended, as shells report it."""
 _REDRAW_S: Final = 0.2
 
 
@@ -33,7 +33,7 @@ class EndRequests:
         self._may_cut = True
 
     def ask(self) -> None:
-        """For a signal handler. The second call raises AtOnce."""
+        """Ask for the end, from a signal handler. The second call raises AtOnce."""
         if self.asked and self._may_cut:
             self.stops()
             raise AtOnce

@@ -39,7 +39,7 @@ export function inWords({ looks, touch, cut, askedMsAgo, answer, mode, by, since
     const within = answer?.latency_us == null ? "" : ` within ${(answer.latency_us / 1000).toFixed(1)} ms`;
     const reason = answer?.answered ? `${frames} Stops written${within}${answer.power ?? ""}` : worded(now);
     const line = `STOPPED${by ? ` by ${short(by)}` : ""}${since ? `, ${clock(since)}` : ""}`;
-    return { tone: "stopped", line, next: looks ? "Who may drive it resets it." : "When all are clear, reset.", reason };
+    return { tone: "stopped", line, next: looks ? "A person who may drive it can reset it." : "When all are clear, reset.", reason };
   }
   if (mode !== "idle" && mode !== "active") return { tone: "bad", line: now.split(":")[0], next: "If it moves, use the switch.", reason: now };
   if (looks) return { tone: "plain", line: "View only: use the power switch", next: "", reason: "" };

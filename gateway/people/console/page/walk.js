@@ -190,7 +190,7 @@ export class Walk {
 
   #known() {
     const { report } = this;
-    if (!report) return this.active ? "It begins …" : "Nothing walks by this page.";
+    if (!report) return this.active ? "It begins …" : "This page does not walk the robot.";
     const known = `${worded(this.model.who(report.now))}, ${report.gait}`;
     if (report.posture !== "walking") return known;
     const [forward, left, turn] = report.scaled;

@@ -168,7 +168,7 @@ class Guide:
 
 
 def _cdeg(angle_deg: float) -> int:
-    """To the nearest hundredth. Raises CalibrationError beyond 360 degrees."""
+    """Return the nearest hundredth of a degree. Raises CalibrationError beyond 360 degrees."""
     if not math.isfinite(angle_deg) or abs(angle_deg) > 360:
         raise CalibrationError(f"{angle_deg:g} is no angle of a servo: that is 0 to 180 degrees")
     return centidegrees(angle_deg)

@@ -19,7 +19,7 @@ from gateway.people.console.pages.page_messages import (
 from schemas.telemetry import Report
 
 KEPT_MESSAGES: Final = 64
-"""Of each kind; beyond it the oldest are dropped."""
+"""The most messages kept of each kind: beyond it the oldest are dropped."""
 
 
 class Outgoing:

@@ -32,7 +32,7 @@ def _known_gait(name: str) -> str:
 
 Id = Annotated[int, Field(ge=0, le=MAX_ID, description="the page's own number; the answer repeats it")]
 Role = Literal["operator", "button", "observer"]
-"""What a page may do: everything; watch, stop and be a stop button; only watch."""
+"""The rights of a page: everything; watch, stop and be a stop button; only watch."""
 ROLES: Final[tuple[Role, ...]] = get_args(Role)
 
 
@@ -302,7 +302,7 @@ class BodyMessage(Report):
 
 
 class TelemetryMessage(Report):
-    """What the robot measures, at most 10 times a second; further values are dropped."""
+    """The robot's measurements, at most 10 times a second; further values are dropped."""
 
     type: Literal["telemetry"] = "telemetry"
     telemetry: Telemetry

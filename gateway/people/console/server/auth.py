@@ -143,7 +143,7 @@ class Auth:
         return self._files[path].response(headers) if path in self._files else _text(404, "there is nothing here")
 
     def _is_proved(self, entry: Entry, nonce: str | None, made: str | None) -> bool:
-        """Whether the page knows the session's key; uses up the nonce."""
+        """Use up the nonce. Return whether the page knows the session's key."""
         if not nonce or not made or not self._nonces.spend(nonce, time.monotonic_ns()):
             return False
         return hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}").encode(), made.encode())

@@ -30,7 +30,7 @@ from gateway.people.console.server.site import UNSENT_BYTES
 MAX_CONNECTIONS: Final = 96
 """Most connections without WebSockets. Each takes a descriptor, and 100 kB with TLS; a browser opens six for files."""
 CONNECTIONS_A_SECOND: Final = 50
-"""With TLS each takes some 2 ms of the loop, so a flood takes a tenth of a processor."""
+"""Connections accepted a second. With TLS each takes some 2 ms of the loop: a flood takes a tenth of a processor."""
 CONNECTIONS_AT_ONCE: Final = 16
 """Connections without a pause: two browsers that open a page."""
 UNKNOWN_BYTES: Final = 65_536

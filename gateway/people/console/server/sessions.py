@@ -53,7 +53,7 @@ def clocks() -> Now:
 
 @cache
 def _boot() -> str:
-    """The boot's id, read once: later a flood may have taken the last descriptor. The service has it from its unit."""
+    """Return the boot's id, read once: later a flood may have taken the last descriptor. The unit passes it on."""
     with suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip().replace("-", "")
     return os.environ.get("BOOT_ID", "")
@@ -83,11 +83,11 @@ class SignIn(NamedTuple):
 
 class _Entries(BaseModel, frozen=True):
     url: str = ""
-    """Of the console that runs, or last ran, at this port."""
+    """The address of the console that runs, or last ran, at this port."""
     before_token: str = ""
-    """What its links begin with."""
+    """The beginning of its links."""
     role: Role = "observer"
-    """What its pages may do at most."""
+    """The most rights that its pages get."""
     common_name: str = ""
     """The common name of its certificate; empty: it had none."""
     written: Now = Now()
@@ -95,7 +95,7 @@ class _Entries(BaseModel, frozen=True):
     sessions: tuple[Entry, ...] = ()
 
     def at(self, now: Now) -> Self:
-        """The content without ended entries. A reboot ends all links; sessions continue by the time since that boot."""
+        """Return the content without ended entries. A reboot ends all links; sessions count the time since the boot."""
         links, sessions = self.links, self.sessions
         if now.boot != self.written.boot:
             passed_s = max(0.0, now.wall_s - self.written.wall_s)
@@ -169,7 +169,7 @@ class Sessions:
         return SignIn(cookie, key, entry) if link in self._change(enter).links else None
 
     def cookie(self, cookie: str | None) -> Entry | None:
-        """The valid session of this cookie. It gives access to the page's files; the WebSocket requires the key too."""
+        """Return the cookie's valid session. It gives access to the page's files; the WebSocket requires the key."""
         known = self._read().at(self._now())
         found = None if cookie is None else _find(known.sessions, cookie)
         return found and found.model_copy(update={"role": least(found.role, known.role)})
@@ -183,7 +183,7 @@ class Sessions:
         return len(self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()})).sessions)
 
     def _read(self) -> _Entries:
-        """The file's content; a missing or faulty file has no entries, so it signs nobody in.
+        """Return the file's content; a missing or faulty file has no entries, so it signs nobody in.
 
         If the file exists and cannot be opened (a flood of connections has taken the last descriptor), its last known
         content counts: a person who is signed in must be able to press STOP ALL just then.
@@ -233,13 +233,13 @@ def _lock(descriptor: int) -> None:
 
 
 def folder() -> Path:
-    """Where the files are kept: the service's state directory, or the user's."""
+    """Return where the files are kept: the service's state directory, or the user's."""
     is_roots = hasattr(os, "geteuid") and os.geteuid() == 0 and STATE_DIRECTORY.is_dir()
     return state_directory("") or (STATE_DIRECTORY if is_roots else users_state())
 
 
 def kept(folder: Path) -> list[Sessions]:
-    """The sessions of all consoles that began with this folder, the latest first."""
+    """Return the sessions of all consoles that began with this folder, the latest first."""
     paths = sorted(folder.glob("console-*.json"), key=lambda path: path.stat().st_mtime_ns, reverse=True)
     return [Sessions(folder, int(port)) for path in paths if (port := path.stem.removeprefix("console-")).isdigit()]
 

@@ -138,7 +138,7 @@ def free_address(address: str = DEFAULT_ADDRESS) -> str:
 
 
 def inherited(environment: MutableMapping[str, str] = os.environ, first: int = 3) -> list[socket.socket]:
-    """The listening TCP sockets that systemd has passed to this process. Raises ConfigError for other descriptors.
+    """Return the listening TCP sockets that systemd has passed to this process. Raises ConfigError for others.
 
     The variables are removed, so no child process uses the sockets.
     """
