@@ -160,8 +160,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "what was rejected for one leg still moves another",
-            "        for servo in self.servos.values():  # what is rejected here must not take effect on another leg\n",
-            "        for servo in servos:  # what is rejected here must not take effect on another leg\n",
+            "        for servo in self.servos.values():  # a rejected command must not take effect on another leg\n",
+            "        for servo in servos:  # a rejected command must not take effect on another leg\n",
         ),
         ByHand(
             "late repeats are made up in a burst",
