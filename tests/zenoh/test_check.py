@@ -34,6 +34,7 @@ def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HEXAPOD_LOG__LEVEL", "loud")
+    monkeypatch.setenv("HEXAPOD_CONNECT", f"tcp/127.0.0.1:{free_port()}")  # which hides no file that is named
     config = tmp_path / "gateway.toml"
     config.write_text('[spi]\nframing = "plain"\nspeed_hz = 0\n[wings]\n')
     said = check(config)
@@ -49,6 +50,12 @@ def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
         assert line.split()[0] in ("ok", "warning", "failure"), line
         assert (" → " in line) is not line.startswith("ok"), line
     assert last == "This machine cannot run the service: 3 failures."
+
+
+def test_the_service_and_a_laptop_are_not_checked_at_once(tmp_path: Path) -> None:
+    said = run_here("check", "--config", str(tmp_path), "--zenoh-config", str(tmp_path))
+    assert (said.returncode, said.stdout) == (2, "")
+    assert "name one of them" in said.stderr
 
 
 def test_as_json_the_same_is_for_programs(tmp_path: Path) -> None:
