@@ -212,6 +212,7 @@ class WebSocket(web.WebSocketResponse):
 
     def __init__(self) -> None:
         super().__init__(
+            timeout=CLOSING_S,
             autoping=False,  # so that pings are counted
             heartbeat=PING_S,
             compress=False,
