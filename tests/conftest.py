@@ -84,7 +84,8 @@ def _keep_rings(config: pytest.Config) -> None:
 
     A black box outlives its gateway, so a run of all tests would leave gigabytes of memory in use.
     """
-    folder = Path(tempfile.mkdtemp(prefix="hexapod-tests-", dir=_MEMORY if os.access(_MEMORY, os.W_OK) else None))
+    around = os.environ["XDG_RUNTIME_DIR"] if "PYTEST_XDIST_WORKER" in os.environ else _MEMORY
+    folder = Path(tempfile.mkdtemp(prefix="hexapod-tests-", dir=around if os.access(around, os.W_OK) else None))
     folder.chmod(0o1777)  # also for gateways of other users
     os.environ["XDG_RUNTIME_DIR"] = str(folder)
     config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
