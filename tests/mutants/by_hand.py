@@ -170,8 +170,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "a Stop moves a repeat that is owed to a later time",
-            "        if not servo.repeats_left:  # else the next one stays where it is\n",
-            "        if True:\n",
+            "        if not servo.repeats_left:  #",
+            "        if True:  #",
         ),
         ByHand(
             "a servo goes on to where a rejected command has sent it",

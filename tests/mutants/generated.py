@@ -128,7 +128,8 @@ def _mutant(source: str, mutated: str, operator: str) -> Mutant:
     first = _alike(lines, others)
     last = _alike(lines[first:][::-1], others[first:][::-1])
     was, becomes = (_in_a_line(text[first : len(text) - last]) for text in (lines, others))
-    return Mutant(first + 1, short(operator), was, becomes, mutated)
+    code = (number for number, line in enumerate(lines[first:], first + 1) if line.strip() and line.lstrip()[0] != "#")
+    return Mutant(next(code, first + 1), short(operator), was, becomes, mutated)
 
 
 def short(operator: str) -> str:

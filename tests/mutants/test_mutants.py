@@ -58,6 +58,12 @@ def test_a_comment_accepts_mutants_of_its_line_or_of_all_that_begins_there() -> 
     assert accepted(source) == [Accepted(4, 5, step), Accepted(6, 6, scale), Accepted(7, 10, less)]
 
 
+def test_a_decorator_that_is_left_out_is_of_its_function() -> None:
+    source = "a = 1\n\n\n# mutants accepted (RemoveDecorator): time\n@cache\ndef f():\n    return 2\n"
+    (left_out,) = [mutant for mutant in mutants_of(source) if mutant.operator == "RemoveDecorator"]
+    assert [comment.takes(left_out) for comment in accepted(source)] == [True]
+
+
 def test_a_room_below_the_floor_is_named() -> None:
     full, low = Counter(killed=97, wanted=100), Counter(killed=96, wanted=100)
     scores = {

@@ -71,7 +71,7 @@ class Guard:
         self._device.transfer(batch)
 
 
-def _announced_len(data: bytes) -> int:
+def _announced_len(data: bytes) -> int:  # mutants accepted (Step): its first byte is its last
     if data not in _ANNOUNCEMENTS:
         raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
     return data[0]
