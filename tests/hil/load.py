@@ -122,7 +122,6 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
         "watchdog": {"timeout_ms": TIMEOUT_MS},
         "limits": {"takeover_deg_s": 0},  # each command is one frame, also soon behind a Stop
     }
-    bed.prefer()
     with (
         Gateway(folder, settings, bed=bed, env=env) as gateway,
         gateway.client() as client,

@@ -83,7 +83,6 @@ def check(found: list[float | None]) -> None:
 
 @EACH_FRAMING
 def test_an_emergency_stop_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
-    wire.bed.prefer()
     with start(tmp_path, wire, watchdog=WATCHDOG) as gateway, gateway.client() as client:
         found = [trial(wire.bed, wire.framing, client, SHARE, seed) for seed in range(TRIALS)]
     print(f"{wire.framing}, {SHARE:.0%} fail: {figures(found)}")
@@ -93,7 +92,6 @@ def test_an_emergency_stop_stops_all_legs_though_transfers_fail(tmp_path: Path, 
 @EACH_FRAMING
 def test_stop_servos_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
     spi_testbed, framing = wire.bed, wire.framing
-    spi_testbed.prefer()
     config = write_settings(tmp_path / "gateway.toml", settings_for(wire, watchdog=WATCHDOG))
     found = []
     for seed in range(STOP_SERVOS):

@@ -15,7 +15,7 @@ import pytest
 from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
-from tests.hil.bed import Transfer
+from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import (
     LATE_S,
     START_3,
@@ -148,8 +148,10 @@ def still_latched(client: Client, wire: Wire) -> None:
 
 @pytest.mark.parametrize("code", [errno.EINVAL, errno.EMSGSIZE])
 def test_a_kernel_that_rejects_lists_gets_one_call_each_and_no_stop_is_lost(
-    tmp_path: Path, wire: Wire, code: int
+    tmp_path: Path, spi_testbed: SpiTestbed, code: int
 ) -> None:
+    """Plain: a pause of the machine within an announced frame would be a fault of its own."""
+    wire = Wire(spi_testbed)
     wire.bed.reject_lists(code)
     with Gateway(tmp_path, settings_for(wire), bed=wire.bed) as gateway, gateway.client() as client:
         assert wire.bed.transfers[0].errno == code

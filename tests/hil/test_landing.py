@@ -3,7 +3,6 @@
 The framing is the published firmware's, and a simulated controller, which reads as it does, is given every transfer.
 """
 
-import os
 import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -99,8 +98,6 @@ class Scene:
 @pytest.fixture
 def scene(tmp_path: Path, spi_testbed: SpiTestbed) -> Scene:
     """The testbed ends the gateway."""
-    if os.geteuid() == 0:
-        spi_testbed.prefer()
     return Scene(tmp_path, spi_testbed)
 
 

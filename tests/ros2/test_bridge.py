@@ -237,7 +237,7 @@ def test_one_that_dies_leaves_the_legs_to_the_watchdog(gateway: Gateway, watcher
         peer.publish("/hexapod/cmd_base_height", Float64(0.12))
         keeps(lambda: None, lambda: len(running(watcher)) == 6)
         own.child.kill()
-        happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED, timeout_s=20)
+        happened.wait(lambda event: event.kind == Kind.WATCHDOG_EXPIRED)
     with watcher.lease(take=True):  # not waiting until it has expired
         pass
 
@@ -249,7 +249,7 @@ def test_a_graph_that_others_may_reach_is_shown_in_diagnostics_state_and_events(
     happened = events(watcher)
     command = ("ros2", "--drive", "--connect", gateway.endpoint, "--domain", str(OTHER_DOMAIN))
     own = Child([*RCLPY_COMMAND, *command], clean() | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})
-    own.wait_for_output("is in ROS 2's graph", timeout_s=20)
+    own.wait_for_output("is in ROS 2's graph")
     assert "ROS 2's graph is open to the network (rmw_fastrtps_cpp has sockets on 0.0.0.0" in own.stderr
     assert watcher.state().lease.holder == "ros2 (open graph)"
     with RclpyPeer(OTHER_DOMAIN) as peer:
@@ -287,6 +287,6 @@ def test_the_example_walks_by_the_elkapods_own_topic_and_joint_names(gateway: Ga
 def test_without_ros_it_names_what_to_install() -> None:
     program = "import sys; sys.modules['rclpy'] = None; from gateway.cli import main; sys.argv[1:] = ['ros2']; main()"
     child = Child([sys.executable, "-c", program], clean())
-    assert child.wait(20) == 2
+    assert child.wait() == 2
     child.close()
     assert "pip install 'hexapod-gateway[rclpy]'" in child.stderr

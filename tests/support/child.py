@@ -70,7 +70,7 @@ class Child(Closing):
         with self._heard:
             return "".join(self._stderr)
 
-    def wait(self, timeout_s: float = 30.0) -> int:
+    def wait(self, timeout_s: float = 90.0) -> int:
         """Wait for its end and for all it printed; the exit status. Raises TimeoutError."""
         try:
             status = self._popen.wait(timeout_s)
@@ -80,18 +80,18 @@ class Child(Closing):
             reader.join(1.0)  # a grandchild may hold the pipes open for longer
         return status
 
-    def wait_for_output(self, text: str, timeout_s: float = 30.0) -> str:
+    def wait_for_output(self, text: str, timeout_s: float = 90.0) -> str:
         """Wait until either stream has a line with `text` in it; that line. Raises TimeoutError, also at its end."""
         return self._wait(lambda lines: next((line for line in lines if text in line), None), f"{text!r}", timeout_s)
 
-    def ask(self, line: str, timeout_s: float = 30.0) -> str:
+    def ask(self, line: str, timeout_s: float = 90.0) -> str:
         """Write one line to its standard input and wait for the next line on its standard output."""
         with self._heard:
             before = len(self._stdout)
         self.tell(line)
         return self.wait_for_line(before, timeout_s)
 
-    def wait_for_line(self, index: int, timeout_s: float = 30.0) -> str:
+    def wait_for_line(self, index: int, timeout_s: float = 90.0) -> str:
         """Wait for that line of its standard output, counted from 0. Raises TimeoutError, also at its end."""
         return self._wait(
             lambda _lines: self._stdout[index] if len(self._stdout) > index else None, f"line {index}", timeout_s

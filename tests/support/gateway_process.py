@@ -74,7 +74,8 @@ class Gateway(Closing):
     """A running gateway: on the simulated controller, or with `bed` on the emulated kernel device.
 
     `settings` are its sections, `{"watchdog": {"timeout_ms": 100}}`; without a `zenoh.listen` among them, a free port
-    is taken; with `bed` and without `spi.framing`, plain. It is ready when the constructor returns.
+    is taken; with `bed` and without `spi.framing`, plain. Unless they state other limits, a busy machine makes
+    no command too old and ends no lease. It is ready when the constructor returns.
     """
 
     def __init__(
@@ -91,6 +92,8 @@ class Gateway(Closing):
     ) -> None:
         """Start it. `prefix` goes before the command (`ip netns exec …`); `options` behind it, without a `bed`."""
         sections = {name: dict(values) for name, values in (settings or {}).items()}
+        sections.setdefault("limits", {}).setdefault("max_age_ms", 10_000)
+        sections.setdefault("lease", {}).setdefault("ttl_ms", 5000)
         zenoh = sections.setdefault("zenoh", {})
         zenoh.setdefault("listen", [f"tcp/127.0.0.1:{free_port()}"])
         if bed is not None:
@@ -103,14 +106,14 @@ class Gateway(Closing):
         else:
             self.child = Child([*command, *options], {**os.environ, **(env or {})})
         if wait:
-            self.child.wait_for_output(READY, timeout_s=60)
+            self.child.wait_for_output(READY)
 
     def close(self) -> None:
         self.child.close()
 
     def client(self, *, source: str | None = "test") -> Client:
         """A client of it, in this process."""
-        return Client(self.endpoint, source=source, timeout_s=5)
+        return Client(self.endpoint, source=source, timeout_s=20)
 
     def run(self, *arguments: str, timeout_s: float = 60) -> Ended:
         """Run one of our commands against it, in this process, until its end: `run("send", "leg", "3", "stop")`."""

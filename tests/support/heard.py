@@ -51,12 +51,12 @@ class Heard(Generic[R]):
         with self._changed:
             return list(self._reports)
 
-    def each(self, *, timeout_s: float = 30) -> Iterator[R]:
+    def each(self, *, timeout_s: float = 90) -> Iterator[R]:
         """One report after the other as they come. Raises TimeoutError when none comes for `timeout_s`."""
         for count in itertools.count(1):
             yield self.wait(lambda _: True, count=count, timeout_s=timeout_s)
 
-    def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 30) -> R:
+    def wait(self, condition: Callable[[R], bool], *, count: int = 1, timeout_s: float = 90) -> R:
         """Wait until `condition` holds for `count` reports; the last of these."""
         found: list[R] = []
 
@@ -67,7 +67,7 @@ class Heard(Generic[R]):
         self.wait_for_all(enough, timeout_s=timeout_s)
         return found[count - 1]
 
-    def wait_for_all(self, condition: Callable[[list[R]], bool], *, timeout_s: float = 30) -> None:
+    def wait_for_all(self, condition: Callable[[list[R]], bool], *, timeout_s: float = 90) -> None:
         """Wait until `condition` holds for all reports together. Raises TimeoutError."""
         with self._changed:
             if not self._changed.wait_for(lambda: condition(list(self._reports)), timeout_s):

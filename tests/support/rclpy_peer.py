@@ -55,7 +55,7 @@ class RclpyPeer:
         _remove_half_made()
         own = {**clean(), "PYTHONPATH": str(ROOT), **ENV, **env}
         self.child = Child([PYTHON, "-m", module, str(domain)], own)
-        self.child.wait_for_output(PEER_READY, timeout_s=30)
+        self.child.wait_for_output(PEER_READY)
 
     def __enter__(self) -> Self:
         return self
@@ -149,7 +149,7 @@ class RclpyBridge:
         _remove_half_made()
         link = ("--connect", gateway.endpoint, "--domain", str(domain))
         self.child = Child([*by, *RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
-        self.child.wait_for_output(READY, timeout_s=20)
+        self.child.wait_for_output(READY)
 
     def __enter__(self) -> "RclpyBridge":
         return self

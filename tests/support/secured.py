@@ -44,7 +44,7 @@ class Secured(Closing):
         self.gateway.child.close()
 
     def client(self, name: str) -> Client:
-        return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=10)
+        return Client(None, zenoh_config=self.folder / f"{name}.json5", source=name, timeout_s=20)
 
     def raw(self, name: str, **overrides: Any) -> zenoh.Config:
         """A laptop's own configuration, with its paths resolved, and changed as a stranger might."""

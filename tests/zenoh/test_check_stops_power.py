@@ -14,6 +14,7 @@ import pytest
 from gateway.onboard.check import stops
 from schemas import keys
 from schemas.telemetry import GatewayState
+from tests.benchmarks.processes import never_delay
 from tests.support.command import Ended
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
@@ -35,6 +36,7 @@ class Robot:
         self._board = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self._board.stdout is not None
         channel = self._board.stdout.readline().strip()
+        never_delay(self._board.pid)  # it stands for hardware, which no load slows
         board = {"interface": "slcan", "channel": channel, "confirm_ms": 500, **settings}
         self.gateway = Gateway(folder, patient(1000, telemetry={"frames": True}, power=board))
 

@@ -71,8 +71,8 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
         state = walk.state
         assert state.posture is Posture.WALKING
         assert state.commanded == state.scaled == (0.07, 0.0, 0.15)
-        assert 0.06 < state.odometry.x_m < 0.17
-        assert 0.1 < state.odometry.heading_rad < 0.36
+        assert state.odometry.x_m > 0.06
+        assert state.odometry.heading_rad > 0.1
         walk.sit()
         assert is_now(walk, Posture.SITTING)
     after = watcher.state()

@@ -32,7 +32,7 @@ def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
             assert client.ask("hexapod/leg/3/cmd", json.loads(payload)).accepted, "of a leg that nothing has started"
             assert client.stop().accepted
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint)
-        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=30)
+        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
         assert "ticks missed" in end.stdout
         with gateway.client() as client:
             state = client.state()
@@ -59,7 +59,7 @@ def test_the_second_terminal_works_as_printed(tmp_path: Path) -> None:
             capture_output=True,
             text=True,
             check=False,
-            timeout=60,
+            timeout=120,
         )
         assert done.returncode == 0, done.stdout + done.stderr
         with gateway.client() as client:
@@ -70,7 +70,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
     (code,) = blocks((ROOT / "docs" / "walking.md").read_text(), "python")
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint).replace("range(150)", "range(50)")
-        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=90)
+        end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
         assert end.returncode == 0, end.stderr
         assert end.stdout.startswith("Odometry(x_m=0.")
         with gateway.client() as client:

@@ -22,7 +22,7 @@ from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.measuring import MEASURED
 from tests.support.ros2_messages import decode
 
-PATIENCE_S = 10
+PATIENCE_S = 30
 
 
 gateway = gateway_fixture({"telemetry": {"frames": True}})

@@ -4,12 +4,10 @@ Every way in which TLS turns somebody away is in test_diagnosis.py, as a person 
 """
 
 import datetime as dt
-import json
 import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zenoh
@@ -149,25 +147,3 @@ def test_off_loopback_it_does_not_start(tmp_path: Path) -> None:
         assert gateway.child.wait() == 2
         (line,) = gateway.child.stderr.splitlines()
         assert "would let anyone on the network move the robot" in line
-
-
-def test_a_password_is_enough(tmp_path: Path) -> None:
-    (tmp_path / "users.txt").write_text("anna:secret\n")
-    (tmp_path / "zenoh.json5").write_text('{ transport: { auth: { usrpwd: { dictionary_file: "users.txt" } } } }')
-    port = free_port()
-    zenoh_settings = {"config": str(tmp_path / "zenoh.json5"), "listen": [f"tcp/0.0.0.0:{port}"]}
-    with Gateway(tmp_path, {"zenoh": zenoh_settings}):
-        turned_away(_client_config(port))
-        anna = {"transport/auth/usrpwd/user": "anna", "transport/auth/usrpwd/password": "secret"}
-        turned_away(_client_config(port, **{**anna, "transport/auth/usrpwd/password": "guess"}))
-        with zenoh.open(_client_config(port, **anna)) as session:
-            (reply,) = session.get(keys.STATE, timeout=10)
-            assert reply.ok is not None
-
-
-def _client_config(port: int, **settings: Any) -> zenoh.Config:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    for key, value in {"connect/endpoints": [f"tcp/{HOST}:{port}"], **settings}.items():
-        config.insert_json5(key, json.dumps(value))
-    return config

@@ -37,12 +37,14 @@ def test_it_says_that_it_is_ready_where_and_what_to_try_and_its_token_that_it_li
 def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
     publisher = (
         "import sys, time\n"
-        "from gateway.client import Client\n"
-        "client = Client(sys.argv[1])\n"
-        "heard = client.session.declare_subscriber('hexapod/frame', lambda frame: None)\n"
-        "client.state()\n"
+        "from gateway.zenoh_config import client_config, open_session\n"
+        "config = client_config(sys.argv[1])\n"
+        "config.insert_json5('transport/link/tx/lease', '600000')\n"  # so Zenoh does not give it up before the end
+        "session = open_session(config)\n"
+        "heard = session.declare_subscriber('hexapod/frame', lambda frame: None)\n"
+        "list(session.get('hexapod/state'))\n"
         "print('listening', flush=True)\n"
-        "time.sleep(60)\n"
+        "time.sleep(600)\n"
     )
     with (
         Gateway(tmp_path, {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 1000}}) as gateway,
