@@ -32,8 +32,8 @@ def runtime_directory() -> Path | None:
 
 def users_state() -> Path:
     """Return the folder for this user's state, outside a service."""
-    given = os.environ.get("XDG_STATE_HOME")
-    return (Path(given) if given else Path.home() / ".local" / "state") / "hexapod-gateway"
+    state_home = os.environ.get("XDG_STATE_HOME")
+    return (Path(state_home) if state_home else Path.home() / ".local" / "state") / "hexapod-gateway"
 
 
 def _named(variable: str) -> Path | None:

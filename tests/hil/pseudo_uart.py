@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 MESSAGE_BYTES = 10
-"""A program writes messages of this length; several that came at once are told apart by it."""
+"""A program writes messages of this length, by which several that came at once are separated."""
 _MOST_BYTES = 4096
 
 

@@ -88,7 +88,7 @@ class Network(Closing):
         return sum(int(line.split()[1]) for line in lines)
 
     def cut(self, laptop: int) -> None:
-        """Nothing comes through between this laptop and the robot any more; neither is told by the other."""
+        """Cut the link between this laptop and the robot. Neither is informed."""
         _ip("-n", self._robot, "link", "set", _link(laptop), "down")
 
     def fix(self, laptop: int) -> None:

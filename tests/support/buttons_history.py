@@ -84,12 +84,12 @@ class ButtonsHistory:
     # ---- time
 
     def pass_time(self, now_ns: int, effects: Sequence[Effect]) -> None:
-        """Whoever is not heard for the timeout is silent, which is told once, and in that order."""
+        """A button without a check-in for the timeout is silent. Each is announced once, in the order of their ends."""
         late = [(button.until_ns, token) for token, button in self.known.items() if button.until_ns is not None]
         late = sorted((each for each in late if now_ns >= each[0]), key=lambda each: each[0])
         silent = [each.source for each in announced(effects, _KINDS) if each.kind is Kind.BUTTON_SILENT]
         demand(
-            silent == [self.known[token].name for _, token in late], f"a button that is not heard is silent: {silent}"
+            silent == [self.known[token].name for _, token in late], f"a button without a check-in is silent: {silent}"
         )
         for until_ns, token in late:
             self._change(token, replace(self.known[token], until_ns=None, silent=True), until_ns)
@@ -107,12 +107,12 @@ class ButtonsHistory:
     # ---- requests
 
     def judge(self, request: ButtonRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> None:
-        """Judge the answer to a request, and what is told of it."""
-        reason, told = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
+        """Judge the answer to a request, and the event announced about it."""
+        reason, event = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
         answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
         demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
         kinds = [(each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.BUTTON_SILENT]
-        demand(kinds == ([] if told is None else [told]), f"{request.do}: {told} is told, not {kinds}")
+        demand(kinds == ([] if event is None else [event]), f"{request.do}: {event} is announced, not {kinds}")
         (answer,) = answers
         gives = reason is None and request.do is ButtonDo.REGISTER
         demand(

@@ -13,7 +13,7 @@ from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.core.events import Calibrate, CalibrationSaved, Effect, SaveCalibration, Transmit
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
-from tests.support.history import demand, spelled_out, told
+from tests.support.history import demand, is_announced, spelled_out
 
 
 class OneServos(NamedTuple):
@@ -25,11 +25,11 @@ class OneServos(NamedTuple):
     high_cdeg: int = 180_00
 
     def wire_cdeg(self, angle_cdeg: int) -> int:
-        """What the contract says the servo is told."""
+        """Return the angle that the contract sends to the servo."""
         return self.trim_cdeg + (180_00 - angle_cdeg if self.inverted else angle_cdeg)
 
     def user_cdeg(self, wire_cdeg: int) -> int:
-        """The only angle for which that is so."""
+        """Return the only angle for which the contract sends this one."""
         return 180_00 + self.trim_cdeg - wire_cdeg if self.inverted else wire_cdeg - self.trim_cdeg
 
     def allows(self, angle_cdeg: int) -> bool:
@@ -206,7 +206,7 @@ class CalibrationHistory:
             moving = sorted(way.servos.intersection(alive))
             demand(not moving, f"a calibration never changes for a servo that runs or is about to: {moving}")
             self.whole, self.trusted = way.whole, True
-        demand(told(effects, Kind.CALIBRATED) == (event.fault is None), "a new calibration is told")
+        demand(is_announced(effects, Kind.CALIBRATED) == (event.fault is None), "a new calibration is announced")
         return None if event.fault is None else Reason.INVALID
 
 

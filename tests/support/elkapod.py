@@ -18,7 +18,7 @@ from tests.support.robot import MS, Robot, leg
 
 
 class FailingElkapod(Elkapod):
-    """Fails as it is told to."""
+    """Fails as the test sets it to."""
 
     spi_fails = False
 

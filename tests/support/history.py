@@ -43,13 +43,13 @@ def demand(condition: bool, promise: str) -> None:
         raise Violation(promise)
 
 
-def told(effects: Iterable[Effect], kind: Kind) -> bool:
-    """Whether somebody is told of this."""
+def is_announced(effects: Iterable[Effect], kind: Kind) -> bool:
+    """Return whether an event of this kind is announced."""
     return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)
 
 
 def announced(effects: Iterable[Effect], kinds: Collection[Kind]) -> list[Announce]:
-    """What is told of these kinds."""
+    """Return the announced events of these kinds."""
     return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in kinds]
 
 
@@ -262,11 +262,11 @@ def change_hands(
     targets: Targets,
     effects: Iterable[Effect],
 ) -> None:
-    """An accepted command names running legs that are another source's: they change hands, and each is told once."""
+    """An accepted command for another source's running legs changes their source, which is announced once each."""
     named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in targets}
     moved = {leg_of(servo_id) for servo_id, op in targets if op.op is not Op.STOP}
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
-    told = announced(effects, {Kind.SOURCE_CHANGED})
+    changes = announced(effects, {Kind.SOURCE_CHANGED})
     expected = [
         Announce(
             Kind.SOURCE_CHANGED,
@@ -277,7 +277,7 @@ def change_hands(
         for number, leg in changed.items()
         if number in running and (command.source is not None or number in moved)
     ]
-    demand(told == expected, f"legs that change hands are told: {expected}, not {told}")
+    demand(changes == expected, f"changes of a leg's source are announced: {expected}, not {changes}")
     for leg in changed.values():
         leg.source = command.source
 

@@ -43,7 +43,7 @@ class LeaseHistory:
     # ---- time and commands
 
     def pass_time(self, now_ns: int, effects: Sequence[Effect]) -> None:
-        """Whoever is silent for the ttl loses it, and it is told once."""
+        """A holder that is silent for the ttl loses the lease, which is announced once."""
         self.is_new = False
         late = self.due_ns is not None and now_ns >= self.due_ns
         expired = [each.source for each in announced(effects, _KINDS) if each.kind is Kind.LEASE_EXPIRED]
@@ -52,7 +52,7 @@ class LeaseHistory:
             self.end()
 
     def reason_to_reject(self, token: str | None, *, reset: bool = False) -> Reason | None:
-        """Of what moves, and of a reset."""
+        """Return why a request that moves, or a reset, is rejected with this token; None: it is not."""
         if token is None:
             if self.holder is not None:
                 return Reason.NOT_HOLDER
@@ -67,26 +67,29 @@ class LeaseHistory:
     # ---- requests
 
     def judge(self, request: LeaseRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> bool:
-        """Judge the answer to a request, and what is told of it. Whether all legs must be stopped by it."""
+        """Judge the answer to a request, and the event about it. Return whether all legs must be stopped by it."""
         reason, kind = (Reason.STOPPING, None) if ended else self._outcome(request)
         answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
         reasons = [answer.reason for answer in answers]
         demand(reasons == [reason], f"{request.do} is answered with {reason}, not {reasons}")
         by = self.holder if request.do is Do.RELEASE else request.source
         if kind is not None and reason is None:
-            told = [
+            events = [
                 (each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.LEASE_EXPIRED
             ]
-            demand(told == [(kind, by)], f"a change of the lease is told once: {told}")
+            demand(events == [(kind, by)], f"a change of the lease is announced once: {events}")
         if reason is None:
             self._carry_out(request, now_ns)
         (answer,) = answers
         gives = reason is None and request.do in (Do.ACQUIRE, Do.TAKE)
-        demand(answer.token == (self.token if gives else None), "who acquires it hears the token, and nobody else")
+        demand(
+            answer.token == (self.token if gives else None),
+            "only the client that acquires the lease receives the token",
+        )
         return reason is None and request.do is Do.TAKE
 
     def _outcome(self, request: LeaseRequest) -> tuple[Reason | None, Kind | None]:
-        """Why it must be rejected, or what is told of it."""
+        """Return why the request must be rejected, or the event about it."""
         reason, kind = None, None
         free, handed_over = self.holder is None, self.holder is not None and self.token is None
         match request.do:

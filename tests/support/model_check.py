@@ -69,7 +69,7 @@ class Report:
     whole: bool
 
 
-# ---- states: copied, and told apart
+# ---- states: copied, and distinguished
 
 
 _ROBOT: Final = Supervisor(Rules())
@@ -232,7 +232,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         legs._rules.takeover_cdeg_s and takeover_key(legs, servo, now_ns),
-                        # A bus that opens again is told to stop everything anew.
+                        # A bus that opens again gets a Stop for every leg.
                         legs.sends and servo.repeats_left and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
                     )

@@ -56,7 +56,7 @@ def stepped(
 @dataclass(slots=True)
 class LandingHistory:
     """A landing: when it began and must end, for each running servo where it was and where it goes, and which part of
-    its way each leg has been told: what a frame may say at most is a rate slot's more."""
+    its way each leg has been commanded: a frame may add one rate slot's part at most."""
 
     began_ns: int
     ends_ns: int
@@ -75,7 +75,7 @@ class LandingHistory:
     def judge(
         self, transmit: Transmit, servos: Mapping[int, ServoHistory], now_ns: int, rules: Rules, gap: Gap
     ) -> None:
-        """A frame of a landing: running servos only, each on its straight line, or told again where it is."""
+        """A frame of a landing: running servos only, each on its straight line, or sent its present angle again."""
         leg = transmit.frame.leg
         length_ns = max(rules.period_ns, rules.landing_ns - 2 * rules.period_ns)
         least_ns = self.parts_ns.get(leg, 0)

@@ -38,11 +38,11 @@ from tests.support.history import (
     Want,
     change_hands,
     demand,
+    is_announced,
     is_coalesced,
     is_newer,
     judge_results,
     rejections_of,
-    told,
 )
 from tests.support.motion import LandingHistory, stepped
 from tests.support.robot_history import RobotHistory
@@ -98,17 +98,17 @@ class Oracle(RobotHistory):
                 engaged, self.latched_ns = self.latched_ns is not None, self.instant_ns
                 self.estops += 1
                 self._all_stopped(effects, Cause.ESTOP, Reason.ESTOPPED, now_ns)
-                demand(told(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
+                demand(is_announced(effects, Kind.ESTOP_ENGAGED) != engaged, "an emergency stop is announced once")
             case EstopKept() | StoppedOutside(at_work=False):
                 self.learn(event)
                 self._in_time(event, now_ns, effects)
             case StoppedOutside():
                 known, self.outside = self.outside, True
                 self._all_stopped(effects, Cause.REPEAT, Reason.SERVO_STOPPED, now_ns)
-                demand(told(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
+                demand(is_announced(effects, Kind.STOPPED_OUTSIDE) != known, "Stops from outside are announced once")
             case BusOpened():
                 back = Kind.BUS_RECOVERED if self.fault is Kind.BUS_FAULT else Kind.CONTROLLER_RETURNED
-                demand(told(effects, back) == self.opened, "that the bus is back is announced as its fault was")
+                demand(is_announced(effects, back) == self.opened, "that the bus is back is announced as its fault was")
                 self.fault = Kind.BUS_FAULT
                 self.opened = self.bus_ok = True
                 self._all_stopped(effects, Cause.STARTUP, Reason.BUS_FAULT, now_ns)
@@ -122,12 +122,12 @@ class Oracle(RobotHistory):
                 stays_away = (self.fault, event.kind) == (Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_SILENT)
                 announced = first or stays_away
                 self.fault = event.kind if announced else self.fault
-                demand(told(effects, event.kind) == announced, "a fault of the bus is announced once")
+                demand(is_announced(effects, event.kind) == announced, "a fault of the bus is announced once")
                 self.opened, self.bus_ok, self.rest_ns, self.runs_left = True, False, None, 0
                 self._all_stopped(effects, Cause.COMMAND, Reason.BUS_FAULT, now_ns)
         keeps = any(isinstance(effect, SaveCalibration) for effect in effects)
         demand(isinstance(event, Calibrate) or not keeps, "only a change of the calibration is kept")
-        calibrated = told(effects, Kind.CALIBRATED)
+        calibrated = is_announced(effects, Kind.CALIBRATED)
         demand(isinstance(event, CalibrationSaved) or not calibrated, "a calibration is in force once it is kept")
         demand(after.mode is self.mode, f"the mode is {self.mode}, not {after.mode}")
         demand(
@@ -152,7 +152,7 @@ class Oracle(RobotHistory):
                 servo.stop(cause, self.instant_ns)
                 self.owe((servo,), now_ns)
             else:
-                servo.owed = 0  # the bus that opens again is told to stop everything
+                servo.owed = 0  # a bus that opens again gets a Stop for every leg
         for leg in self.legs.values():
             leg.source = None if self.bus_ok else leg.source
         for effect in effects:
@@ -394,7 +394,7 @@ class Oracle(RobotHistory):
     # ---- frames
 
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
-        """A frame that a command caused: each servo is told what was wanted of it, or what it does already."""
+        """A frame that a command caused: each servo is sent its target, or its present operation again."""
         leg_number = leg_of(transmit.frame.servos[0][0])
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:

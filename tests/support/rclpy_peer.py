@@ -1,4 +1,4 @@
-"""A ROS 2 peer that is not ours: rclpy over FastDDS in a process of its own, told what to do over stdin.
+"""A ROS 2 peer that is not ours: rclpy over FastDDS in a process of its own, which takes its tasks over stdin.
 
 A JSON list a line, [name, arguments …], a JSON value back; messages are pickled. It ends as a peer that vanishes does.
 Nothing of it leaves this machine, and each run of the tests has a domain of its own.

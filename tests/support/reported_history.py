@@ -5,7 +5,7 @@ from collections.abc import Collection, Sequence
 from gateway.robot.core.events import BodyMeasured, Effect, Event, PowerSeen
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
-from tests.support.history import demand, told
+from tests.support.history import demand, is_announced
 
 
 class BodyHistory:
@@ -27,7 +27,7 @@ class BodyHistory:
         before = self.low, self.fallen
         if event is not None:
             self._take(event, now_ns)
-        kinds = [told(effects, kind) for kind in (Kind.BATTERY_LOW, Kind.FALLEN)]
+        kinds = [is_announced(effects, kind) for kind in (Kind.BATTERY_LOW, Kind.FALLEN)]
         demand(kinds[0] == (self.low and not before[0]), "a battery is announced once when it becomes low")
         demand(kinds[1] == (self.fallen and not before[1]), "a fall is announced once")
 

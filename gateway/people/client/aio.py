@@ -101,9 +101,9 @@ def makes(
     """Return the twin of a method that does not wait. Functions among its arguments are called on the running loop."""
 
     def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        given: Any = map(_on_this_loop, args)
+        arguments: Any = map(_on_this_loop, args)
         named: Any = {name: _on_this_loop(each) for name, each in kwargs.items()}
-        return twin_of(method(twin._own, *given, **named), twin._calls)
+        return twin_of(method(twin._own, *arguments, **named), twin._calls)
 
     return _documented(call, method)
 
@@ -125,14 +125,14 @@ def _documented(call: T, method: Any) -> T:
     return call
 
 
-def _on_this_loop(given: Any) -> Any:
+def _on_this_loop(argument: Any) -> Any:
     loop = asyncio.get_running_loop()
 
     def call(report: object) -> None:
         with suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(given, report)
+            loop.call_soon_threadsafe(argument, report)
 
-    return call if callable(given) else given
+    return call if callable(argument) else argument
 
 
 class AsyncStream(Twin[Stream]):

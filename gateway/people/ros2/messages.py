@@ -18,10 +18,10 @@ class Message(SimpleNamespace):
 
     def __init__(self, *values: Any, **fields: Any) -> None:
         """Raises TypeError for a field that the type does not have."""
-        given = dict(zip(self.FIELDS, values, strict=False)) | fields
-        if len(values) > len(self.FIELDS) or not given.keys() <= self.FIELDS.keys():
+        set_fields = dict(zip(self.FIELDS, values, strict=False)) | fields
+        if len(values) > len(self.FIELDS) or not set_fields.keys() <= self.FIELDS.keys():
             raise TypeError(f"{self.TYPE} has the fields {', '.join(self.FIELDS)}")
-        super().__init__(**{**self.FIELDS, **given})
+        super().__init__(**{**self.FIELDS, **set_fields})
 
 
 def message_type(type_name: str, module: str = __name__, **fields: Any) -> type[Message]:

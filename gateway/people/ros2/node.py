@@ -92,9 +92,9 @@ class Node(LifecycleNode):  # type: ignore[misc]
         """
         return sorted({address for address in _own_addresses() if not is_local(f"udp/{address}:1")})
 
-    def parameters(self, given: Parameters) -> Parameters:
-        """Return the node's parameters, which are read at the start; `given` are their defaults. Raises ConfigError."""
-        found = {name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(given).items()}
+    def parameters(self, defaults: Parameters) -> Parameters:
+        """Return the node's parameters, read at the start; else their `defaults`. Raises ConfigError."""
+        found = {name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(defaults).items()}
         return Parameters(**found)
 
     # ---- topics and services

@@ -41,7 +41,7 @@ _PARALLEL: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
+class LegPositions:
     """The positions of a leg's parts in the body's frame: for the foot, its derivative and the masses."""
 
     joints_m: tuple[Vector, Vector, Vector]
@@ -65,7 +65,7 @@ class Limb:
         self._limits_rad = tuple(joint.limits_rad for joint in geometry.joints)
         self._plan()
 
-    def forward(self, joints_rad: Angles) -> Reach:
+    def forward(self, joints_rad: Angles) -> LegPositions:
         """Return the positions of the joints and the foot in the body's frame. `joints_rad`: in radians."""
         turn, at_m = self._mount_turn, self._mount_m
         joints_m, axes = [], []
@@ -77,17 +77,17 @@ class Limb:
             turn = spun(turn, axis, angle)
         first, second, third = joints_m
         one, two, three = axes
-        return Reach((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))
+        return LegPositions((first, second, third), plus(at_m, apply(turn, self._tip_m)), (one, two, three))
 
     def inverse(self, foot_m: Vector) -> Angles:
         """Return the joint angles (radians) for this foot position. Raises WalkError if the leg does not reach it."""
         angles = self._guess(foot_m)
         for _ in range(_ITERATIONS):
-            reach = self.forward(angles)
-            off_m = minus(foot_m, reach.foot_m)
+            positions = self.forward(angles)
+            off_m = minus(foot_m, positions.foot_m)
             if max(map(abs, off_m)) < _CLOSE_M:
                 break
-            angles = _improved(angles, reach, off_m)
+            angles = _improved(angles, positions, off_m)
         return angles
 
     # ---- the closed form
@@ -154,10 +154,11 @@ class Limb:
         return first, wrapped(second), wrapped(self._side * bent)
 
 
-def _improved(angles: Angles, reach: Reach, off_m: Vector) -> Angles:
+def _improved(angles: Angles, positions: LegPositions, off_m: Vector) -> Angles:
     """Return the angles after one step of Newton's method, slightly damped since a straight leg has no inverse."""
     columns = [
-        cross(axis, minus(reach.foot_m, joint_m)) for axis, joint_m in zip(reach.axes, reach.joints_m, strict=True)
+        cross(axis, minus(positions.foot_m, joint_m))
+        for axis, joint_m in zip(positions.axes, positions.joints_m, strict=True)
     ]
     damping = 1e-10
     square = [[dot(a, b) + (damping if a is b else 0.0) for b in columns] for a in columns]

@@ -27,8 +27,10 @@ def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles
     low, high = (tuple(limit(axis) for axis in zip(*mounts, strict=True)) for limit in (min, max))
     moment = scaled(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2), masses.body_kg)
     for leg, angles in joints_rad.items():
-        reach = robot.limbs[leg].forward(angles)
-        for (begin, end), mass_kg in zip(pairwise((*reach.joints_m, reach.foot_m)), masses.links_kg, strict=True):
+        positions = robot.limbs[leg].forward(angles)
+        for (begin, end), mass_kg in zip(
+            pairwise((*positions.joints_m, positions.foot_m)), masses.links_kg, strict=True
+        ):
             moment = plus(moment, scaled(plus(begin, end), mass_kg / 2))
     total_kg = masses.body_kg + len(joints_rad) * sum(masses.links_kg)
     return body.grounded(scaled(moment, 1 / total_kg), body.turn)

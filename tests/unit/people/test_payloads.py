@@ -1,4 +1,4 @@
-"""What a program may give for legs, servos and angles, and what it is told where it is something else."""
+"""The values that a program may pass for legs, servos and angles, and the errors for others."""
 
 import doctest
 import json

@@ -28,7 +28,7 @@ STOP_ALL = [stop_leg(leg) for leg in LEGS]
 
 
 class FailingDevice(ByteDevice):
-    """Hands transfers on to a controller, and fails those whose number is told, counted from `begin`."""
+    """Passes transfers on to a controller, and fails those with certain numbers, counted from `begin`."""
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller

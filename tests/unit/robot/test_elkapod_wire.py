@@ -200,7 +200,7 @@ def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
 
 
 class Parts(DuplexDevice, Uart):
-    """Both sides of a controller, which fail as they are told to."""
+    """Both sides of a controller, which fail as the test sets them to."""
 
     def __init__(self, **more: bool) -> None:
         self.said: list[bytes] = []

@@ -53,7 +53,7 @@ def test_it_is_learnt_once(rules: Rules) -> None:
     assert (robot.supervisor.mode, robot.supervisor.latch.number) == (Mode.ESTOPPED, before)
 
 
-# ---- who is told, and when
+# ---- which events are announced, and when
 
 
 @pytest.mark.virtual_time

@@ -145,7 +145,7 @@ ANNA_HOLDS_IT: Final = {
         1002 leg 1 start 90 (lease anna) → rejected 2 not_holder
         1003 lease renew (token anna) → not_holder
         1004 lease acquire bert (fresh bert) → announce lease_acquired; granted""",
-    "whoever asks is told of and changes nothing": """
+    "a client that asks is announced, and changes nothing": """
         2 lease ask bert → announce lease_asked; granted
         announces bert asks anna for the lease
         source bert

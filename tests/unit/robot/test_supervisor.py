@@ -130,7 +130,7 @@ SCENES: Final = {
         101 leg 1 set 10 | set 20 | set 30 → nothing
         102 servo 12 set 25 → nothing
         120 time → command 1 set 10 | set 25 | set 30; completed 3; completed 2 coalesced""",
-    "what nothing waits for is told what it does already": """
+    "servos without a new target repeat their operation": """
         100 leg 1 start 90 | stop | stop
         101 servo 12 start 20 (key servo/12)
         102 servo 13 start 30 (key servo/13)

@@ -28,7 +28,7 @@ def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
         0.5 leg 3 start 90 → command 3 start 90 | start 97 | start 90; completed 1
         100 servo 32 set 45 → command 32 set 142; completed 2""")
     assert steps.supervisor.legs.servos[32].angle_cdeg == 45_00
-    # A servo that nothing waits for is told its angle again, its own as well.
+    # A servo without a new target is sent its angle again, also by its own calibration.
     steps.play("200 servo 31 set 20 + servo 33 set 30 → command 3 set 20 | set 142 | set 30; completed 3")
 
 

@@ -171,7 +171,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         if not self.supervisor._rules.takeover_cdeg_s:
             demand(
                 [numbered(effect) for effect in effects if not is_handover(effect)] == list(map(numbered, nameless)),
-                "who commands changes nothing but what is told of it, and who takes over at which speed",
+                "the source of commands changes only events, and the speed of a take-over",
             )
             demand(self.supervisor.due_ns == self.nameless.due_ns, "who commands changes no time")
         demand(self.supervisor.mode in TRANSITIONS[mode][type(event)], f"{mode} leads to {self.supervisor.mode}")

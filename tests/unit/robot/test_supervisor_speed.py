@@ -13,7 +13,7 @@ RUNS: Final = "rules max_speed_cdeg_s={31: 10000}\n 1 leg 3 start 90\n"
 
 
 def angles(steps: Steps, until_ms: float) -> list[float]:
-    """What servo 31 is told as time passes."""
+    """The angles sent to servo 31 as time passes."""
     said: list[float] = []
     while steps.due_ms is not None and steps.due_ms <= until_ms:
         for line in steps.time(steps.due_ms):

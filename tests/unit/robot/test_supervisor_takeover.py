@@ -20,15 +20,15 @@ ANNAS: Final = RULES + HELD
 SLOT_DEG = 180 / 50
 
 
-def told(lines: list[str]) -> list[float]:
-    """What servo 31 is told in these effects."""
+def angles_sent(lines: list[str]) -> list[float]:
+    """Return the angles sent to servo 31 by these effects."""
     frames = [line.split() for line in lines if line.startswith(("command 3", "watchdog 3")) and "stop" not in line]
     return [float(words[3]) for words in frames if words[1] in ("3", "31")]
 
 
 def streamed(steps: Steps, target: str, source: str, ms: range) -> list[float]:
-    """A program sets servo 31 every 20 ms: what the servo is told."""
-    return [deg for at_ms in ms for deg in told(steps.command(at_ms, servo_to(31, target), source=source))]
+    """A program sets servo 31 every 20 ms. Return the angles sent to it."""
+    return [deg for at_ms in ms for deg in angles_sent(steps.command(at_ms, servo_to(31, target), source=source))]
 
 
 def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
@@ -45,7 +45,7 @@ def test_two_programs_that_take_a_servo_from_each_other_in_turn_move_it_no_faste
     said = [20.0]
     for at_ms in range(220, 1000, 20):
         source, target = (("anna", "set 20"), ("bert", "set 160"))[at_ms // 20 % 2]
-        said += told(steps.command(at_ms, servo_to(31, target), source=source))
+        said += angles_sent(steps.command(at_ms, servo_to(31, target), source=source))
     assert max(abs(later - earlier) for earlier, later in pairwise(said)) <= SLOT_DEG + 0.001
 
 
@@ -93,7 +93,7 @@ SCENES: Final = {
         1 servo 32 start 20 (source anna)
         40 servo 32 stop (source anna)
         80 leg 3 start 35 (source anna) → command 3 start 35 | start 20 | start 35; …""",
-    "what never ran starts where it is told": f"""{RULES}
+    "a servo that never ran starts at its target": f"""{RULES}
         1 servo 31 start 160 (source anna) → command 31 start 160; …""",
     "behind another calibration an angle means another place": f"""{ANNAS}
         220 leg 3 stop (source anna)

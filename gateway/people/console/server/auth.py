@@ -177,5 +177,5 @@ def _text(status: int, text: str) -> web.Response:
 
 
 def _cookie(headers: MultiMapping[str], name: str) -> str | None:
-    given = (part.strip().partition("=") for header in headers.getall("Cookie", []) for part in header.split(";"))
-    return next((value for found, _, value in given if found == name), None)
+    cookies = (part.strip().partition("=") for header in headers.getall("Cookie", []) for part in header.split(";"))
+    return next((value for found, _, value in cookies if found == name), None)
