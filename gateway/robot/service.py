@@ -377,9 +377,9 @@ def _inbox(
         conductor.owner,
         on_wakeup=conductor.tick,
         on_estop=conductor.serve_estops,
-        on_state_query=conductor.reports.answer_state,
         readers={
             **{each.key: each.note for each in (lease, button, calibrations, revocations)},
+            STATE: lambda _query, _ns, reply: partial(conductor.reports.answer_state, reply),
             CONFIG: lambda _query, _ns, reply: partial(conductor.reports.answer_config, reply),
             CALIBRATION: lambda _query, _ns, reply: partial(calibrations.answer, reply),
             **(

@@ -6,6 +6,7 @@ small ones that give way at each use. So every order in which threads can own th
 
 import heapq
 import math
+import queue
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -155,6 +156,29 @@ class Ring:
 
     def undeclare(self) -> None:
         """The stage's end ends it."""
+
+
+class Wakeups:
+    """A queue: who waits at it for a time may go on at any."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._count = 0
+
+    def qsize(self) -> int:
+        return self._count
+
+    def put(self, _: bool) -> None:
+        self._count += 1
+
+    def get(self, timeout: float | None) -> bool:
+        self._stage.point("queue", lambda: self._count > 0 or timeout is not None)
+        if self._stage.over:
+            raise zenoh.ZError("closed")
+        if not self._count:
+            raise queue.Empty
+        self._count -= 1
+        return True
 
 
 class Rings:

@@ -15,7 +15,8 @@ import pytest
 import zenoh
 
 from gateway.robot.core.message import Verb
-from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD, POLL_AGAIN_S
+from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD
+from gateway.robot.zenoh_io.questions import POLL_AGAIN_S
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
 from tests.zenoh.test_inbox_parts import PATIENCE_S, Held

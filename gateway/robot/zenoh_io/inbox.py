@@ -5,7 +5,8 @@ else by seconds. So each key has a ring in Rust that keeps its newest messages. 
 keys: the wakeup. It then owns the state (`robot.host.ownership`) for a tick, empties the rings, and writes the frames.
 Work per tick is bounded, an overwritten message costs nothing, and a command wakes no other thread.
 
-The emergency stop has its own rings and receiver threads, so a flood of other keys does not delay it.
+The emergency stop has its own rings and receiver threads, so a flood of other keys does not delay it. Each further key
+with questions has its own thread, which waits for a wakeup without polling (`questions.WokenRing`).
 """
 
 import asyncio
@@ -26,11 +27,11 @@ from gateway.host.worker import Worker
 from gateway.robot.core.intake import words_of_stop
 from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.zenoh_io.questions import QUESTIONS_DEPTH, QuestionRing, TokenCheck
+from gateway.robot.zenoh_io.questions import POLL_AGAIN_S, QUESTIONS_DEPTH, QuestionRing, TokenCheck, WokenRing
 from gateway.robot.zenoh_io.receiver import OwnersTask, Reader, ReceiverThread
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
 from schemas.command import MAX_PAYLOAD_BYTES
-from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, STATE
+from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, ROOT
 from schemas.telemetry import Ack, Reason
 
 
@@ -61,9 +62,6 @@ OTHER_DEPTH: Final = 16  # mutants accepted (Step): none is the only right one
 """Messages for unknown keys that wait; each is rejected on its own, so more are of no use."""
 READER_DEPTH: Final = 32  # mutants accepted (Step): none is the only right one
 """Queries on another key that wait to be read. A query that is pushed out gets no answer, and its sender notices."""
-POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)  # mutants accepted (LeaveOut): none is the only right one
-"""Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
-after the other, and its thread may be interrupted in between."""
 POLL_AFTER_FLOOD: Final = 2  # mutants accepted (Step): none is the only right one
 """The first of these delays after lost wakeups: longer than a flood's next tick, which polls anyway."""
 _EARLY_S: Final = sum(POLL_AGAIN_S)
@@ -78,6 +76,7 @@ _Item = zenoh.Sample | zenoh.Query
 _PUT, _DELETE, _LOST, _KIND_DELETE = Verb.PUT, Verb.DELETE, Verb.LOST, zenoh.SampleKind.DELETE
 """Read for each message; see `frames.OP_STOP`."""
 _RING_KEYS: Final = COMMAND_KEYS.keys() - {ESTOP}
+_COMMANDS: Final = zenoh.KeyExpr(ALL_COMMANDS)
 
 logger = logging.getLogger(__name__)
 
@@ -94,7 +93,6 @@ class Inbox:
         *,
         on_wakeup: Callable[[], None],
         on_estop: Callable[[], None],
-        on_state_query: Callable[[Reply], None],
         readers: Mapping[str, Reader] = MappingProxyType({}),
         tokens: Mapping[str, TokenCheck] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
@@ -145,26 +143,22 @@ class Inbox:
         self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), words_of_stop, depth)
         self._wakeups = (
             self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
-            self._queryable(session, ALL_COMMANDS, OTHER_DEPTH),
+            self._queryable(session, f"{ROOT}/**", OTHER_DEPTH),  # questions, too
         )
         estops = (
             ("estop-put", self._subscriber(session, ESTOP, 1)),
             ("estop-get", self._queryable(session, ESTOP, RING_DEPTH)),
         )
-        waits: list[tuple[str, Handler[Any] | QuestionRing, Callable[[Any, int], OwnersTask]]] = [
+        waits: list[tuple[str, Handler[Any] | WokenRing, Callable[[Any, int], OwnersTask]]] = [
             ("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
             ("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
-            (
-                "state-get",
-                self._queryable(session, STATE, RING_DEPTH),
-                lambda query, _: partial(on_state_query, self._replies.to(query, STATE)),
-            ),
         ]
-        self._read_elsewhere = readers.keys()
         self._question_rings: list[QuestionRing] = []
+        self._asked: dict[str, WokenRing] = {}
         for key, read in readers.items():
             ring = self._queryable(session, key, QUESTIONS_DEPTH if key in tokens else READER_DEPTH)
-            waits.append((f"{key}-get", self._sorted(ring, tokens.get(key)), self._note_for(key, read)))
+            self._asked[key] = WokenRing(self._sorted(ring, tokens.get(key)))
+            waits.append((f"{key}-get", self._asked[key], self._note_for(key, read)))
         self._receivers = [
             *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
             *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
@@ -217,6 +211,8 @@ class Inbox:
         for declared in self._declared:
             with suppress(zenoh.ZError):
                 declared.undeclare()
+        for asked in self._asked.values():
+            asked.close()
         for receiver in self._receivers:
             receiver.thread.join()
         for answers in (self._replies, self._estop_replies):
@@ -274,20 +270,28 @@ class Inbox:
             # Two of a full ring's wakeups may have been taken after another was lost: `item`, and the other thread's.
             self._read_all = self._read_all or count >= OTHER_DEPTH - 2
         flooded = self._read_all
+        for asked in self._asked.values() if flooded else ():
+            asked.wake()
         self._wake()
         return FLOOD_PAUSE_S if flooded else None
 
     def _note(self, item: _Item, received_ns: int) -> None:
-        """Count a wakeup for a command key, whose own ring has the message. Keep a message on an unknown key."""
-        key = str(item.key_expr)
+        """Count a wakeup for a command key, and pass on one for a question. Their own rings have the messages.
+
+        Keep a message on an unknown command key.
+        """
+        key, asks = str(item.key_expr), type(item) is zenoh.Query
         if key in _RING_KEYS:
             self._woken[key] = self._woken[key] + 1 if key in self._woken else 1
-        elif key != ESTOP and not (key in self._read_elsewhere and isinstance(item, zenoh.Query)):
+        elif key != ESTOP:
             wild = "*" in key
             named = _named(item, COMMAND_KEYS) if wild else set[str]()
             for each in named & _RING_KEYS:
                 self._woken[each] = self._woken.get(each, 0) + 1
-            if not named and not (wild and isinstance(item, zenoh.Query) and _named(item, self._read_elsewhere)):
+            asked = (_named(item, self._asked) if wild else {key} & self._asked.keys()) if asks else set[str]()
+            for each in asked:
+                self._asked[each].wake()
+            if not named and not asked and _COMMANDS.intersects(zenoh.KeyExpr(key)):
                 self._others.append(_received(self._replies, key, item, received_ns))
                 return
         if type(item) is zenoh.Query:

@@ -8,7 +8,9 @@ query gets no answer, and its sender notices.
 
 import re
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 from typing import Final, Generic, TypeVar
 
 import zenoh
@@ -32,6 +34,11 @@ QUESTIONS_AT_ONCE: Final = 40
 """The same in a burst, such as all pages of a console that reconnect."""
 MAX_WITHOUT_TOKEN: Final = 32
 """Waiting queries without a valid token."""
+POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)  # mutants accepted (LeaveOut): none is the only right one
+"""Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
+after the other, and its thread may be interrupted in between."""
+MOST_WAKES: Final = 64
+"""More wakeups wait only in a flood, which goes on waking."""
 MOST_ENDING: Final = 4096
 """Dropped queries whose end is not sent yet."""
 _TOKEN: Final = re.compile(rb'"(?:lease|button)"\s*:\s*"([0-9a-f]{32})"')
@@ -82,18 +89,14 @@ class QuestionRing:
         self._questions: Questions[zenoh.Query] = Questions(knows)
         self._endings = Worker("end questions", priority=None)
 
-    def recv(self) -> zenoh.Query:
-        """Return the next query. Blocks until there is one. Raises ZError once the ring is closed."""
-        while True:
-            for _ in range(QUESTIONS_DEPTH):
-                item = self._ring.try_recv()
-                if item is None:
-                    break
-                self._sort(item)
-            found = self._questions.next()
-            if found is not None:
-                return found
-            self._sort(self._ring.recv())
+    def try_recv(self) -> zenoh.Query | None:
+        """Return the next query, or None if none waits. Raises ZError once the ring is closed."""
+        for _ in range(QUESTIONS_DEPTH):
+            item = self._ring.try_recv()
+            if item is None:
+                break
+            self._sort(item)
+        return self._questions.next()
 
     def close(self) -> None:
         """End the background thread. The ring must be closed. Blocks."""
@@ -106,3 +109,31 @@ class QuestionRing:
         if not self._questions.add(query, read, source, self._now_ns()) and self._endings.waiting < MOST_ENDING:
             # Sending a query's end blocks while its sender's link is full, so another thread does it.
             self._endings.do(query.drop)
+
+
+class WokenRing:
+    """A ring of queries that one thread waits for without polling, unlike Zenoh's `recv`, which wakes ten times a
+    second to look for signals."""
+
+    def __init__(self, ring: Handler[zenoh.Query] | QuestionRing) -> None:
+        self._ring = ring
+        self._wakes: SimpleQueue[bool] = SimpleQueue()
+
+    def wake(self) -> None:
+        """Report that a query has reached the ring, or will soon. From any thread."""
+        if self._wakes.qsize() < MOST_WAKES:
+            self._wakes.put(True)
+
+    def close(self) -> None:
+        """Let `recv` end."""
+        self._wakes.put(False)
+
+    def recv(self) -> zenoh.Query:
+        """Return the next query. Blocks until there is one. Raises ZError after `close`."""
+        pauses_s: Iterator[float] = iter(())
+        while (found := self._ring.try_recv()) is None:
+            with suppress(Empty):
+                if not self._wakes.get(timeout=next(pauses_s, None)):
+                    raise zenoh.ZError("the ring is closed")
+                pauses_s = iter(POLL_AGAIN_S)
+        return found

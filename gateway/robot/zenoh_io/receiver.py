@@ -14,7 +14,7 @@ from gateway.host.realtime import RECEIVER_PRIORITY, prefer_thread
 from gateway.robot.core.message import Reply
 from gateway.robot.host.disk_writer import report_mistake
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.questions import QuestionRing
+from gateway.robot.zenoh_io.questions import WokenRing
 
 OwnersTask = Callable[[], float | None]
 """Handles one item, with the state owned. Returns the seconds to wait before the next one, or None."""
@@ -32,7 +32,7 @@ class ReceiverThread:
     def __init__(
         self,
         name: str,
-        ring: Handler[Any] | QuestionRing,
+        ring: Handler[Any] | WokenRing,
         loop: asyncio.AbstractEventLoop,
         owner: Ownership,
         note: Callable[[Any, int], OwnersTask],

@@ -5,20 +5,22 @@ import random
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import pytest
+import zenoh
 
 from gateway.host.realtime import RECEIVER_PRIORITY
 from gateway.model.frames import decode
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
+from gateway.robot.zenoh_io import questions
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.receiver import STUCK_BEATS, ReceiverThread
 from schemas import keys
@@ -34,12 +36,13 @@ from tests.support.interleaved import (
     SteppedController,
     SteppedLock,
     SteppedLoop,
+    Wakeups,
 )
 
 pytestmark = pytest.mark.full
 
 START = Payload(b'{"servos": [' + b", ".join([b'{"op": "start", "angle_deg": 90}'] * 3) + b"]}")
-RECEIVERS = ("estop-put", "estop-get", "wakeup-put", "wakeup-get", "state-get")
+RECEIVERS = ("estop-put", "estop-get", "wakeup-put", "wakeup-get", f"{keys.STATE}-get")
 ORDERS = 150
 
 
@@ -61,6 +64,14 @@ class Question:
         del encoding
         self._answers.append(payload)
 
+    def drop(self) -> None:
+        pass
+
+
+@pytest.fixture(autouse=True)
+def _questions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(zenoh, "Query", Question)
+
 
 class Gateway:
     """A conductor and an inbox, with the threads that the service gives them, on a stage."""
@@ -68,7 +79,7 @@ class Gateway:
     def __init__(self, order: int) -> None:
         chance = random.Random(order)  # noqa: S311  (orders, no secrets)
         # Threads that are mostly preferred, and threads that are hardly ever, make the rarest orders.
-        weights = {name: chance.choice((1, 1, 10, 100)) for name in (*RECEIVERS, "loop", "zenoh", "end")}
+        weights = {name: chance.choice((1, 1, 10, 100)) for name in (*RECEIVERS, "loop", "others", "end")}
         self._looks = 0
         self.stage = Stage(lambda names: chance.choices(names, [weights[name] for name in names])[0])
         self.loop = SteppedLoop(self.stage)
@@ -104,7 +115,8 @@ class Gateway:
             simulated=True,
             owner=self.owner(),
         )
-        with self.conductor.owner:
+        with self.conductor.owner, pytest.MonkeyPatch.context() as patch:
+            patch.setattr(questions, "SimpleQueue", partial(Wakeups, self.stage))
             self.conductor.start()
             self.inbox = Inbox(
                 cast(Any, self.rings),
@@ -112,16 +124,13 @@ class Gateway:
                 self.conductor.owner,
                 on_wakeup=self.conductor.tick,
                 on_estop=self.conductor.serve_estops,
-                on_state_query=self._answer,
+                readers={keys.STATE: lambda _query, _ns, reply: partial(self.conductor.reports.answer_state, reply)},
             )
             self.conductor.connect(self.inbox)
         self.rings.puts[keys.ESTOP][0].on_receive = lambda: self.noted.append(len(self.controller.transfers))
 
     def owner(self) -> Ownership:
         return Ownership(cast(Any, lambda: SteppedLock(self.stage)))
-
-    def _answer(self, reply: Reply) -> None:
-        self.conductor.reports.answer_state(reply)
 
     def play(self, *then: Callable[[], None]) -> None:
         """The whole of it, until nothing is left to happen."""
@@ -145,8 +154,10 @@ class Gateway:
             ring.items.append(Sample(key, payload))
 
     def ask_state(self) -> None:
-        self.stage.point()
-        self.rings.gets[keys.STATE][0].items.append(Question(self.answers))
+        question = Question(self.answers)
+        for ring in (*self.rings.gets[keys.STATE], *self.rings.gets[f"{keys.ROOT}/**"]):
+            self.stage.point()
+            ring.items.append(question)
 
     @property
     def kinds(self) -> list[bool]:
@@ -158,7 +169,7 @@ class Gateway:
 def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command(order: int) -> None:
     gateway = Gateway(order)
 
-    def zenoh() -> None:
+    def others() -> None:
         gateway.put(keys.leg_command(1), START)
         gateway.put(keys.leg_command(2), START)
         gateway.put(keys.leg_command(3), START)
@@ -166,7 +177,7 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
         gateway.put(keys.ESTOP, Payload())
         gateway.put(keys.leg_command(4), START)
 
-    gateway.play(zenoh)
+    gateway.play(others)
     assert gateway.conductor.supervisor.mode is Mode.ESTOPPED
     assert gateway.controller.energised == set()
     assert gateway.conductor.supervisor.latch.number == 1, "noted once, served once"
@@ -180,11 +191,11 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
 def test_no_deadline_is_overslept_whichever_thread_set_it(order: int) -> None:
     gateway = Gateway(order)
 
-    def zenoh() -> None:
+    def others() -> None:
         gateway.put(keys.leg_command(1), START)
         gateway.put(keys.leg_command(2), START)
 
-    gateway.play(zenoh)
+    gateway.play(others)
     assert gateway.conductor.supervisor.watchdog.expirations == 2
     assert gateway.controller.energised == set()
     late_us = gateway.conductor.metrics.watchdog_stops.max_us
@@ -197,7 +208,7 @@ def test_after_the_end_nothing_is_written(order: int) -> None:
     gateway = Gateway(order)
     written: list[int] = []
 
-    def zenoh() -> None:
+    def others() -> None:
         gateway.put(keys.leg_command(1), START)
         gateway.put(keys.ESTOP, Payload())
         gateway.put(keys.leg_command(2), START)
@@ -210,7 +221,7 @@ def test_after_the_end_nothing_is_written(order: int) -> None:
             gateway.conductor.close()
             written.append(len(gateway.controller.transfers))
 
-    gateway.play(zenoh, end)
+    gateway.play(others, end)
     assert gateway.controller.energised == set()
     assert all(gateway.kinds[written[0] :])
     assert len(gateway.controller.transfers) == written[1]

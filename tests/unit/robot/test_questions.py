@@ -2,16 +2,21 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any
+from queue import SimpleQueue
+from typing import Any, cast
 
 import pytest
 
 from gateway.allowance import MOST_SOURCES, NS_PER_S
+from gateway.robot.zenoh_io import questions
 from gateway.robot.zenoh_io.questions import (
     MAX_WITHOUT_TOKEN,
     MOST_OF_TOKEN,
+    MOST_WAKES,
+    POLL_AGAIN_S,
     QUESTIONS_AT_ONCE,
     Questions,
+    WokenRing,
 )
 
 DRIVER, KITCHEN, STRANGER = "d" * 32, "b" * 32, "0" * 32
@@ -64,3 +69,35 @@ def test_ever_new_sources_share_one_place_and_take_bounded_memory(asked: Asked) 
     assert count == MOST_SOURCES + QUESTIONS_AT_ONCE
     asked.now_ns += NS_PER_S
     assert asked.ask("", CHALLENGE, "a new one"), "those that asked before are forgotten"
+
+
+def test_a_ring_is_not_polled_before_its_wakeup_and_again_until_the_query_is_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Zenoh delivers the wakeup and the query one after the other, in any order."""
+    waits_s: list[float | None] = []
+    found = iter((None, None, None, "query", "next"))
+
+    class Wakeups(SimpleQueue[bool]):
+        def get(self, block: bool = True, timeout: float | None = None) -> bool:
+            waits_s.append(timeout)
+            return super().get(block and timeout is None)
+
+    class Ring:
+        def try_recv(self) -> str | None:
+            return next(found)
+
+    monkeypatch.setattr(questions, "SimpleQueue", Wakeups)
+    ring = WokenRing(cast(Any, Ring()))
+    ring.wake()
+    assert cast(str, ring.recv()) == "query"
+    assert waits_s == [None, *POLL_AGAIN_S[:2]]
+    assert cast(str, ring.recv()) == "next"
+    assert len(waits_s) == 3
+
+
+def test_a_flood_of_wakeups_takes_bounded_memory() -> None:
+    ring = WokenRing(cast(Any, None))
+    for _ in range(2 * MOST_WAKES):
+        ring.wake()
+    assert ring._wakes.qsize() == MOST_WAKES
