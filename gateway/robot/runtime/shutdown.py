@@ -90,11 +90,6 @@ class ServiceEnd:
         sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
         leave(GatewayError.exit_code)
 
-    def task_done(self, task: "asyncio.Task[None]") -> None:
-        """End the service if `task` failed. A done callback for the service's tasks."""
-        if not task.cancelled() and task.exception() is not None:
-            self._failed(task.get_loop(), {"message": "a task failed", "exception": task.exception()})
-
     def mistake(self, error: Exception) -> None:
         """End the service for an unexpected exception in one of its threads. Called on that thread."""
         context = {"message": "a thread failed", "exception": error}
