@@ -71,14 +71,12 @@ class Command(Request):
     """Whether a newer command has replaced one of its targets."""
 
     def __post_init__(self) -> None:
-        self.moves, self.by_leg, self.left = (), {}, 0
+        by_leg = self.by_leg = {}
         for target in self.targets:
-            servo_id, op = target
-            leg = servo_id // 10
-            self.by_leg[leg] = (*self.by_leg[leg], target) if leg in self.by_leg else (target,)
-            self.left += 1
-            if op.op is not OP_STOP:
-                self.moves += (target,)
+            leg = target[0] // 10
+            by_leg[leg] = (*by_leg[leg], target) if leg in by_leg else (target,)
+        self.left = len(self.targets)
+        self.moves = tuple([target for target in self.targets if target[1].op is not OP_STOP])
 
     @property
     def stops(self) -> Targets:

@@ -211,12 +211,13 @@ class Legs:
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
-        whole = self._rules.starts_whole and len(command.moves) < len(command.targets)
+        stops_some = len(command.moves) < len(command.targets)
+        whole = self._rules.starts_whole and stops_some
         fed, self._fed = self._fed, self._fed and frozenset()  # the command's starts leave together, below
         for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
-            moves = False
-            for _, op in targets:
+            moves = not stops_some
+            for _, op in targets if stops_some else ():
                 moves = moves or op.op is not OP_STOP
             if command.lost:
                 leg.source = None
@@ -301,7 +302,7 @@ class Legs:
         if taken:
             self._speeds.take_over(leg, taken, command.source, now_ns)
         effects += self._send(leg, now_ns)
-        for servo_id, _ in targets:
+        for servo_id, _ in targets if len(command.moves) < len(command.targets) else ():
             servo = self.servos[servo_id]
             # Before the leg's rate slot, moves wait but Stops do not.
             if servo.waiting is not None and servo.waiting.op is OP_STOP:

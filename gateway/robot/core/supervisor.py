@@ -282,9 +282,10 @@ class Supervisor:
             why_not = self._limits.why_not(servo_id, op.angle_cdeg)
             if why_not is not None:
                 return Reason.JOINT_LIMIT, why_not
+        servos, instant_ns = self.legs.servos, self.legs.instant_ns
         for servo_id, op in moves:
-            servo = self.legs.servos[servo_id]
-            if servo.stopped_ns == self.legs.instant_ns and not servo.stopped_by <= {command.channel}:
+            servo = servos[servo_id]
+            if servo.stopped_ns == instant_ns and not servo.stopped_by <= {command.channel}:
                 # The order of the two is unknown, and an older Start must not overtake a Stop.
                 by = ", ".join(sorted(servo.stopped_by))
                 return Reason.SERVO_STOPPED, f"servo {servo_id} was stopped in the same instant ({by})"

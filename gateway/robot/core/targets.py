@@ -5,7 +5,7 @@ Stops, the meaning of a delete and of lost messages (`intake`, `losses`), and ho
 stop's key is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, `runtime/conductor.py`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import SETS, STARTS, STOP, servo_ids_of
@@ -32,15 +32,13 @@ def _read_servo(servo_id: int, payload: bytes) -> Command:
 
 def _read_leg(leg: int, payload: bytes) -> Command:
     command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
-    targets = _targets(_IDS_OF_LEG[leg], command["servos"])
+    targets = _targets(((leg, command),))
     return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
     command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
-    targets: Targets = ()
-    for leg, setpoint in sorted(command["legs"].items()):
-        targets += _targets(_IDS_OF_LEG[int(leg)], setpoint["servos"])
+    targets = _targets(sorted(command["legs"].items()))
     return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
 
 
@@ -49,15 +47,15 @@ def _read_reset(_: int, payload: bytes) -> Reset:
     return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
 
 
-def _targets(servo_ids: tuple[int, ...], setpoints: tuple[dict[str, Any], ...]) -> Targets:
-    """Return each servo's operation, with angles rounded to hundredths of a degree, as in `centidegrees`."""
-    targets: Targets = ()
-    for place, servo_id in enumerate(servo_ids):
-        setpoint = setpoints[place]
-        name = setpoint["op"]
-        op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
-        targets += ((servo_id, op),)
-    return targets
+def _targets(legs: Iterable[tuple[int | str, dict[str, Any]]]) -> Targets:
+    """Return the operation of each servo, with angles rounded to hundredths of a degree, as in `centidegrees`."""
+    targets = []
+    for leg, command in legs:
+        for servo_id, setpoint in zip(_IDS_OF_LEG[int(leg)], command["servos"], strict=True):
+            name = setpoint["op"]
+            op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
+            targets.append((servo_id, op))
+    return tuple(targets)
 
 
 # ---- the table
