@@ -39,8 +39,8 @@ class ServoCalibration(Report):
 
     trim_deg: Annotated[float, Field(description="added to the angle on the wire")] = 0.0
     inverted: Annotated[bool, Field(description="180 - angle on the wire")] = False
-    min_deg: Annotated[float, Field(description="least angle of commands")] = 0.0
-    max_deg: Annotated[float, Field(description="greatest angle of commands")] = 180.0
+    min_deg: Annotated[float, Field(description="lowest angle in commands")] = 0.0
+    max_deg: Annotated[float, Field(description="highest angle in commands")] = 180.0
 
 
 class Calibration(Report):
@@ -56,8 +56,8 @@ class ServoChange(Closed):
 
     trim_deg: TrimDeg | None = None
     inverted: Annotated[bool | None, Field(description="180 - angle on the wire")] = None
-    min_deg: Annotated[AngleDeg | None, Field(description="least angle of commands")] = None
-    max_deg: Annotated[AngleDeg | None, Field(description="greatest angle of commands")] = None
+    min_deg: Annotated[AngleDeg | None, Field(description="lowest angle in commands")] = None
+    max_deg: Annotated[AngleDeg | None, Field(description="highest angle in commands")] = None
 
 
 class CalibrationCommand(Sender):
@@ -73,4 +73,4 @@ class CalibrationCommand(Sender):
     landing: Annotated[
         dict[ServoName, AngleDeg | None], Field(default_factory=dict, description="landing pose, or null")
     ]
-    accept_default: Annotated[Literal[True] | None, Field(description="use no trim, since the file is broken")] = None
+    accept_default: Annotated[Literal[True] | None, Field(description="replace a broken file with no trim")] = None

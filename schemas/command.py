@@ -18,7 +18,7 @@ MAX_NUMBER: Final = 2**53
 
 AngleDeg = Annotated[float, Field(ge=0.0, le=180.0, allow_inf_nan=False, description="to the nearest hundredth")]
 Source = Annotated[
-    str, Field(min_length=1, max_length=MAX_SOURCE, description="who; a command's default is the publisher's Zenoh id")
+    str, Field(min_length=1, max_length=MAX_SOURCE, description="the sender's name; default: its Zenoh id")
 ]
 SentMs = Annotated[
     float,

@@ -44,7 +44,7 @@ class Release(Closed):
 
     do: Literal["release"]
     lease: Annotated[LeaseToken, Field(repr=False)]
-    to: Annotated[Source | None, Field(description="who gets it, of those that asked")] = None
+    to: Annotated[Source | None, Field(description="the next holder, one that asked")] = None
 
 
 LeaseRequest = Annotated[Challenge | Claim | Renew | Release, Field(discriminator="do")]
@@ -60,7 +60,7 @@ class LeaseAck(Answer):
     nonce: Annotated[str | None, Field(description="of a challenge, if a proof is needed")] = None
     lease: Annotated[str | None, Field(repr=False, description="token for commands, a secret")] = None
     holder: Annotated[str | None, Field(description="who holds the lease, or may acquire it")] = None
-    ttl_ms: Annotated[float | None, Field(description="the setting: renew more often")] = None
+    ttl_ms: Annotated[float | None, Field(description="the setting; renew more often than this")] = None
     verified: Annotated[bool | None, Field(description="whether a certificate proved the name")] = None
 
 

@@ -14,7 +14,9 @@ MAX_REVOCATION_BYTES: Final = 16_000
 class RevocationRequest(Closed):
     """Puts a newer list in force; without a list, queries the list in force."""
 
-    revoked: Annotated[str | None, Field(description="newer X.509 CRL (PEM); without it: which is in force?")] = None
+    revoked: Annotated[
+        str | None, Field(description="newer X.509 CRL (PEM); without it, the list in force is returned")
+    ] = None
 
 
 class RevocationAck(Answer):

@@ -53,7 +53,7 @@ class LegsReport(Report):
         Field(description="since an accepted start or set; null: none"),
     ]
     angles_deg: Annotated[SixAngles, Field(description="joints 1 to 3 as last written; null: does not run")]
-    targets_deg: Annotated[SixAngles | None, Field(description="where they are to go; null: as `angles_deg`")] = None
+    targets_deg: Annotated[SixAngles | None, Field(description="their targets; null: as `angles_deg`")] = None
     source: Annotated[
         tuple[_Place, _Place, _Place, _Place, _Place, _Place],
         Field(description="index into `sources`: whose command is in force"),
@@ -64,7 +64,9 @@ class StateReport(ChangingState):
     """The payload of `hexapod/state`: at most 2 048 bytes. A text that was cut ends with `…`."""
 
     legs: LegsReport
-    sources: Annotated[tuple[str, ...], Field(max_length=len(LEGS), description="whose commands are in force")] = ()
+    sources: Annotated[
+        tuple[str, ...], Field(max_length=len(LEGS), description="senders of the commands in force")
+    ] = ()
 
     def cut(self, most: int, most_source: int) -> "StateReport":
         """Return the report with at most `most` characters in each text, and `most_source` in each sender's name."""

@@ -39,7 +39,7 @@ class Reason(Value):
     TOO_LARGE = "too_large", "the payload has more than 4096 bytes"
     BAD_ENCODING = "bad_encoding", "the encoding is not JSON"
     MALFORMED = "malformed", "the payload is not JSON"
-    INVALID = "invalid", "a field is missing, unknown or out of range, or the key is none"
+    INVALID = "invalid", "a field is missing, unknown or out of range, or there is no such key"
     SERVO_STOPPED = "servo_stopped", "a `set` names a stopped servo, a Stop arrived too, or its calibration is in doubt"
     JOINT_LIMIT = "joint_limit", "the angle is outside the servo's limits, or is never sent"
     STALE = "stale", "it was delayed for too long, belongs to a burst, names an old calibration, or repeats a check-in"
@@ -159,7 +159,7 @@ class Answer(Sparse):
     """What every reply to a request contains."""
 
     accepted: Annotated[bool, Field(description="whether the request took effect")]
-    reason: Annotated[AnyReason | None, Field(description="why not")] = None
+    reason: Annotated[AnyReason | None, Field(description="why it was rejected")] = None
     detail: Annotated[str | None, Field(description="one sentence")] = None
 
     def or_raise(self) -> Self:
@@ -181,7 +181,7 @@ class Ack(Answer):
     ] = None
     stopped: Annotated[
         Literal[True] | None,
-        Field(description="if not accepted: its servos are stopped all the same"),
+        Field(description="if not accepted: its servos are stopped anyway"),
     ] = None
     stop_frames: Annotated[Count | None, Field(description="of an emergency stop: Stop frames written")] = None
     estop: Annotated[Count | None, Field(description="of an emergency stop: its number")] = None
@@ -389,7 +389,7 @@ class ServoTelemetry(Sparse):
     """What a power board measures of one servo."""
 
     supplied: Annotated[bool, Field(description="whether the power board feeds it")]
-    current_a: Annotated[float | None, Field(description="what it draws")] = None
+    current_a: Annotated[float | None, Field(description="its current")] = None
 
 
 class Supply(Report):
@@ -424,7 +424,7 @@ class WireReport(Report):
     name: Annotated[str, Field(description="the setting `wire.name`")] = ""
     whole_robot: Annotated[bool, Field(description="only all servos together can be started and stopped")] = False
     measures: Annotated[bool, Field(description="telemetry comes back")] = False
-    acknowledges: Annotated[bool, Field(description="a written frame is one that the controller confirmed")] = False
+    acknowledges: Annotated[bool, Field(description="the controller confirms each written frame")] = False
     supply_starts: Annotated[bool, Field(description="with a power board, supply starts a servo")] = False
 
 
@@ -441,7 +441,7 @@ class PowerReport(Report):
     interface: Annotated[str, Field(description="the setting")]
     alive: Annotated[bool, Field(description="whether the board answers")]
     supplied: Annotated[tuple[int, ...], Field(description="servos fed, by its last answer")] = ()
-    confirmed: Annotated[bool, Field(description="whether it confirmed all off that is to be off")] = False
+    confirmed: Annotated[bool, Field(description="whether it confirmed every off that was requested")] = False
     age_ms: Annotated[float | None, Field(description="since its last answer; null: none")] = None
 
 
@@ -535,7 +535,7 @@ class Event(Report):
     reason: Annotated[AnyReason | None, Field(description="of a rejection or an overflow")]
     detail: Annotated[str, Field(description="one sentence")]
     left_out: Annotated[Count, Field(description="such events left out before this one (Behaviour *Events*)")] = 0
-    legs: Annotated[tuple[int, ...], Field(description="that stop, land, change hands or are named")] = ()
+    legs: Annotated[tuple[int, ...], Field(description="legs that stop, land, change their source or are named")] = ()
     incident: Annotated[str | None, Field(description="id of its incident in the black box")] = None
 
 
@@ -551,7 +551,7 @@ class FrameRecord(Report):
 class SimulatedServo(Report):
     """Angle of a simulated servo, as in commands, and its torque against the load."""
 
-    angle_deg: Annotated[float, Field(description="where it is, as commands count")]
+    angle_deg: Annotated[float, Field(description="its angle, as in commands")]
     torque_nm: Annotated[float, Field(description="against its load; 0: off")]
 
 
