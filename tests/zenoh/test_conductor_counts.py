@@ -87,6 +87,14 @@ async def test_stops_leave_before_repeated_ones_and_these_before_what_moves() ->
         assert [transmit for transmit, _ in written] == effects
 
 
+async def test_a_device_that_takes_no_lists_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    robot = await started_and_quiet()
+    robot.take_no_lists()
+    for _ in range(2):
+        assert robot.ask(keys.ESTOP).stop_frames == 6
+    assert caplog.messages.count("no lists; from now on, each transfer is a separate call") == 1
+
+
 async def test_the_end_says_whether_all_six_stops_were_written() -> None:
     robot = await started_and_quiet()
     assert robot.conductor.shut_down()
