@@ -14,9 +14,7 @@ KEY: Final = "a" + ".a" * 20_000 + "=1"
 READ: Final = {
     "a client's Zenoh file": ("client.json5", JSON5, ("stop", "--zenoh-config", "{file}"), 2),
     "the service's": ("gateway.json5", JSON5, ("run", "--sim", "--config", "{settings}"), 2),
-    "the service's, by check": ("gateway.json5", JSON5, ("check", "--config", "{settings}"), 1),
     "settings, a long key": ("settings.toml", KEY, ("run", "--sim", "--config", "{file}"), 2),
-    "settings, brackets": ("settings.toml", f"a = {JSON5}", ("run", "--sim", "--config", "{file}"), 2),
     "settings, by stop-servos": ("settings.toml", KEY, ("stop-servos", "--config", "{file}"), 2),
     "a geometry": ("geometry.json", JSON5, ("record", "out.mcap", "--geometry", "{file}"), 2),
 }
