@@ -9,7 +9,7 @@ from typing import Final
 
 import pytest
 
-_LIST: Final = "TESTS_FAILED"
+LIST: Final = "TESTS_FAILED"
 """The environment variable that names the list, for the stages."""
 _WIDTH, _MOST = 200, 20
 
@@ -20,7 +20,7 @@ def listed() -> Iterator[None]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "failed"
         path.touch()
-        os.environ[_LIST] = str(path)
+        os.environ[LIST] = str(path)
         try:
             yield
         finally:
@@ -30,7 +30,7 @@ def listed() -> Iterator[None]:
 
 def add(report: pytest.TestReport) -> None:
     """Add a failed test to the run's list, if there is one; a worker's reports come to its controller, too."""
-    path = os.environ.get(_LIST)
+    path = os.environ.get(LIST)
     if report.failed and path and "PYTEST_XDIST_WORKER" not in os.environ:
         crash = getattr(report.longrepr, "reprcrash", None)
         why = (crash.message if crash else str(report.longrepr)).strip().partition("\n")[0]

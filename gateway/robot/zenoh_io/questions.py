@@ -34,7 +34,7 @@ QUESTIONS_AT_ONCE: Final = 40
 """The same in a burst, such as all pages of a console that reconnect."""
 MAX_WITHOUT_TOKEN: Final = 32
 """Waiting queries without a valid token."""
-POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)  # mutants accepted (LeaveOut): none is the only right one
+POLL_AGAIN_S: Final = (0.0002, 0.001, 0.004, 0.016, 0.064)
 """Delays of further polls, for a wakeup whose key's ring was empty. Zenoh delivers to the wakeup and to the ring one
 after the other, and its thread may be interrupted in between."""
 MOST_WAKES: Final = 64
