@@ -180,6 +180,7 @@ def test_while_somebody_else_drives_it_says_who() -> None:
     assert robot.hears is None
 
 
+@pytest.mark.lengthy
 def test_it_asks_waits_and_is_handed_it() -> None:
     by_carl = HELD.model_copy(update={"holder": "carl"})
     robot = Robot(HELD, HELD, by_carl, by_carl, GRANTED)

@@ -224,6 +224,7 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.001)
 
 
+@pytest.mark.lengthy
 async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: Path) -> None:
     robot, _ = kept
     (tmp_path / ESTOP_FILE).mkdir()

@@ -100,6 +100,7 @@ async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins
     assert robot.line.fed == frozenset()
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("how", ["reset", "SPI", "at the start"])
 async def test_a_controller_that_hears_nothing_moves_one_servo_of_those_that_are_started(how: str) -> None:
     """It holds all its servos on: whatever is fed, moves."""
@@ -194,6 +195,7 @@ TAKEN: Final[dict[str, tuple[Callable[[FedRobot], object], Callable[[FedRobot], 
 }
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("what", TAKEN)
 async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_before_a_reset(what: str) -> None:
     takes, undone, faults = TAKEN[what]

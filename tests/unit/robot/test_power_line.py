@@ -104,6 +104,7 @@ def owner(adapter: Adapter, channel: str) -> Iterator[Owner]:
     assert owner.mistakes == []
 
 
+@pytest.mark.lengthy
 def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -> None:
     owner.feed_all()
     for junk in (
@@ -179,6 +180,7 @@ def owner_of(*buses: can.BusABC, interface: str = "slcan") -> Owner:
     return Owner("", opener, interface)
 
 
+@pytest.mark.lengthy
 def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
     owner = owner_of(bus)
     bus.answer(0x69)
