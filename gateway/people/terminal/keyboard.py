@@ -2,14 +2,16 @@
 
 import contextlib
 import os
+import re
 from collections.abc import Iterator
 from typing import Final
 
 from gateway.people.terminal import on_end_signals
 
 _ESCAPE: Final = 0x1B
-_REST_S: Final = 0.05
-"""How soon the rest of an arrow key follows its first byte, if they arrive apart (a slow SSH)."""
+REST_S: Final = 0.05
+"""How soon the rest of an arrow key follows its first bytes, if they arrive apart (a slow SSH)."""
+_INCOMPLETE: Final = re.compile(rb"\x1b([\[O][0-9;<?]*)?\Z")
 _NAMES: Final = {0x1B: "escape", 0x0D: "enter", 0x0A: "enter", 0x7F: "backspace", 0x08: "backspace", 0x03: "ctrl-c"}
 _ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 
@@ -46,20 +48,24 @@ def wake_on_signals() -> Iterator[tuple[int, int]]:
 class Keyboard:
     """Translates a terminal's bytes into keys: "a", "left", "enter", "escape"; others are left out.
 
-    Escape counts at once, though an arrow key begins with the same byte. If the rest of the arrow follows, it is
-    dropped.
+    An arrow key begins with the byte of Escape. So bytes that may be the beginning of one wait for the rest.
     """
 
     def __init__(self) -> None:
-        self._escaped_s: float | None = None
-        """When the bytes ended in an escape."""
+        self._begun = b""
 
-    def keys(self, data: bytes, now_s: float) -> list[str]:
-        """Return the keys in the bytes of one read. `now_s`: monotonic."""
-        rest = self._escaped_s is not None and now_s - self._escaped_s < _REST_S and data[:1] in (b"[", b"O")
-        self._escaped_s = now_s if data[-1:] == b"\x1b" else None
+    @property
+    def waits(self) -> bool:
+        """Whether bytes wait for their rest. Call `keys` with no data if none follows within REST_S."""
+        return bool(self._begun)
+
+    def keys(self, data: bytes) -> list[str]:
+        """Return the keys in the bytes of one read. Empty: no more bytes follow those that wait."""
+        more, data, self._begun = bool(data), self._begun + data, b""
+        if more and (incomplete := _INCOMPLETE.search(data)):
+            self._begun, data = incomplete[0], data[: incomplete.start()]
         found: list[str] = []
-        place = _sequence_end(data, 0) if rest else 0
+        place = 0
         while place < len(data):
             byte = data[place]
             if byte == _ESCAPE and data[place + 1 : place + 2] in (b"[", b"O"):

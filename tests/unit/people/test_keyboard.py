@@ -1,4 +1,4 @@
-"""The bytes of a terminal as keys: an escape counts at once, and is no part of an arrow."""
+"""The bytes of a terminal as keys: Escape is no part of an arrow key."""
 
 import signal
 
@@ -18,7 +18,27 @@ PIECES = st.binary(max_size=4) | st.sampled_from([b"\x1b", b"[", b"\x1b[", b"\x1
 def test_a_space_is_always_a_key(parts: list[bytes]) -> None:
     keyboard = Keyboard()
     for part in parts:
-        assert keyboard.keys(part, 0.0).count(" ") == part.count(b" ")
+        assert keyboard.keys(part).count(" ") == part.count(b" ")
+
+
+@pytest.mark.parametrize(
+    ("parts", "keys"),
+    [
+        ([b"\x1b", b""], ["escape"]),
+        ([b"\x1b\x1b"], ["escape"]),
+        ([b"\x1bw"], ["escape", "w"]),
+        ([b"\x1b", b"w"], ["escape", "w"]),
+        ([b"\x1b[A\x1bOB"], ["up", "down"]),
+        ([b"\x1b", b"[A"], ["up"]),
+        ([b"\x1b[", b"A"], ["up"]),
+        ([b"\x1b[1;", b"5A"], []),
+        ([b"\x1b", b"", b"[A"], ["escape", "[", "A"]),
+        ([b"\x1b[15~w"], ["w"]),
+    ],
+)
+def test_escape_is_a_key_unless_an_arrow_follows(parts: list[bytes], keys: list[str]) -> None:
+    keyboard = Keyboard()
+    assert [key for part in parts for key in keyboard.keys(part)] == keys
 
 
 def test_a_terminal_that_goes_does_not_end_what_nohup_keeps_running() -> None:

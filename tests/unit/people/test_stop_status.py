@@ -83,7 +83,7 @@ def test_what_a_small_terminal_shows(columns: int, rows: int, is_bad: bool) -> N
     shown = picture.plain.split("\n")
     assert len(shown) == rows
     assert max(map(cell_len, shown)) <= columns
-    alarm, keys = " NOT STOPPED "[:columns], " SPACE or e: EMERGENCY STOP "[:columns]
+    alarm, keys = " NOT STOPPED "[:columns], " SPACE or ESC: EMERGENCY STOP "[:columns]
     first = alarm if is_bad and rows < SMALL_ROWS else keys if rows == 1 else "猫 and more"[: columns - 1]
     assert shown[0].rstrip() == first.rstrip()
     assert shown[-1] == (keys if rows > 1 else first)

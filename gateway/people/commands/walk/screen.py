@@ -29,7 +29,7 @@ from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
 from gateway.people.commands.walk.script import went
 from gateway.people.terminal import hint
-from gateway.people.terminal.keyboard import Keyboard, keys_at_once, wake_on_signals
+from gateway.people.terminal.keyboard import REST_S, Keyboard, keys_at_once, wake_on_signals
 from gateway.people.terminal.stop_status import ALARM, Remark, StopStatus
 from gateway.people.walking import GAITS, STILL, Velocity, ground_now
 from gateway.text import visible
@@ -43,7 +43,8 @@ LEAST_FRAME_S: Final = 0.03
 DRAWER_END_S: Final = 0.5
 SMALL_ROWS: Final = 4
 """With fewer rows than this, a Stop that is not confirmed replaces everything else."""
-STOP_KEYS: Final = frozenset(" eExX")
+STOP_KEYS: Final = frozenset({" ", "escape"})
+"""The same as on the console's page."""
 _READ: Final = 4096
 """The size of a terminal's buffer: keys pressed while this program could not run are one reading."""
 PRESSED_S: Final = 0.7
@@ -77,7 +78,7 @@ _KEYS: Final = f"""
   ← →       turn                       + -     faster, slower
   A D       step sideways              r f     higher, lower
   t         stand     c  sit down      q       sit down, stop and leave
-                                       g       go on after a stop (a person's word)
+                                       g       continue after a Stop, once it is safe
 """
 NOT_STOPPED: Final = "The emergency stop was NOT confirmed: switch the servos' power off."
 _UNCONFIRMED: Final = "Nobody has confirmed that the legs are stopped: if they hold, switch the servos' power off."
@@ -212,14 +213,14 @@ class WalkScreen:
     def _read_keys(self, terminal: int, woken: int) -> None:
         keyboard = Keyboard()
         while True:
-            ready, _, _ = select.select([terminal, woken], [], [])
+            ready, _, _ = select.select([terminal, woken], [], [], REST_S if keyboard.waits else None)
             if woken in ready:
                 return
             try:
-                data = os.read(terminal, _READ)
+                data = os.read(terminal, _READ) if ready else b""
             except OSError:  # the terminal is gone
                 return
-            if not data or not self._act_on(keyboard.keys(data, time.monotonic())):
+            if (ready and not data) or not self._act_on(keyboard.keys(data)):
                 return
             self._changed.set()
 
@@ -233,7 +234,7 @@ class WalkScreen:
     def _press(self, key: str) -> bool:
         if key == "ctrl-c":
             return False
-        if key in ("q", "escape"):
+        if key == "q":
             self._sits, self._message = True, "It sits down …"
             self._pad.release()
             return False
@@ -366,7 +367,7 @@ def fitted(lines: list[Text], columns: int, rows: int, stop: Remark | None = Non
 
     In fewer than SMALL_ROWS rows a Stop that is not confirmed replaces the lines, and in a single row that key, too.
     """
-    last = Text(" SPACE or e: EMERGENCY STOP ", ALARM)
+    last = Text(" SPACE or ESC: EMERGENCY STOP ", ALARM)
     if stop is not None and stop.is_bad and rows < SMALL_ROWS:
         lines = [Text(f" {stop.text} ", ALARM)]
         last = lines[0] if rows == 1 else last
