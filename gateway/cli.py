@@ -58,12 +58,25 @@ class _Commands(TyperGroup):
                 command.rich_help_panel = panel
         return command
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        _name_no_type_of_flags(self, ctx)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except typer.BadParameter as error:
             error.message = error.message.removeprefix("Value error, ")
             raise
+
+
+def _name_no_type_of_flags(command: Any, ctx: Any) -> None:
+    """Let the help print `--json`, and not `--json <bool>`, which nobody can type."""
+    for option in (*command.params, command.get_help_option(ctx)):
+        if getattr(option, "is_flag", False) and option.metavar is None:
+            option.metavar = ""
+    for each in getattr(command, "commands", {}).values():
+        _name_no_type_of_flags(each, ctx)
 
 
 app = typer.Typer(
@@ -202,7 +215,7 @@ def stop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, 
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
     from gateway.people.commands import send
 
-    sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout)))
+    sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout, command="stop")))
 
 
 @app.command()

@@ -51,5 +51,11 @@ def command(arguments: str, **given: str | Path | None) -> str:
     return " ".join((this_command(), arguments, *options))
 
 
+def install(extra: str) -> str:
+    """Return the command that installs an optional part, such as "record", for the Python that runs this."""
+    python = shlex.quote(sys.executable)
+    return f"{python} -m pip install 'hexapod-gateway[{extra}]'"
+
+
 def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"

@@ -19,6 +19,7 @@ import zenoh
 
 from gateway.errors import ConfigError
 from gateway.host.shared_page import SensedPage, ServoPage
+from gateway.own_command import install
 from gateway.people.physics.assumed import Assumed
 from gateway.people.terminal import hint
 from gateway.simulation import body as simulated_body
@@ -138,7 +139,7 @@ class BodyProcess(SimulationProcess):
     def __init__(self, geometry: Path | None, assumed: Assumed) -> None:
         """Raises ConfigError if MuJoCo is not installed, or cannot simulate this robot."""
         if importlib.util.find_spec("mujoco") is None:
-            raise ConfigError("the physics is missing: pip install 'hexapod-gateway[physics]'")
+            raise ConfigError(f"the physics is missing: {install('physics')}")
         self.page, self.sensed = ServoPage(), SensedPage()
         self.zenoh_id = f"{secrets.randbelow(15) + 1:x}{secrets.token_hex(15)}{secrets.randbelow(15) + 1:x}"
         options = {

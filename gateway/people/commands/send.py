@@ -18,7 +18,7 @@ from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Ack, GatewayState
+from schemas.telemetry import Ack, GatewayState, Mode
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
@@ -172,8 +172,10 @@ def _alarm(ack: Ack, fetch_state: Callable[[], GatewayState]) -> str:
 def reset(connect: Connection) -> int:
     """End the latest emergency stop. Returns the exit code."""
     with connect() as client:
-        ack = client.ask(keys.RESET, {"estop": client.state().estop})
-        code = command_report(ack, "reset; nothing moves until it is started again", client.state)
+        state = client.state()
+        was = "reset" if state.mode == Mode.ESTOPPED else "no emergency stop was engaged"
+        ack = client.ask(keys.RESET, {"estop": state.estop})
+        code = command_report(ack, f"{was}; nothing moves until it is started again", client.state)
         _warn_of_others(client, keys.RESET)
         return code
 

@@ -8,6 +8,7 @@ from typing import Final, NoReturn
 from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
+from gateway.own_command import install
 from gateway.people.console.options import Options
 from gateway.people.console.server import sessions
 from gateway.people.console.server.sessions import Sessions
@@ -94,4 +95,4 @@ def sign_out() -> int:
 def _need_extra() -> None:
     missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
     if missing:
-        raise ConfigError(f"the console needs {', '.join(missing)}: pip install 'hexapod-gateway[console]'")
+        raise ConfigError(f"the console needs {', '.join(missing)}: {install('console')}")

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ValidationError
 from gateway import __version__
 from gateway.errors import AddressTakenError, ConfigError, GatewayError
 from gateway.geometry import Geometry, load
+from gateway.own_command import install
 from gateway.people.client.live import is_of_physics
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
@@ -39,7 +40,7 @@ try:
     from foxglove.websocket import ChannelView, ServerListener
     from foxglove.websocket import Client as Viewer
 except ImportError as error:
-    raise ConfigError("to record, type: pip install 'hexapod-gateway[record]'") from error
+    raise ConfigError(f"to record, type: {install('record')}") from error
 
 HOST: Final = "127.0.0.1"
 """Viewers on this machine only. From elsewhere, `ssh -L` leads here."""

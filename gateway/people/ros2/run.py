@@ -10,6 +10,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, UnansweredError
 from gateway.geometry import load
+from gateway.own_command import install
 from gateway.people.client.subscriptions import subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.ros2.driving import Driving
@@ -24,8 +25,8 @@ try:
     from gateway.people.ros2.topics import Topics
 except ImportError as error:
     raise ConfigError(
-        "the command ros2 needs ROS 2 for this Python: source its setup.bash, or pip install "
-        f"'hexapod-gateway[rclpy]' (docs/ros2.md; {error})"
+        "the command ros2 needs ROS 2 for this Python: source its setup.bash, or "
+        f"{install('rclpy')} (docs/ros2.md; {error})"
     ) from error
 
 _NAME: Final = "ros2"

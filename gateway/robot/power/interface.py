@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame
+from gateway.own_command import install
 
 if TYPE_CHECKING:
     import can
@@ -37,7 +38,7 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
 
         from gateway.robot.power.slcan import Slcan  # noqa: PLC0415
     except ImportError as error:
-        raise ConfigError("python-can is not installed: pip install 'hexapod-gateway[power]'") from error
+        raise ConfigError(f"python-can is not installed: {install('power')}") from error
     logging.getLogger("can").setLevel(logging.ERROR)  # python-can warns of each interface that does not open
     try:
         if settings.interface == "slcan":

@@ -6,6 +6,7 @@ from typing import Final, Protocol
 
 from gateway.errors import SpiError
 from gateway.model.elkapod import UART_BAUD
+from gateway.own_command import install
 
 _MOST_BYTES: Final = 4096
 """The kernel's buffer for a UART, so that one call empties it."""
@@ -38,7 +39,7 @@ class SerialUart(Uart):
         try:
             import serial  # noqa: PLC0415  (a laptop needs none)
         except ImportError as error:
-            raise SpiError("pyserial is not installed: pip install 'hexapod-gateway[spi]'") from error
+            raise SpiError(f"pyserial is not installed: {install('spi')}") from error
         self._path = path
         lock = True if exclusive else None
         two = serial.STOPBITS_TWO
