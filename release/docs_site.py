@@ -68,14 +68,19 @@ def main() -> None:
     if broken := broken_links(SITE):
         sys.exit("These lead nowhere, or load from another host:\n" + "\n".join(broken))
     index = SITE / "search.json"
-    index.write_text(json.dumps(with_full_names(json.loads(index.read_text(encoding="utf-8")))), encoding="utf-8")
+    index.write_text(json.dumps(searchable(json.loads(index.read_text(encoding="utf-8")))), encoding="utf-8")
 
 
-def with_full_names(index: dict[str, Any]) -> dict[str, Any]:
-    """Name each attribute of the API by class in the search: who looks for "timeout" finds a page before fields."""
+def searchable(index: dict[str, Any]) -> dict[str, Any]:
+    """Adapt the search's index to what people type.
+
+    Entries of the API have their full name: who looks for "timeout" finds a page before fields. "Wi-Fi" and "ROS 2" in
+    a title are found as one word, too.
+    """
     for item in index["items"]:
-        if "attribute</code>" in item["title"]:
+        if item["location"].startswith("api/") and "#" in item["location"]:
             item["title"] = item["location"].partition("#")[2]
+        item["title"] = item["title"].replace("Wi-Fi", "Wi-Fi (WiFi)").replace("ROS 2", "ROS 2 (ros2)")
     return index
 
 
