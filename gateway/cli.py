@@ -337,6 +337,8 @@ app.add_typer(bridge.app)
 
 send_app = typer.Typer(
     help="Send one acknowledged command through a running gateway.\n\n"
+    "`start` switches servos on: they go to their angles at once, as fast as they can. `set` moves servos that run. "
+    "`stop` switches them off.\n\n"
     "The watchdog stops the leg after watchdog.timeout_ms without a further command. --hold repeats the command every "
     "50 ms. If the lease is free, --hold also holds the lease: then nobody else drives.",
     no_args_is_help=True,

@@ -72,7 +72,7 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
 def show(link: str) -> None:
     """Print a link, for a browser on another machine also its QR code."""
     say(f"The console is at {link}")
-    say(f"The link works once, within {LINK_S // 60} minutes, and until the console is started again.")
+    say(f"The link works once. It expires after {LINK_S // 60} minutes, or when the console restarts.")
     if urlsplit(link).hostname not in (*LOCALHOST, "localhost") and os.isatty(1):
         segno.make(link, error="l").terminal(compact=True)
     if "/#" in link:

@@ -63,15 +63,16 @@ def walk(
 ) -> None:
     """Make the robot walk: from the keyboard, or with --seconds without a person.
 
-    Hold W, S or an arrow to walk and turn, A or D to step sideways. Space or e is the emergency stop. The screen shows
-    the other keys. Lay the robot on its belly first: one after the other, its legs go to their first pose as fast as
-    they can. The command holds the lease, so nobody else drives.
+    Hold W, S or an arrow to walk and turn, A or D to step sideways. Space or Escape is the emergency stop. The
+    screen shows the other keys. Lay the robot on its belly first: one after the other, its legs go to their first pose
+    as fast as they can. The command holds the lease, so nobody else drives.
 
     A terminal does not report that a key is released. A key counts for 0.7 s after you press it, until the terminal
     repeats it, and for 0.2 s after each repetition. Then the robot finishes its step.
 
     `hexapod-gateway walk --forward 0.1 --seconds 5` stands up, walks, sits down and stops. Ctrl-C (or SIGTERM) makes
-    the robot finish its step and sit down; a second Ctrl-C stops it at once. At the keyboard the first one does.
+    the robot finish its step and sit down; a second Ctrl-C stops it at once. At the keyboard the
+    first one stops it at once.
     """
     from gateway.people.commands import reach
 
