@@ -228,11 +228,6 @@ FAULTS = (
         "gateway.pem is of operator, not of a robot",
     ),
     Fault(
-        "another robot's certificate",
-        "cp /root/certs/leo/gateway.pem /root/certs/leo/gateway.key $pki",
-        "is it another robot's?",
-    ),
-    Fault(
         "a certificate of another authority",
         "cp /root/other/gateway.pem /root/other/gateway.key $pki",
         "is of another authority than",

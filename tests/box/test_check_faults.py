@@ -42,7 +42,6 @@ chown -R root:$service $etc && chmod -R u=rwX,g=rX,o= $etc
 cp -p $toml /root
 systemctl restart $service
 {NAME} certs revoke --dir {CERTS}
-{NAME} certs issue leo --role robot --host leo.local --dir {CERTS}
 tar -cPpf /root/kept.tar {KEPT} $state
 """
 UNDO = f"""

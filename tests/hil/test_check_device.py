@@ -37,9 +37,7 @@ def test_a_machine_that_can_run_it_and_not_a_byte_is_written(spi_testbed: SpiTes
     child = check(spi_testbed, config)
     assert child.returncode == 0, str(child)
     assert line(child, "SPI device").startswith(f"ok       SPI device     {DEVICE} opens")
-    assert line(child, "SPI speed").endswith(
-        "2.5 MHz, and the kernel gives 2.5 MHz; an emergency stop takes 1.0 ms to write"
-    )
+    assert line(child, "SPI speed").endswith("2.5 MHz; an emergency stop takes 1.0 ms to write")
     assert line(child, "SPI controller").startswith("ok       SPI controller ")
     assert line(child, "SPI bus").startswith("ok       SPI bus ")
     assert line(child, "framing").startswith("ok")
@@ -57,7 +55,6 @@ def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestb
         assert "is held by a running gateway" in line(child, "SPI device")
         assert line(child, "port").startswith("ok")
         assert "is in use by the running gateway" in line(child, "port")
-        assert "the kernel gives" in line(child, "SPI speed")
         assert spi_testbed.settings == settings
         transfers = spi_testbed.transfers[begun - 1 :]  # the gateway writes its Stops again a second later
         assert {(each.opening, each.data.hex() in STOPS) for each in transfers} == {(transfers[0].opening, True)}

@@ -7,7 +7,6 @@ import grp
 import json
 import os
 import pwd
-import resource
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +23,7 @@ from gateway import own_command
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
-from gateway.onboard import stop
+from gateway.onboard import stop, whole
 from gateway.onboard.check import installation, laptop, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.people.client.blocking import Client
@@ -38,8 +37,7 @@ _GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """Loaded before the change of user: the service's user may not be able to read this Python's folder."""
 _DRIVE: Final = "reach the gateway"
-_STYLES: Final = {Verdict.OK: table.GOOD, Verdict.WARNING: table.NOTE, Verdict.FAILURE: table.BAD}
-CONFIGURED: Final = (*wire.PROBES, *security.CERTIFICATES, security.ZENOH, security.ACCESS, security.PORTS, wire.POWER)
+CONFIGURED: Final = {**wire.PROBES, **security.PROBES, **wire.POWER}
 """Probes that need the settings."""
 
 
@@ -51,20 +49,20 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     """
     robot = CheckedRobot()
     show_line("reading the files of the installed release …")
-    seen = list(results(installation.PROBES, robot)) if robot.installed else []  # root sees it all
+    installed = whole.CURRENT.is_dir() or robot.unit.get("LoadState") == "loaded"
+    seen = list(results(installation.PROBES, robot)) if installed else []  # root sees it all
     clear_line()
     _go_on_as_the_service(robot)
     if config is None and (endpoint := _simulated()):
         simulated = "is simulated; for a real robot, end its gateway and check again"
         steps = chain(laptop.checks(endpoint, None, 1.0), [Result("controller", Verdict.OK, simulated)], seen)
-        return _report(steps, "This machine", _DRIVE, as_json=as_json)
-    return _report(run(config, robot, seen), "This machine", "run the service", as_json=as_json)
+        return _report(steps, _DRIVE, as_json=as_json)
+    return _report(run(config, robot, seen), "run the service", as_json=as_json)
 
 
 def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
     """Check whether this laptop reaches the robot, and what it may do there. Return the exit code as `check`."""
-    steps = laptop.checks(connect, zenoh_config, timeout_s)
-    return _report(steps, "This machine", _DRIVE, as_json=as_json)
+    return _report(laptop.checks(connect, zenoh_config, timeout_s), _DRIVE, as_json=as_json)
 
 
 def _go_on_as_the_service(robot: CheckedRobot) -> None:
@@ -79,21 +77,18 @@ def _go_on_as_the_service(robot: CheckedRobot) -> None:
         sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
     user = pwd.getpwuid(robot.service[0])
     groups = {each.gr_gid for each in grp.getgrall() if each.gr_name in _GROUPS_OF_THE_UNIT}
-    limit = robot.unit.get("LimitRTPRIO", "")  # "" if the unit sets none
-    with suppress(OSError, ValueError):  # without CAP_SYS_RESOURCE, as in a container: `real-time` reports it
-        resource.setrlimit(resource.RLIMIT_RTPRIO, (int(limit), int(limit)))
     with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: the line of the user reports it
         os.setgroups(sorted(groups | set(os.getgrouplist(user.pw_name, user.pw_gid))))
         os.setgid(user.pw_gid)
         os.setuid(user.pw_uid)
 
 
-def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> int:
+def _report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
     """Print each different line, and a summary. Return the exit code."""
     lines = dict[str, Result]()
     for result in found:
         if result.sentence not in lines and not as_json:
-            table.show(result.verdict, _STYLES[result.verdict], result.name, result.sentence, result.fix)
+            table.show(result.verdict, result.name, result.sentence, result.fix)
         lines.setdefault(result.sentence, result)
     count = Counter(each.verdict for each in lines.values())
     passed = not count[Verdict.FAILURE]
@@ -103,7 +98,7 @@ def _report(found: Iterable[Result], what: str, can: str, *, as_json: bool) -> i
     worst = Verdict.WARNING if passed else Verdict.FAILURE
     many = f"{count[worst]} {worst}{'s' * (count[worst] != 1)}"
     end = f"can {can}{f', with {many}' if count[worst] else ''}" if passed else f"cannot {can}: {many}"
-    return table.conclude(f"{what} {end}.", well=passed)
+    return table.conclude(f"This machine {end}.", well=passed)
 
 
 def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Iterator[Result]:
@@ -116,35 +111,34 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
-    settings, faults = None, list[str]()
     in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in map(str.upper, stop.unit()[1])
+    faults = list[str]()
     try:
-        settings = settings_file.load(config, simulated=in_unit)
+        robot.settings = settings_file.load(config, simulated=in_unit)
     except ConfigError as error:
         if isinstance(error, FramingNotSetError) and used is None:  # else it runs, and would not start again
             raise
         faults = str(error).splitlines()
-    robot.settings = settings or robot.settings
-    yield from results([installation.PYTHON, installation.USER], robot)
+    yield from results({**installation.PYTHON, **installation.RIGHTS}, robot)
     yield from seen
     for fault in faults:
         fix = table.LET_READ if security.DENIED in fault else "fix it there, and check again"
         yield Result("configuration", Verdict.FAILURE, fault, fix)
-    if settings is None:
+    if faults:
         rest = "device, ports and certificates were not looked at"
         yield Result("the rest", Verdict.WARNING, rest, "fix the configuration first")
     else:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
         if used is not None:  # the wire is looked at with the service's settings
-            uart = replace(settings.controller, uart=used.controller.uart)
-            if settings.device != used.spi.device and used.wire.built_in is not None:
-                yield from results([wire.DEVICE], robot)
-            robot.settings = replace(settings, wire=used.wire, spi=used.spi, controller=uart)
+            uart = replace(robot.settings.controller, uart=used.controller.uart)
+            if robot.settings.device != used.spi.device and used.wire.built_in is not None:
+                yield from results(wire.DEVICE, robot)
+            robot.settings = replace(robot.settings, wire=used.wire, spi=used.spi, controller=uart)
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(CONFIGURED, robot)
-    yield from results([installation.CLOCK, installation.UNIT, *installation.MACHINE], robot)
+    yield from results({**installation.UNIT, **installation.MACHINE}, robot)
 
 
 def _denied(path: Path) -> bool:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.settings_table import WireSettings
-from gateway.onboard.check.table import BAD, GOOD, NOTE, conclude, show
+from gateway.onboard.check.table import conclude, show
 from gateway.people.terminal import ask
 from gateway.robot import settings as settings_file
 from gateway.robot.spi.bus import STALLED_NS
@@ -95,14 +95,14 @@ def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
     with _ended_stopped(tried):
         for step in STEPS:
             if step.name == "unplugged" and not unplug:
-                show("SKIPPED", NOTE, step.name, "add --unplug to prove that an absent board is reported")
+                show("SKIPPED", step.name, "add --unplug to prove that an absent board is reported")
                 continue
             try:
-                show("PASS", GOOD, step.name, step.run(tried))
+                show("PASS", step.name, step.run(tried))
             except Exception as error:  # of somebody else's code
                 broken += 1
                 said = str(error) if isinstance(error, BrokenError) else f"{type(error).__name__}: {error}"
-                show("FAIL", BAD, step.name, said)
+                show("FAIL", step.name, said)
     return conclude(f"NOT kept: {broken} of {len(STEPS)}" if broken else f"{wire.name} keeps it all", well=not broken)
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from gateway import certs
 from gateway.errors import ConfigError, ZenohError
-from gateway.onboard.check.installation import CLOCK, PYTHON
-from gateway.onboard.check.table import RESTART, Result, Verdict, results
+from gateway.onboard.check.installation import PYTHON
+from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Verdict, results
 from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
@@ -21,7 +21,7 @@ from schemas.telemetry import RevocationsReport
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
     """Yield the result of each step to the gateway. If one endpoint reaches it, faults of the others are warnings."""
-    yield from results([PYTHON], None)
+    yield from results(PYTHON, CheckedRobot())
     try:
         config = client_config(connect, zenoh_config)
     except ConfigError as error:
@@ -31,7 +31,6 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
     endpoints, identity = connect_endpoints(config), Identity.of(config)
     where = str(zenoh_config) if zenoh_config is not None else "none, so without certificates"
     yield Result("configuration", Verdict.OK, f"{where}; dials {', '.join(endpoints) or 'nobody'}")
-    yield from results([CLOCK], None)
     yield from map(_result, diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)))
     if (soon := diagnosis.own_expiry(config)) is not None:
         fix = f"{certs.renewal('NAME')}, then bring its files here"

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
 from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Skipped, StopsOptions, demand, ms_since
-from gateway.onboard.check.table import BAD, GOOD, NOTE, SERVICE, conclude, show, shown
+from gateway.onboard.check.table import SERVICE, conclude, show, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
@@ -30,7 +30,6 @@ _SAME_START_S: Final = 15.0  # from a process's start to that of its uptime: a s
 _REST_S: Final = 3.0  # after a reset the board's errors are deleted, for 2 s at most
 _SILENT_MS: Final = 200.0  # a power board that is silent for this long is reported
 _PLUGGED_S: Final = 60.0  # for a person to unplug something
-_STYLES: Final = {"PASS": GOOD, "FAIL": BAD, "SKIPPED": NOTE}
 
 
 def stops(connect: Connection, options: StopsOptions) -> int:
@@ -80,7 +79,7 @@ def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
     except GatewayError as error:
         result, detail = "FAIL", f"the check could not go on: {error}"
     if not bench.options.as_json:
-        show(result, _STYLES[result], step.name, detail)
+        show(result, step.name, detail)
     with suppress(GatewayError, FailedError):  # the end tries again, and reports it
         bench.rest()
     return {"step": step.name, "result": result, "detail": detail, "figures": figures}

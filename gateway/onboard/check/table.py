@@ -1,39 +1,36 @@
-"""The table of `check`: a probe reads something of this machine, and prints its first fault that applies.
+"""The means of `check`: a probe reads something of this machine, and prints the first row that applies.
 
-A fault is a row: a condition on the reading, a sentence, a remedy. Values of the reading fill in both texts. The
-remedy's commands work as printed; a person fills in words in capitals.
+A row is a call of `failure`, `warning` or `well`: when it is a fault, a sentence, a remedy. The remedy's commands work
+as printed; a person fills in words in capitals.
 """
 
 import pwd
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from types import SimpleNamespace as Seen
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
 
 from gateway.onboard import whole
-from gateway.own_command import command
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
 from gateway.text import visible
 
-__all__ = ["Seen"]
 SERVICE: Final = "hexapod-gateway"
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Works also after so many failed starts that systemd attempts no other."""
-INSTALL: Final = f"sudo apt install ./{SERVICE}_VERSION_ARCH.deb"
 LET_READ: Final = (
     f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} /etc/{SERVICE}; "
     f"sudo chmod -R u=rwX,g=rX,o= /etc/{SERVICE}; {RESTART}"
 )
-GOOD, NOTE, BAD = "green", "yellow", "bold red"
+_STYLES: Final = {"ok": "green", "PASS": "green", "warning": "yellow", "SKIPPED": "yellow"}
+_BAD: Final = "bold red"
 
 
 class Verdict(StrEnum):
@@ -51,6 +48,24 @@ class Result(NamedTuple):
     verdict: Verdict
     sentence: str
     fix: str = ""
+
+
+Row = tuple[Verdict, str, str] | None
+"""Verdict, sentence and remedy; None: it does not apply."""
+Rows = list[Row]
+"""What one reading may show. The first row that applies is printed."""
+
+
+def failure(when: object, sentence: str, remedy: str) -> Row:
+    return (Verdict.FAILURE, sentence, remedy) if when else None
+
+
+def warning(when: object, sentence: str, remedy: str) -> Row:
+    return (Verdict.WARNING, sentence, remedy) if when else None
+
+
+def well(sentence: str) -> Row:
+    return Verdict.OK, sentence, ""
 
 
 def shown(*arguments: str) -> dict[str, str]:
@@ -77,11 +92,6 @@ class CheckedRobot:
     def path(self, absolute: str | Path) -> Path:
         """Return this path of the machine."""
         return self.root / str(absolute).lstrip("/")
-
-    @property
-    def installed(self) -> bool:
-        """Whether the service is installed."""
-        return self.path(whole.CURRENT).is_dir() or self.unit.get("LoadState") == "loaded"
 
     @cached_property
     def package(self) -> str:
@@ -118,66 +128,27 @@ def text(path: Path) -> str:
     return ""
 
 
-class Fault(NamedTuple):
-    """A row of the table. `when`: whether a reading has this fault."""
-
-    verdict: Verdict
-    when: Callable[[Seen], object]
-    sentence: str
-    remedy: str
+Probes = Mapping[str, Callable[[CheckedRobot], Iterator[Rows]]]
+"""The table: the name of a probe, and the function that reads something of this machine, once or several times."""
 
 
-failure = partial(Fault, Verdict.FAILURE)
-warning = partial(Fault, Verdict.WARNING)
-
-
-class Probe(NamedTuple):
-    """`read` returns a reading, several, or None if none applies here. `well`: the line without a fault, if any."""
-
-    name: str
-    read: Callable[[Any], Seen | Iterable[Seen | None] | None]
-    faults: tuple[Fault, ...]
-    well: str = ""
-
-    def readings(self, looked_at: object) -> Iterator[Seen]:
-        """Yield the readings that apply to this machine."""
-        found = self.read(looked_at) or ()
-        yield from filter(None, [found] if isinstance(found, Seen) else found)
-
-    def judged(self, seen: Seen) -> Iterator[Result]:
-        """Yield the line of one reading. In texts, `{run[check --move]}` is a command with this connection."""
-        values = {"run": _OwnCommands(), **vars(seen)}
-        for fault in self.faults:
-            if fault.when(seen):
-                sentence, remedy = fault.sentence.format_map(values), fault.remedy.format_map(values).strip()
-                yield Result(self.name, fault.verdict, sentence, remedy)
-                return
-        if self.well:
-            yield Result(self.name, Verdict.OK, self.well.format_map(values))
-
-
-class _OwnCommands:
-    def __getitem__(self, arguments: str) -> str:
-        return command(arguments)
-
-
-def results(probes: Iterable[Probe], looked_at: object) -> Iterator[Result]:
+def results(probes: Probes, robot: CheckedRobot) -> Iterator[Result]:
     """Yield the lines of all probes. A reading that this user may not take is a warning."""
-    for probe in probes:
+    for name, read in probes.items():
         try:
-            for seen in probe.readings(looked_at):
-                yield from probe.judged(seen)
+            for rows in read(robot):
+                yield from (Result(name, *row) for row in list(filter(None, rows))[:1])
         except OSError as error:
-            yield Result(probe.name, Verdict.WARNING, f"cannot be looked at: {error}", "sudo hexapod-gateway check")
+            yield Result(name, Verdict.WARNING, f"cannot be looked at: {error}", "sudo hexapod-gateway check")
 
 
-def show(word: str, style: str, name: str, sentence: str, fix: str = "") -> None:
+def show(word: str, name: str, sentence: str, fix: str = "") -> None:
     """Print `word  name  sentence → fix` in columns, in colour on a terminal. Never wrapped."""
-    line = Text().append(f"{word:8}", style).append(f" {name:14} ", "bold").append(visible(sentence))
+    line = Text().append(f"{word:8}", _STYLES.get(word, _BAD)).append(f" {name:14} ", "bold").append(visible(sentence))
     Console(highlight=False, soft_wrap=True).print(line.append(f" → {visible(fix)}", "cyan") if fix else line)
 
 
 def conclude(sentence: str, *, well: bool) -> int:
     """Print the last sentence. Return the exit code: 0 if `well`, else 1."""
-    Console(highlight=False, soft_wrap=True).print(Text(sentence, "bold green" if well else BAD))
+    Console(highlight=False, soft_wrap=True).print(Text(sentence, "bold green" if well else _BAD))
     return 0 if well else 1

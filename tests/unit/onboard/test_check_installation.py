@@ -1,19 +1,17 @@
-"""`check`: what an installation is, read from files below a folder, and certificates that belong together or not."""
+"""`check`: what an installation is, read from files below a folder."""
 
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from gateway import certs
-from gateway.onboard.check import laptop, security
+from gateway.onboard.check import laptop
 from gateway.onboard.check.installation import PROBES, UNIT
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
 from gateway.people.client.requests import Identity
-from gateway.robot.settings import Settings
 from schemas.telemetry import RevocationsReport
 from tests.support.certs_folder import NOW, make_folder
 
@@ -128,7 +126,11 @@ FINE: tuple[Plant, ...] = (
 
 def found(robot: Installed) -> list[Result]:
     """Without what is so of this machine: a folder that a boot empties."""
-    lines = [each for each in results([*PROBES, UNIT], robot) if each.name != "user" and each.verdict is not Verdict.OK]
+    lines = [
+        each
+        for each in results({**PROBES, "unit": UNIT["systemd unit"]}, robot)
+        if each.name != "user" and each.verdict is not Verdict.OK
+    ]
     return [each for each in lines if "which a boot empties" not in each.sentence]
 
 
@@ -149,57 +151,7 @@ def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
     assert found(robot) == []
 
 
-def test_settings_that_are_new_are_named(tmp_path: Path) -> None:
-    robot, template = Installed(tmp_path), (Path(__file__).parents[3] / "deploy/gateway.toml").read_text()
-    robot.write("usr/share/hexapod-gateway/gateway.toml", template)
-    robot.write("etc/hexapod-gateway/gateway.toml", re.sub("# (max_age_ms|speed_hz) =", "#", template))
-    (line,) = (each for each in results(PROBES, robot) if each.name == "settings")
-    assert line.sentence.endswith("whose defaults hold: limits.max_age_ms, spi.speed_hz")
-
-
 # ---- certificates
-
-
-def of(folder: Path, state: Path | None = None) -> CheckedRobot:
-    sections = {"zenoh": {"config": str(folder / "gateway.json5")}, "state": {"path": str(state) if state else ""}}
-    return CheckedRobot(Settings.of(sections))
-
-
-class Folders:
-    """A robot's certificates, and those of another authority."""
-
-    def __init__(self, folder: Path) -> None:
-        self.own, self.other, self.state = folder / "own", folder / "other", folder / "state"
-        self.state.mkdir()
-        for each in (self.own, self.other):
-            certs.folder.init(each, ["127.0.0.1"])
-            certs.folder.issue(each, "anna", "operator")
-            certs.folder.revoke(each, "anna")
-
-    def bring(self, *names: str) -> list[str]:
-        """What is not well once these of the other's files have taken the place of the robot's own."""
-        for name in names:
-            (self.own / name).write_bytes((self.other / name).read_bytes())
-        found = results(security.CERTIFICATES[1:], of(self.own, self.state))
-        lines = [each for each in found if each.verdict is not Verdict.OK]
-        assert all("sudo " in each.fix for each in lines)
-        return [each.sentence.replace(f"{self.own}/", "") for each in lines]
-
-
-def test_certificate_key_authority_and_lists_have_to_belong_together(tmp_path: Path) -> None:
-    folders = Folders(tmp_path)
-    assert folders.bring() == []
-    assert folders.bring("gateway.key") == ["gateway.key is not the key of gateway.pem: nobody can connect"]
-    assert folders.bring("gateway.pem") == ["gateway.pem is of another authority than ca.pem: nobody can connect"]
-    (folders.state / "revoked.crl").write_text("x")
-    assert folders.bring("ca.pem") == [
-        f"{folders.state}/revoked.crl: this is no list of `hexapod-gateway certs revoke`, or it was cut off; "
-        "the service does not start",
-        "revoked.crl is of another authority, so it shuts nobody out",
-    ]
-    (folders.own / "ca.pem").write_text("")
-    assert folders.bring() == [], "another line says it"
-    assert list(results(security.CERTIFICATES[1:], CheckedRobot(Settings()))) == []
 
 
 @pytest.mark.parametrize(("number", "verdict"), [(None, Verdict.WARNING), (1, Verdict.WARNING), (2, Verdict.OK)])

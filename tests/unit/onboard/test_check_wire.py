@@ -79,19 +79,19 @@ def nothing(_: Terminal) -> None:
 def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: str, says: str) -> None:
     """What a gateway will read, or nobody may, is left there: the heartbeat is not listened to, either."""
     plant(terminal)
-    (found,) = results(wire.CONTROLLER[:1], terminal.robot)
+    found, *heartbeat = results({"UART": wire.PROBES["UART"]}, terminal.robot)
     assert (found.verdict, says in found.sentence) == (verdict, True), found
     if verdict != "ok" or terminal.robot.gateway_runs:
-        assert list(results(wire.CONTROLLER[1:], terminal.robot)) == []
+        assert heartbeat == []
         assert terminal.unread() == BYTES
 
 
 @pytest.mark.parametrize(
     ("sends", "line"),
     [
-        (None, "ok 6 came in 300 ms, so the controller speaks elkapod-2025"),
-        (b"", "failure none came in 300 ms, but 0 other bytes"),
-        (b"login: ", "failure none came in 300 ms, but 105 other bytes"),
+        (None, "ok 6 heartbeats came in 300 ms, so the controller speaks elkapod-2025"),
+        (b"", "failure no heartbeat came in 300 ms, but 0 other bytes"),
+        (b"login: ", "failure no heartbeat came in 300 ms, but 105 other bytes"),
     ],
 )
 def test_its_heartbeat_is_awaited(sends: bytes | None, line: str) -> None:
@@ -104,8 +104,9 @@ def test_its_heartbeat_is_awaited(sends: bytes | None, line: str) -> None:
 
     simulated = SimulatedElkapod(clock=lambda: now_ns)
     read = simulated.uart_read if sends is None else lambda: sends
-    (found,) = wire.CONTROLLER[1].judged(wire.heartbeat(read, 300_000_000, lambda: now_ns, pause))
-    assert f"{found.verdict} {found.sentence}" == line
+    found = wire.heartbeat(read, 300_000_000, lambda: now_ns, pause)
+    assert found is not None
+    assert f"{found[0]} {found[1]}" == line
 
 
 # ---- the power board
@@ -120,7 +121,7 @@ def adapter(tmp_path: Path) -> Iterator[Adapter]:
 
 def board(tmp_path: Path, *, gateway_runs: bool = False) -> Result:
     settings = Settings.of({"power": {"interface": "slcan", "channel": str(tmp_path / "adapter")}})
-    (found,) = results([wire.POWER], CheckedRobot(settings, gateway_runs=gateway_runs))
+    (found,) = results(wire.POWER, CheckedRobot(settings, gateway_runs=gateway_runs))
     return found
 
 
