@@ -102,5 +102,6 @@ def test_a_port(endpoint: str, sentence: str, taken: int) -> None:
 
 
 def said(robot: CheckedRobot, where: str) -> str:
-    row = next(filter(None, security.port(robot, where)))
-    return row[1]
+    found = security.port(robot, where)
+    assert found is not None
+    return found.sentence

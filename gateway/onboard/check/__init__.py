@@ -37,8 +37,6 @@ _GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """Loaded before the change of user: the service's user may not be able to read this Python's folder."""
 _DRIVE: Final = "reach the gateway"
-CONFIGURED: Final = {**wire.PROBES, **security.PROBES, **wire.POWER}
-"""Probes that need the settings."""
 
 
 def check(config: Path | None, *, as_json: bool = False) -> int:
@@ -50,7 +48,7 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     robot = CheckedRobot()
     show_line("reading the files of the installed release …")
     installed = whole.CURRENT.is_dir() or robot.unit.get("LoadState") == "loaded"
-    seen = list(results(installation.PROBES, robot)) if installed else []  # root sees it all
+    seen = list(results(robot, *installation.AS_ROOT)) if installed else []  # root sees it all
     clear_line()
     _go_on_as_the_service(robot)
     if config is None and (endpoint := _simulated()):
@@ -107,8 +105,6 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     While the service runs and `config` is None, check its device with the settings in use. Raises FramingNotSetError.
     """
     path = config or CONFIGURATION
-    if os.geteuid() not in (0, robot.service and robot.service[0]) and _denied(path):
-        raise ConfigError(f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check")
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
     in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in map(str.upper, stop.unit()[1])
@@ -119,7 +115,10 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         if isinstance(error, FramingNotSetError) and used is None:  # else it runs, and would not start again
             raise
         faults = str(error).splitlines()
-    yield from results({**installation.PYTHON, **installation.RIGHTS}, robot)
+        if security.DENIED in faults[0] and os.geteuid() not in (0, robot.service and robot.service[0]):
+            unread = f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check"
+            raise ConfigError(unread) from None
+    yield from results(robot, installation.python, installation.rights)
     yield from seen
     for fault in faults:
         fix = table.LET_READ if security.DENIED in fault else "fix it there, and check again"
@@ -132,22 +131,11 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         yield Result("configuration", Verdict.OK, where)
         if used is not None:  # the wire is looked at with the service's settings
             uart = replace(robot.settings.controller, uart=used.controller.uart)
-            if robot.settings.device != used.spi.device and used.wire.built_in is not None:
-                yield from results(wire.DEVICE, robot)
             robot.settings = replace(robot.settings, wire=used.wire, spi=used.spi, controller=uart)
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
-        yield from results(CONFIGURED, robot)
-    yield from results({**installation.UNIT, **installation.MACHINE}, robot)
-
-
-def _denied(path: Path) -> bool:
-    with suppress(FileNotFoundError, IsADirectoryError, NotADirectoryError):
-        try:
-            path.open("rb").close()
-        except PermissionError:
-            return True
-    return False
+        yield from results(robot, *wire.PROBES, *security.PROBES, wire.power)
+    yield from results(robot, installation.unit, installation.machine)
 
 
 def _simulated() -> str:

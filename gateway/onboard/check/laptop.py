@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gateway import certs
 from gateway.errors import ConfigError, ZenohError
-from gateway.onboard.check.installation import PYTHON
+from gateway.onboard.check.installation import python
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Verdict, results
 from gateway.own_command import this_command
 from gateway.people.client import diagnosis
@@ -21,7 +21,7 @@ from schemas.telemetry import RevocationsReport
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
     """Yield the result of each step to the gateway. If one endpoint reaches it, faults of the others are warnings."""
-    yield from results(PYTHON, CheckedRobot())
+    yield from results(CheckedRobot(), python)
     try:
         config = client_config(connect, zenoh_config)
     except ConfigError as error:

@@ -21,7 +21,7 @@ from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.directories import state_to_read
 from gateway.host.kernel_tables import listening
-from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Probes, Rows, failure, warning, well
+from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.own_command import this_command
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.late_addresses import bind_fault, is_late
@@ -37,11 +37,11 @@ _NO_LIST: Final = (
     "there is no list: nobody is shut out. If somebody was, send the newest list from where ca.key is: "
     "hexapod-gateway certs revoke --dir DIR"
 )
-_TO_FILE: Final = f"copy {revocation.REVOCATION_FILE} from the folder of certificates (where ca.key is) to FILE here"
 
 logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_config` warns of is a line here
 
 
+# fmt: off
 def _configuration(robot: CheckedRobot) -> zenoh.Config | None:
     """Return the service's Zenoh configuration; None if it cannot be used, which the line `Zenoh` reports."""
     with suppress(ConfigError):
@@ -49,138 +49,112 @@ def _configuration(robot: CheckedRobot) -> zenoh.Config | None:
     return None
 
 
-# ---- certificates
+def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Result | None]:
+    """How long the certificates that the Zenoh file names are valid, and whether they and their keys belong together.
 
-
-def validity(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Rows]:
-    """How long the certificates that the Zenoh file names are valid."""
+    Of these, one is for listening, and one for dialling a router: mostly they are the same.
+    """
     config, now = _configuration(robot), now or dt.datetime.now(dt.UTC)
     if config is None:
         return
-    found = list(map(certs.folder.describe, certificate_files(config)))
-    if not found:
-        yield [well("none are in use")]
-    for each in found:
+    if not certificate_files(config):
+        yield first("certificates", well("none are in use"))
+    for each in map(certs.folder.describe, certificate_files(config)):
         end, left_days = f"{each.not_after:%Y-%m-%d}", each.days_left(now)
         renew = f"{certs.how_to_renew(each.path.name, each.role, each.name)}, then: {RESTART}"
-        yield [
+        yield first("certificates",
             failure(now < each.not_before, f"{each.path} is valid only from {each.not_before:%Y-%m-%d}",
                     "set the clock (timedatectl)"),
             failure(left_days < 0, f"{each.path} expired on {end}: nobody can connect", renew),
             warning(left_days < certs.WARN_DAYS, f"{each.path} is good until {end}, {left_days} days more", renew),
-            well(f"{each.path} is good until {end}"),
-        ]  # fmt: skip
-
-
-def _pairs(robot: CheckedRobot) -> Iterator[Rows]:
-    """The certificate and key for listening, and those for dialling a router: mostly the same files."""
-    config, parts = _configuration(robot) or zenoh.Config(), ("certificate", "private_key")
+            well(f"{each.path} is good until {end}"))
+    parts = ("certificate", "private_key")
     pairs = {tuple(get(config, f"{_TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
     for names, side in pairs.items():
         with suppress(ConfigError, TypeError):  # none is named, or the key is of another kind
             ca, certificate, key = map(Path, (get(config, _CA), *names))
             own, role = certs.files.read_certificate(certificate), certs.folder.describe(certificate).role
             issued = any(certs.authority.is_issued(own, each) for each in certs.files.read_certificates(ca))
-            from_one_folder = (
-                f"copy gateway.json5 and {ca.name}, {certificate.name}, {key.name} from one folder of certificates "
-                "(where ca.key is) to FOLDER here, then: sudo hexapod-gateway setup --certs FOLDER"
-            )
-            yield [
-                failure(not issued, f"{certificate} is of another authority than {ca}: nobody can connect",
-                        from_one_folder),
+            again = (f"copy gateway.json5 and {ca.name}, {certificate.name}, {key.name} from one folder of "
+                     "certificates (where ca.key is) to FOLDER here, then: sudo hexapod-gateway setup --certs FOLDER")
+            yield first("certificates",
+                failure(not issued, f"{certificate} is of another authority than {ca}: nobody can connect", again),
                 failure(certs.files.read_key(key).public_key() != own.public_key(),
-                        f"{key} is not the key of {certificate}: nobody can connect", from_one_folder),
+                        f"{key} is not the key of {certificate}: nobody can connect", again),
                 failure(side == "listen" and role != certs.authority.GATEWAY,
-                        f"{certificate} is of {role}, not of a robot: laptops reject it", from_one_folder),
-            ]  # fmt: skip
+                        f"{certificate} is of {role}, not of a robot: laptops reject it", again))
 
 
-def _lists(robot: CheckedRobot) -> Iterator[Rows]:
+def revoked(robot: CheckedRobot) -> Iterator[Result | None]:
     """Each revocation list that the service reads at its start but cannot use; without one, the list in force."""
-    ca = get(_configuration(robot) or zenoh.Config(), _CA)
-    if ca is None:
-        return
+    ca, known, unusable = get(_configuration(robot) or zenoh.Config(), _CA), list[revocation.RevocationList](), False
     folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
-    known, unusable = list[revocation.RevocationList](), Rows()
-    for path in (folder / revocation.REVOCATION_FILE for folder in folders if folder is not None):
-        another = f"{_TO_FILE}, then: sudo install -m 644 -o {SERVICE} -g {SERVICE} FILE {path} && {RESTART}"
+    for path in (folder / revocation.REVOCATION_FILE for folder in folders if folder is not None and ca is not None):
         try:
             known += filter(None, [revocation.read(path, certs.files.read_certificates(Path(ca)))])
-        except revocation.ForeignListError:
-            unusable += [warning(path, f"{path} is of another authority, so it shuts nobody out", another)]
         except ConfigError as error:
-            unusable += [failure(error, f"{error}; the service does not start", another)]
+            unusable = True
+            another = (f"copy {revocation.REVOCATION_FILE} from the folder of certificates (where ca.key is) to FILE "
+                       f"here, then: sudo install -m 644 -o {SERVICE} -g {SERVICE} FILE {path} && {RESTART}")
+            yield first("revoked",
+                warning(isinstance(error, revocation.ForeignListError), f"{path} is of another authority, so it shuts "
+                        "nobody out", another),
+                failure(error, f"{error}; the service does not start", another))
     newest = max(known, key=lambda each: each.number, default=None)
     shuts_out = newest and f"list {newest.number} of {newest.date:%Y-%m-%d} shuts out {len(newest.entries)}"
-    yield from [[each] for each in unusable] or [[well(shuts_out or _NO_LIST)]]
+    yield None if ca is None or unusable else first("revoked", well(shuts_out or _NO_LIST))
 
 
-# ---- Zenoh
-
-
-def _zenoh(robot: CheckedRobot) -> Iterator[Rows]:
-    settings = robot.settings.zenoh
+def network(robot: CheckedRobot) -> Iterator[Result | None]:
+    """The Zenoh configuration, its access rules, and each endpoint on which the service listens."""
+    settings, metrics = robot.settings.zenoh, robot.settings.telemetry.metrics
+    if metrics:
+        yield port(robot, f"tcp/{metrics}", "telemetry.metrics")
     try:
         config = service_config(settings)
     except ConfigError as error:
         for each in str(error).splitlines():
-            yield [failure(DENIED in each, each, LET_READ), failure(each, each, "fix it there")]
-    else:
-        for each in list(exposure.warnings(config)) or [""]:
-            yield [
-                warning(each, each, "see docs/certificates.md for what each link needs"),
-                well(settings.config or "its configuration is these settings alone"),
-            ]
+            yield first("Zenoh", failure(DENIED in each, each, LET_READ), failure(each, each, "fix it there"))
+        return
+    for each in list(exposure.warnings(config)) or [""]:
+        yield first("Zenoh", warning(each, each, "see docs/certificates.md for what each link needs"),
+                    well(settings.config or "its configuration is these settings alone"))
+    control, namespace = get(config, "access_control") or {}, get(config, "namespace") or ""
+    rules = {each["id"]: each for each in control.get("rules") or []}
+    if control.get("enabled") and not rules.keys().isdisjoint(each.what for each in access.TRAFFIC):  # made by `certs`
+        listed = {rule for each in control.get("policies") or [] for rule in each["rules"]}
+        wanted = json.loads(json.dumps([access.rule(each, namespace) for each in access.TRAFFIC]))
+        lost = ", ".join(each["id"] for each in wanted if each != rules.get(each["id"]) or each["id"] not in listed)
+        ports = (re.search(r":(\d+)$", each) for each in listen_endpoints(config))
+        number = next((int(found[1]) for found in ports if found), 7447)
+        anew = command_for_new_rules(settings.config, number, this_command())
+        yield first("access control",
+            warning(lost, f"{settings.config} silently drops messages: {lost}", f"make it anew: {anew} && {RESTART}"),
+            well("lets all of this gateway's keys through"))
+    yield from (port(robot, each) for each in listen_endpoints(config))
+    if not listen_endpoints(config):
+        yield first("port", well("none: the gateway does not listen, and dials others"))
 
 
-def _ports(robot: CheckedRobot) -> Iterator[Rows]:
-    """Each endpoint on which the service listens."""
-    if (config := _configuration(robot)) is not None:
-        yield from (port(robot, each) for each in listen_endpoints(config))
-        yield [] if listen_endpoints(config) else [well("none: the gateway does not listen, and dials others")]
-    if metrics := robot.settings.telemetry.metrics:
-        yield port(robot, f"tcp/{metrics}", "telemetry.metrics")
-
-
-def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> Rows:
+def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> Result | None:
     """Return whether the service can listen on `endpoint`, or a gateway does already."""
     number = host_and_port(endpoint)[1]
     fault = bind_fault(endpoint) if not number.isdecimal() or int(number) <= _LAST_PORT else _NO_PORT
     if fault is None:
-        return [well(f"{endpoint} {'is free' if number.isdecimal() else 'was not tried: it names no port'}")]
+        free = "is free" if number.isdecimal() else "was not tried: it names no port"
+        return first("port", well(f"{endpoint} {free}"))
     kind = socket.SOCK_DGRAM if endpoint.startswith(("udp/", "quic/")) else socket.SOCK_STREAM
     taken, users = fault.errno == errno.EADDRINUSE, {uid for _, uid in listening(int(number), kind)}
     ours = robot.gateway_runs or (robot.service is not None and robot.service[0] in users)
-    return [
+    return first("port",
         well(f"{endpoint} is in use by the running gateway") if taken and ours else None,
         failure(taken, f"{endpoint} is taken by another program",
                 f"find that program (ss -ltnp), or set another {setting}"),
         warning(is_late(fault), f"{endpoint} is not there yet ({fault.strerror}): the service keeps trying, and "
                 "listens on the others", f"see the addresses of this machine (ip address), or set another {setting}"),
         failure(fault, f"{endpoint} cannot be listened on: {fault.strerror}",
-                f"set another {setting}: an address of this machine (ip address), a port from 1024 to 65535"),
-    ]  # fmt: skip
+                f"set another {setting}: an address of this machine (ip address), a port from 1024 to 65535"))
 
 
-def _access(robot: CheckedRobot) -> Iterator[Rows]:
-    """The rules of this release that a file made by `certs` lacks, because it is older or was edited."""
-    file, config = robot.settings.zenoh.config, _configuration(robot) or zenoh.Config()
-    control, namespace = get(config, "access_control") or {}, get(config, "namespace") or ""
-    rules = {each["id"]: each for each in control.get("rules") or []}
-    if not control.get("enabled") or rules.keys().isdisjoint(each.what for each in access.TRAFFIC):
-        return  # made by hand
-    listed = {rule for each in control.get("policies") or [] for rule in each["rules"]}
-    wanted = json.loads(json.dumps([access.rule(each, namespace) for each in access.TRAFFIC]))
-    lost = ", ".join(each["id"] for each in wanted if each != rules.get(each["id"]) or each["id"] not in listed)
-    ports = (re.search(r":(\d+)$", each) for each in listen_endpoints(config))
-    anew = command_for_new_rules(file, next((int(found[1]) for found in ports if found), 7447), this_command())
-    yield [
-        warning(lost, f"{file} silently drops messages: {lost}", f"make it anew: {anew} && {RESTART}"),
-        well("lets all of this gateway's keys through"),
-    ]
-
-
-PROBES: Final[Probes] = {
-    "certificates": validity, "key pair": _pairs, "revoked": _lists, "Zenoh": _zenoh,
-    "access control": _access, "port": _ports,
-}  # fmt: skip
+# fmt: on
+PROBES: Final = (certificates, revoked, network)

@@ -1,7 +1,7 @@
-"""The means of `check`: a probe reads something of this machine, and prints the first row that applies.
+"""The means of `check`: a probe reads something of this machine, and returns the first of its rows that applies.
 
 A row is a call of `failure`, `warning` or `well`: when it is a fault, a sentence, a remedy. The remedy's commands work
-as printed; a person fills in words in capitals.
+as printed; a person fills in words in capitals. Probes that read the same are in one function.
 """
 
 import pwd
@@ -52,8 +52,6 @@ class Result(NamedTuple):
 
 Row = tuple[Verdict, str, str] | None
 """Verdict, sentence and remedy; None: it does not apply."""
-Rows = list[Row]
-"""What one reading may show. The first row that applies is printed."""
 
 
 def failure(when: object, sentence: str, remedy: str) -> Row:
@@ -66,6 +64,11 @@ def warning(when: object, sentence: str, remedy: str) -> Row:
 
 def well(sentence: str) -> Row:
     return Verdict.OK, sentence, ""
+
+
+def first(name: str, *rows: Row) -> Result | None:
+    """Return the line of a probe: the first row that applies."""
+    return next((Result(name, *row) for row in rows if row is not None), None)
 
 
 def shown(*arguments: str) -> dict[str, str]:
@@ -93,25 +96,21 @@ class CheckedRobot:
         """Return this path of the machine."""
         return self.root / str(absolute).lstrip("/")
 
+    def text(self, absolute: str | Path) -> str:
+        """Return the stripped text of a file of the machine; "" if it is unreadable or no file."""
+        with suppress(OSError):
+            return self.path(absolute).read_text(errors="replace").strip()
+        return ""
+
     @cached_property
     def package(self) -> str:
         """The version of the installed package; "" without one."""
         return whole.version()
 
     @cached_property
-    def files(self) -> whole.Whole:
-        """The package's files, compared with dpkg's list."""
-        return whole.compare() if self.package else whole.Whole()
-
-    @cached_property
     def unit(self) -> Mapping[str, str]:
         """The service's properties in systemd; empty without any."""
         return self.shown(SERVICE)
-
-    @cached_property
-    def environment(self) -> str:
-        """The variables that systemd gives to all services."""
-        return self.shown("--property=Environment").get("Environment", "")
 
     @cached_property
     def service(self) -> tuple[int, int] | None:
@@ -121,25 +120,16 @@ class CheckedRobot:
         return None
 
 
-def text(path: Path) -> str:
-    """Return a file's stripped text; "" if it is unreadable or no file."""
-    with suppress(OSError):
-        return path.read_text(errors="replace").strip()
-    return ""
+Probes = Callable[[CheckedRobot], Iterator[Result | None]]
 
 
-Probes = Mapping[str, Callable[[CheckedRobot], Iterator[Rows]]]
-"""The table: the name of a probe, and the function that reads something of this machine, once or several times."""
-
-
-def results(probes: Probes, robot: CheckedRobot) -> Iterator[Result]:
+def results(robot: CheckedRobot, *probes: Probes) -> Iterator[Result]:
     """Yield the lines of all probes. A reading that this user may not take is a warning."""
-    for name, read in probes.items():
+    for read in probes:
         try:
-            for rows in read(robot):
-                yield from (Result(name, *row) for row in list(filter(None, rows))[:1])
+            yield from filter(None, read(robot))
         except OSError as error:
-            yield Result(name, Verdict.WARNING, f"cannot be looked at: {error}", "sudo hexapod-gateway check")
+            yield Result(read.__name__, Verdict.WARNING, f"cannot be read: {error}", "sudo hexapod-gateway check")
 
 
 def show(word: str, name: str, sentence: str, fix: str = "") -> None:

@@ -12,7 +12,6 @@ from gateway.onboard.check import wire
 from gateway.onboard.check.move import ServoCurrents
 from gateway.onboard.check.table import CheckedRobot, Result, results
 from gateway.robot.settings import Settings
-from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.telemetry import ServoTelemetry, Telemetry
 from tests.support.machine_tree import MachineTree
 from tests.support.slcan_adapter import Adapter
@@ -79,34 +78,11 @@ def nothing(_: Terminal) -> None:
 def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: str, says: str) -> None:
     """What a gateway will read, or nobody may, is left there: the heartbeat is not listened to, either."""
     plant(terminal)
-    found, *heartbeat = results({"UART": wire.PROBES["UART"]}, terminal.robot)
+    found, *heartbeat = results(terminal.robot, wire.uart)
     assert (found.verdict, says in found.sentence) == (verdict, True), found
     if verdict != "ok" or terminal.robot.gateway_runs:
         assert heartbeat == []
         assert terminal.unread() == BYTES
-
-
-@pytest.mark.parametrize(
-    ("sends", "line"),
-    [
-        (None, "ok 6 heartbeats came in 300 ms, so the controller speaks elkapod-2025"),
-        (b"", "failure no heartbeat came in 300 ms, but 0 other bytes"),
-        (b"login: ", "failure no heartbeat came in 300 ms, but 105 other bytes"),
-    ],
-)
-def test_its_heartbeat_is_awaited(sends: bytes | None, line: str) -> None:
-    """Nothing can be written by what only reads: 80 bytes would make a controller of v1.0.0 deaf to Stops."""
-    now_ns = 10**9
-
-    def pause(seconds: float) -> None:
-        nonlocal now_ns
-        now_ns += round(seconds * 1e9)
-
-    simulated = SimulatedElkapod(clock=lambda: now_ns)
-    read = simulated.uart_read if sends is None else lambda: sends
-    found = wire.heartbeat(read, 300_000_000, lambda: now_ns, pause)
-    assert found is not None
-    assert f"{found[0]} {found[1]}" == line
 
 
 # ---- the power board
@@ -121,7 +97,7 @@ def adapter(tmp_path: Path) -> Iterator[Adapter]:
 
 def board(tmp_path: Path, *, gateway_runs: bool = False) -> Result:
     settings = Settings.of({"power": {"interface": "slcan", "channel": str(tmp_path / "adapter")}})
-    (found,) = results(wire.POWER, CheckedRobot(settings, gateway_runs=gateway_runs))
+    (found,) = results(CheckedRobot(settings, gateway_runs=gateway_runs), wire.power)
     return found
 
 
