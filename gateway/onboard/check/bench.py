@@ -1,4 +1,4 @@
-"""The means of `check --stops`: one servo, a client, and the frames and events received meanwhile."""
+"""The means of `check --move` and `--stops`: one servo, a client, and the frames and events received meanwhile."""
 
 import threading
 import time
@@ -43,14 +43,14 @@ def demand(true: object, sentence: str) -> None:
 class StopsOptions(NamedTuple):
     """The options of the command line. With every core busy, Stops were late by 2.9 ms at most."""
 
-    leg: int
-    agreed: bool
-    only: Sequence[str]
-    late_ms: float
-    restart: bool
-    unplug: bool
-    config: Path | None
-    as_json: bool
+    leg: int = 1
+    agreed: bool = False
+    only: Sequence[str] = ()
+    late_ms: float = 20.0
+    restart: bool = False
+    unplug: bool = False
+    config: Path | None = None
+    as_json: bool = False
 
 
 class WrittenFrame(NamedTuple):
@@ -63,11 +63,23 @@ class WrittenFrame(NamedTuple):
 
 
 @dataclass
-class Commands:
-    """Commands for one servo. Each fails the step unless it is accepted, or rejected for the expected `reason`."""
+class Bench:
+    """The means of a step: commands for one servo, and the frames and events received since `receives` began.
+
+    A command fails the step unless it is accepted, or rejected for the expected `reason`.
+    """
 
     client: Client
     motion: ServoMotion
+    options: StopsOptions = StopsOptions()  # noqa: RUF009  (immutable)
+    calibration: RobotCalibration = field(default_factory=RobotCalibration)
+    frames_published: bool = False
+    answer_ms: float = 0.0
+    """How long the gateway takes to answer at rest."""
+    estop: int = 0
+    """The number of this program's own emergency stop."""
+    frames: list[WrittenFrame] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
 
     def ask(self, op: str, angle_deg: float, reason: Reason | None = None) -> None:
         """Start or set (`op`) the servo, acknowledged. Raises FailedError."""
@@ -81,21 +93,6 @@ class Commands:
         """Raise FailedError unless `ack` is accepted (`reason`: rejected for this reason)."""
         found = "accepted" if ack.accepted else f"rejected: {ack.reason}: {ack.detail}"
         demand(ack.reason == reason, f"{what} was {found}" + (f"; wanted: {reason or 'accepted'}" if reason else ""))
-
-
-@dataclass
-class Bench(Commands):
-    """The means of a step: one servo, and the frames and events received since `receives` began."""
-
-    options: StopsOptions
-    calibration: RobotCalibration = field(default_factory=RobotCalibration)
-    frames_published: bool = False
-    answer_ms: float = 0.0
-    """How long the gateway takes to answer at rest."""
-    estop: int = 0
-    """The number of this program's own emergency stop."""
-    frames: list[WrittenFrame] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
 
     def reset(self) -> None:
         """End this program's own emergency stop. Raises FailedError if the gateway rejects it, or anything moves."""

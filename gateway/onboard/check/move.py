@@ -8,13 +8,13 @@ is asked whether the servo is loose.
 """
 
 import time
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.model.protocols import BUILT_IN
-from gateway.onboard.check.bench import Commands, FailedError
+from gateway.onboard.check.bench import Bench, FailedError
 from gateway.own_command import command
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
@@ -71,10 +71,10 @@ def move(connect: Connection, *, agreed: bool) -> int:
 
     `agreed`: ask nothing; 0 then means only that all commands were accepted.
     """
-    with connect() as client, ExitStack() as stack:
+    with connect() as client:
         state = ready(client)
         show_differences()
-        whole, currents = state.wire.whole_robot, None
+        whole, measured, at_rest = state.wire.whole_robot, list[Telemetry](), 0
         if whole and not state.controller.alive:
             say(_SILENT.format(status=command("status")))
             return 1
@@ -83,12 +83,12 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say("Nothing was moved.")
             return 1
         state = ready(client)  # the questions took their time
-        if state.power is not None and not state.wire.supply_starts:
-            # Else supply is what starts a servo, so the one at that output moves, whichever it is.
-            currents = ServoCurrents()
-            stack.callback(client.on_telemetry(currents.take).undeclare)
+        # If supply is what starts a servo, the one at that output moves, whichever it is.
+        shows_output = state.power is not None and not state.wire.supply_starts
+        if shows_output:
+            _subscriber = client.on_telemetry(measured.append)
             time.sleep(_REST_S)
-            currents.moves = True
+            at_rest = len(measured)
 
         def stop() -> str:  # alone in its call
             which = "All servos are" if whole else f"Servo {motion.servo_id} is"
@@ -97,7 +97,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
 
         with drives(client, _HOLD_S, moves=True), stopped_after("all servos are" if whole else "it is", stop):
             try:
-                _move(Commands(client, motion), state.watchdog.timeout_ms)
+                _move(Bench(client, motion), state.watchdog.timeout_ms)
             except FailedError as error:
                 say(f"{error}. If the watchdog stopped it, the way to the robot is slow, or this machine is: try again "
                     "on the robot itself, or nearer to its Wi-Fi.")  # fmt: skip
@@ -105,8 +105,8 @@ def move(connect: Connection, *, agreed: bool) -> int:
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, {motion.which} with them.")
-            if currents is not None:
-                say(currents.finding(motion.servo_id))
+            if shows_output:
+                say(output(measured[:at_rest], measured[at_rest:], motion.servo_id))
             if agreed:
                 say("Every frame was written, and SPI has no way back: look whether it moved, and whether it is loose.")
                 return 0
@@ -129,40 +129,32 @@ def move(connect: Connection, *, agreed: bool) -> int:
     return 0
 
 
-def _move(commands: Commands, timeout_ms: float) -> None:
+def _move(bench: Bench, timeout_ms: float) -> None:
     """Start the servo, repeat each angle for `_HOLD_S`, and stop all. Raises FailedError."""
-    commands.start()  # only once: a set is rejected for what somebody else has stopped
-    for angle_deg in (commands.motion.start_deg, commands.motion.end_deg):
+    bench.start()  # only once: a set is rejected for what somebody else has stopped
+    for angle_deg in (bench.motion.start_deg, bench.motion.end_deg):
         end_s = time.monotonic() + _HOLD_S
         while time.monotonic() < end_s:
-            commands.ask("set", angle_deg)
+            bench.ask("set", angle_deg)
             time.sleep(min(_PERIOD_S, timeout_ms / 5000))
-    commands.demand(commands.client.stop(), "a Stop")
+    bench.demand(bench.client.stop(), "a Stop")
 
 
-class ServoCurrents:
-    """The highest current (A) that the power board measured for each servo, at rest and after `moves` is set."""
+def output(rest: Sequence[Telemetry], moving: Sequence[Telemetry], servo_id: int) -> str:
+    """Return a sentence on what the power board's currents, at rest and later, show for a servo that was moved."""
 
-    def __init__(self) -> None:
-        self.moves = False
-        self._seen: dict[tuple[bool, str], float] = {}
+    def peak_a(reports: Sequence[Telemetry]) -> float | None:
+        servos = (each.servos.get(str(servo_id)) for each in reports if each.servos)
+        return max((each.current_a for each in servos if each and each.current_a is not None), default=None)
 
-    def take(self, telemetry: Telemetry) -> None:
-        """Record what the board measured."""
-        for name, servo in (telemetry.servos or {}).items():
-            if servo.current_a is not None:
-                self._seen[self.moves, name] = max(servo.current_a, self._seen.get((self.moves, name), 0.0))
-
-    def finding(self, servo_id: int) -> str:
-        """Return a sentence on what the currents show for a servo that was moved."""
-        rest_a, moving_a = (self._seen.get((moves, str(servo_id))) for moves in (False, True))
-        rise_a = 0.0 if rest_a is None or moving_a is None else moving_a - rest_a
-        if rise_a >= _LEAST_RISE_A:
-            return f"The power board's output for servo {servo_id} feeds it ({rise_a * 1000:.0f} mA more than at rest)."
-        return (
-            f"The power board has measured no current of servo {servo_id}: its output in power.servos feeds another "
-            "servo, or none. If it did not move, see by the plugs which one it is, and exchange the two."
-        )
+    rest_a, moving_a = peak_a(rest), peak_a(moving)
+    rise_a = 0.0 if rest_a is None or moving_a is None else moving_a - rest_a
+    if rise_a >= _LEAST_RISE_A:
+        return f"The power board's output for servo {servo_id} feeds it ({rise_a * 1000:.0f} mA more than at rest)."
+    return (
+        f"The power board has measured no current of servo {servo_id}: its output in power.servos feeds another "
+        "servo, or none. If it did not move, see by the plugs which one it is, and exchange the two."
+    )
 
 
 def _motion(held: Mapping[int, float], *, agreed: bool) -> ServoMotion:

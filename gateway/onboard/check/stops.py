@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -88,12 +89,11 @@ def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
     """Stop all legs at each end, also by a signal, and print a sentence about it."""
-    stopping = False
+    stopping = threading.Event()
 
     def end() -> None:
-        nonlocal stopping
-        if not stopping:  # a second Ctrl-C must not cost the Stop that the first one asks for
-            stopping = True
+        if not stopping.is_set():  # a second Ctrl-C must not cost the Stop that the first one asks for
+            stopping.set()
             raise KeyboardInterrupt
 
     def stop() -> str:
@@ -107,7 +107,7 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
         except KeyboardInterrupt:
             hint("The check was ended.")
         finally:
-            stopping = True
+            stopping.set()
 
 
 # ---- the steps: each returns its figures, or raises FailedError or Skipped
@@ -140,19 +140,18 @@ def command(bench: Bench) -> Figures:
 
 def _as_commanded(bench: Bench, moves: list[Frame]) -> bool:
     """Return whether the frames start the servo, set it to the end in one direction, and hold all other servos."""
-    motion, ops = bench.motion, dict[int, list[ServoOp]]()
-    for servo_id, op in (each for frame in moves for each in frame.servos):
-        ops.setdefault(servo_id, []).append(op)
-    if sorted(ops) != motion.started_ids or not all(op.op is Op.SET for each in ops.values() for op in each[1:]):
-        return False
+    motion, ops = bench.motion, [pair for frame in moves for pair in frame.servos]
     ends = ((Op.START, motion.start_deg), (Op.SET, motion.end_deg))
     wanted = [OneServo(motion.servo_id, ServoOp(op, centidegrees(angle_deg))) for op, angle_deg in ends]
-    servos = [pair for each in wanted for pair in bench.calibration.frame(each).servos]
-    own = ops.pop(motion.servo_id)
-    angles = [each.angle_cdeg for each in own]
-    holds = all(len({op.angle_cdeg for op in each}) == 1 for each in ops.values())
-    one_way = angles in (sorted(angles), sorted(angles, reverse=True))
-    return [own[0], own[-1]] == [op for _, op in servos] and one_way and holds
+    own = [op for servo_id, op in ops if servo_id == motion.servo_id]
+    angles = [op.angle_cdeg for op in own]
+    others = {(servo_id, op.angle_cdeg) for servo_id, op in ops if servo_id != motion.servo_id}
+    return (
+        sorted(servo_id for servo_id, op in ops if op.op is not Op.SET) == motion.started_ids
+        and len(others) == len(motion.started_ids) - 1
+        and [own[0], own[-1]] == [op for each in wanted for _, op in bench.calibration.frame(each).servos]
+        and angles in (sorted(angles), sorted(angles, reverse=True))
+    )
 
 
 def silence(bench: Bench) -> Figures:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gateway.onboard.check import wire
-from gateway.onboard.check.move import ServoCurrents
+from gateway.onboard.check.move import output
 from gateway.onboard.check.table import CheckedRobot, Result, results
 from gateway.robot.settings import Settings
 from schemas.telemetry import ServoTelemetry, Telemetry
@@ -136,15 +136,9 @@ def test_a_board_that_is_the_gateways_or_not_for_this_user_is_not_asked(
     ],
 )
 def test_the_highest_currents_show_which_output_feeds_a_servo(moving: dict[str, float], says: str) -> None:
-    currents = ServoCurrents()
-
-    def take(amperes: dict[str, float | None]) -> None:
+    def report(amperes: dict[str, float | None]) -> Telemetry:
         servos = {name: ServoTelemetry(supplied=True, current_a=each) for name, each in amperes.items()}
-        currents.take(Telemetry(time=dt.datetime.now(dt.UTC), age_ms=0, servos=servos))
+        return Telemetry(time=dt.datetime.now(dt.UTC), age_ms=0, servos=servos)
 
-    take({"11": 0.008, "12": 0.008, "61": 0.008})
-    take({"61": 0.003, "12": None})
-    currents.moves = True
-    take(dict(moving))
-    take(dict.fromkeys(moving, 0.001))
-    assert says in currents.finding(61)
+    rest = [report({"11": 0.008, "12": 0.008, "61": 0.008}), report({"61": 0.003, "12": None})]
+    assert says in output(rest, [report(dict(moving)), report(dict.fromkeys(moving, 0.001))], 61)
