@@ -1,10 +1,9 @@
 """`hexapod-gateway check`: print what is missing on this machine to run the service, and the command that fixes it.
 
-It changes nothing: no byte reaches the robot, and a running gateway is not disturbed. It only queries a power board.
+It changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
 """
 
 import grp
-import json
 import os
 import pwd
 import sys
@@ -27,13 +26,12 @@ from gateway.onboard import stop, whole
 from gateway.onboard.check import installation, laptop, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.people.client.blocking import Client
-from gateway.people.terminal import clear_line, say, show_line
+from gateway.people.terminal import clear_line, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
 from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import listen_endpoints
 
-_GROUPS_OF_THE_UNIT: Final = ("spi", "dialout")
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """Loaded before the change of user: the service's user may not be able to read this Python's folder."""
 _DRIVE: Final = "reach the gateway"
@@ -74,7 +72,7 @@ def _go_on_as_the_service(robot: CheckedRobot) -> None:
     if child := os.fork():
         sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
     user = pwd.getpwuid(robot.service[0])
-    groups = {each.gr_gid for each in grp.getgrall() if each.gr_name in _GROUPS_OF_THE_UNIT}
+    groups = {each.gr_gid for each in grp.getgrall() if each.gr_name in installation.GROUPS}
     with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: the line of the user reports it
         os.setgroups(sorted(groups | set(os.getgrouplist(user.pw_name, user.pw_gid))))
         os.setgid(user.pw_gid)
@@ -90,13 +88,11 @@ def _report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
         lines.setdefault(result.sentence, result)
     count = Counter(each.verdict for each in lines.values())
     passed = not count[Verdict.FAILURE]
-    if as_json:
-        say(json.dumps({"passed": passed, "checks": [each._asdict() for each in lines.values()]}))
-        return 0 if passed else 1
     worst = Verdict.WARNING if passed else Verdict.FAILURE
     many = f"{count[worst]} {worst}{'s' * (count[worst] != 1)}"
     end = f"can {can}{f', with {many}' if count[worst] else ''}" if passed else f"cannot {can}: {many}"
-    return table.conclude(f"This machine {end}.", well=passed)
+    checks = {"checks": [each._asdict() for each in lines.values()]} if as_json else None
+    return table.conclude(f"This machine {end}.", well=passed, as_json=checks)
 
 
 def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Iterator[Result]:

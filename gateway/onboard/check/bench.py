@@ -135,6 +135,10 @@ class Bench:
             time.sleep(_POLL_S)
         return found
 
+    def wait_until_stopped(self) -> object:
+        """Wait until no servo runs, for a second longer than the watchdog. Return whether none does."""
+        return self.wait(lambda: not self.running(), self.client.state().watchdog.stops_after_ms / 1000 + 1)
+
     def wait_for_event(self, kind: Kind, since: int, timeout_s: float) -> object:
         """Wait for an event of this kind after the first `since` events. Return whether it came."""
         return self.wait(lambda: any(each.kind == kind for each in self.events[since:]), timeout_s)

@@ -26,14 +26,10 @@ from gateway.host.kernel_tables import FORGETS, mount_of
 from gateway.onboard import whole
 from gateway.onboard.check.table import RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 
-_NEEDED: Final = ("spi", "dialout", SERVICE)
+GROUPS: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
 _STATE: Final = f"/var/lib/{SERVICE}"
 _FORMER: Final = (f"/usr/local/bin/{SERVICE}", f"/opt/{SERVICE}")
-_SHEBANG: Final = 127
-"""Bytes of a first line that Linux reads."""
-_MOST_FILES: Final = 20_000
-"""Most files read of the state directory."""
 _LEAST_FREE_MB, _LEAST_INODES = 20, 100
 """Room for some calibrations and lists."""
 _HARMLESS: Final = frozenset(
@@ -168,7 +164,7 @@ def unit(robot: CheckedRobot) -> Iterator[Result | None]:
     shows, needs = robot.unit, list[str]()
     load, active = shows.get("LoadState", ""), shows.get("ActiveState", "")
     for path in re.findall(r"path=(\S+)", f"{shows.get('ExecStart')} {shows.get('ExecStopPost')}"):
-        needs += [path, *re.findall(r"^#! *(\S+)", robot.text(path)[:_SHEBANG])]  # and its interpreter
+        needs += [path, *re.findall(r"^#! *(\S+)", robot.text(path))]  # and its interpreter
     cannot_run = next((each for each in needs if not os.access(robot.path(each), os.X_OK)), "")
     if load != "masked":
         yield first("systemd unit",
@@ -224,7 +220,7 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
 def users(robot: CheckedRobot) -> Iterator[Result | None]:
     """A missing user, or each missing group."""
     there = {each.gr_name for each in grp.getgrall()}
-    groups = [f"group {each}" for each in _NEEDED if each not in there]
+    groups = [f"group {each}" for each in GROUPS if each not in there]
     for missing in [f"user {SERVICE}"] if robot.service is None else groups:
         yield first("user",
             failure(missing, f"there is no {missing}, so {_CANNOT_START}",
@@ -244,7 +240,7 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
                     "end", anew),
             warning(kind in FORGETS, f"{_STATE} is on {kind}, which a boot empties: calibration, revocations and the "
                     "emergency stop are lost then", "keep the folder on a partition of its own (docs/robot.md)"))
-        for path, _ in zip(folder.rglob("*") if own else (), range(_MOST_FILES), strict=False):
+        for path in folder.rglob("*") if own else ():
             with suppress(OSError):
                 others += [] if _is_own(path, robot) else [path.relative_to(folder)]
         some, _ = _named(others)

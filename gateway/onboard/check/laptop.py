@@ -8,7 +8,7 @@ from pathlib import Path
 from gateway import certs
 from gateway.errors import ConfigError, ZenohError
 from gateway.onboard.check.installation import python
-from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Verdict, results
+from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.own_command import this_command
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
@@ -49,10 +49,6 @@ def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> 
         observer = finding.fix and finding.stage is Stage.ROLE and len(allowed) > 1
         yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
     if state is not None:
-        theirs = state.certificate
-        if theirs is not None and (soon := certs.expires_soon(theirs.file, theirs.expires, state.time)) is not None:
-            fix = f"{certs.renewal('gateway')}; copy gateway.pem to the robot, there: {RESTART}"
-            yield Result(Stage.CERTIFICATE, Verdict.WARNING, f"the robot's {soon}", fix)
         yield from shut_out(state.revocations, identity)
 
 

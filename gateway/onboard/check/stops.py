@@ -1,6 +1,5 @@
 """`check --stops`: prove on this robot, step by step, that it stops. At the end everything is stopped."""
 
-import json
 import re
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from gateway.onboard.check.table import SERVICE, conclude, show, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
-from gateway.people.terminal import NOBODY, ask, hint, on_end_signals, say
+from gateway.people.terminal import NOBODY, ask, hint, on_end_signals
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, PowerReport, Reason
 
@@ -61,10 +60,8 @@ def stops(connect: Connection, options: StopsOptions) -> int:
                     outcomes.append(_do(bench, step))
     failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
     passed = len(outcomes) == len(steps) and not failed
-    if options.as_json:
-        say(json.dumps({"passed": passed, "steps": outcomes}))
-        return 0 if passed else 1
-    return conclude("all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}", well=passed)
+    end = "all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}"
+    return conclude(end, well=passed, as_json={"steps": outcomes} if options.as_json else None)
 
 
 def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
@@ -159,7 +156,7 @@ def silence(bench: Bench) -> Figures:
     watchdog, mark = bench.client.state().watchdog, len(bench.frames)
     bench.start()
     begun_s = time.monotonic()
-    stopped = bench.wait(lambda: not bench.running(), watchdog.stops_after_ms / 1000 + 1)
+    stopped = bench.wait_until_stopped()
     took_ms, slack_ms = ms_since(begun_s) - bench.answer_ms, bench.options.late_ms + bench.answer_ms
     demand(stopped, f"it still runs, {took_ms:.0f} ms after its last command")
     now = bench.client.state().watchdog
@@ -280,7 +277,7 @@ def confirmed_off(bench: Bench) -> Figures:
     with bench.streaming(0.0):
         figures = _cut(bench, own=True)
         bench.start(Reason.ESTOPPED)
-        _demand_unfed(bench, "the emergency stop is engaged")
+        demand(not _power(bench).supplied, "the emergency stop is engaged, and the board feeds servos")
     _give_back(bench)
     return figures
 
@@ -311,8 +308,7 @@ def can_unplugged(bench: Bench) -> Figures:
         seen = bench.wait_for_event(Kind.POWER_UNCONFIRMED, events, _PLUGGED_S)
         silent_ms = _power(bench).age_ms or 0.0
         demand(seen, f"no event power_unconfirmed has come within {_PLUGGED_S:g} s")
-        stopped = bench.wait(lambda: not bench.running(), bench.client.state().watchdog.stops_after_ms / 1000 + 1)
-        demand(stopped, "it still runs, and the board does not answer")
+        demand(bench.wait_until_stopped(), "it still runs, and the board does not answer")
         bench.start(Reason.NO_POWER)
         bench.demand_no_motion("while the board does not answer")
         ask("Plug it in again, and press Enter: ")
@@ -324,18 +320,16 @@ def can_unplugged(bench: Bench) -> Figures:
     return {"silent_when_reported_ms": silent_ms}
 
 
-def _power(bench: Bench) -> PowerReport:
+def _power(bench: Bench, absent: type[Exception] = FailedError) -> PowerReport:
     power = bench.client.state().power
     if power is None:
-        raise FailedError("the gateway has no power board any more")
+        raise absent("this robot has no power board")
     return power
 
 
 def board(bench: Bench) -> None:
     """Raise Skipped without a power board, FailedError if it does not answer."""
-    if bench.client.state().power is None:
-        raise Skipped("this robot has no power board")
-    demand(_power(bench).alive, "the power board does not answer")
+    demand(_power(bench, Skipped).alive, "the power board does not answer")
 
 
 def by_hand(bench: Bench) -> None:
@@ -352,13 +346,8 @@ def _cut(bench: Bench, *, own: bool) -> Figures:
     ack = bench.client.estop()
     bench.estop = (ack.estop or 0) if own else 0
     demand(ack.confirmed, "the board has not confirmed that the servos have no supply: SWITCH IT OFF BY HAND")
-    _demand_unfed(bench, "the board has confirmed that it feeds nothing")
+    demand(not (fed := _power(bench).supplied), f"the board has confirmed that it feeds nothing, and feeds {fed}")
     return {"confirmed_after_ms": ack.confirmed_ms or 0.0}
-
-
-def _demand_unfed(bench: Bench, when: str) -> None:
-    fed = _power(bench).supplied
-    demand(not fed, f"{when}, and the board feeds {fed}")
 
 
 def _give_back(bench: Bench) -> None:

@@ -4,6 +4,7 @@ A row is a call of `failure`, `warning` or `well`: when it is a fault, a sentenc
 as printed; a person fills in words in capitals. Probes that read the same are in one function.
 """
 
+import json
 import pwd
 import subprocess
 from collections.abc import Callable, Iterator, Mapping
@@ -18,6 +19,7 @@ from rich.console import Console
 from rich.text import Text
 
 from gateway.onboard import whole
+from gateway.people.terminal import say
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
 from gateway.text import visible
@@ -138,7 +140,10 @@ def show(word: str, name: str, sentence: str, fix: str = "") -> None:
     Console(highlight=False, soft_wrap=True).print(line.append(f" → {visible(fix)}", "cyan") if fix else line)
 
 
-def conclude(sentence: str, *, well: bool) -> int:
-    """Print the last sentence. Return the exit code: 0 if `well`, else 1."""
-    Console(highlight=False, soft_wrap=True).print(Text(sentence, "bold green" if well else _BAD))
+def conclude(sentence: str, *, well: bool, as_json: Mapping[str, object] | None = None) -> int:
+    """Print the last sentence, or `as_json` with `passed`. Return the exit code: 0 if `well`, else 1."""
+    if as_json is None:
+        Console(highlight=False, soft_wrap=True).print(Text(sentence, "bold green" if well else _BAD))
+    else:
+        say(json.dumps({"passed": well, **as_json}))
     return 0 if well else 1

@@ -1,8 +1,8 @@
 """Probes of the way to the servos: SPI device, bus and clock, framing, calibration, the controller's UART, power board.
 
 Nothing is written to the robot. The published firmware of HexapodProtocol v1.0.0 reads the first byte of an 80-byte
-frame as a length of 126, and then ignores Stops until its reset. A power board is only queried. While a gateway runs,
-UART and board are not read: they belong to the gateway.
+frame as a length of 126, and then ignores Stops until its reset. While a gateway runs, UART and board are not opened:
+they belong to the gateway, which reports whether controller and board answer.
 """
 
 import errno
@@ -10,44 +10,34 @@ import grp
 import os
 import pwd
 import stat
-import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from gateway.errors import GatewayError, SpiError
 from gateway.host import effective
-from gateway.host.settings_table import PowerSettings
-from gateway.model import power_board
-from gateway.model.elkapod import FRAME_BYTES, Heartbeats
+from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.model.protocols import FRAMED, WITH_UART
+from gateway.model.protocols import WITH_UART
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import load, path_to_read
-from gateway.robot.power.interface import BITRATE, open_bus, received, send
-from gateway.robot.spi import ioctls, machine, outside
+from gateway.robot.power.interface import BITRATE, open_bus
+from gateway.robot.spi import SpiDevice, ioctls, machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.plugin import PluginDevice
 from gateway.robot.spi.uart import SerialUart
 from schemas.robot import LEGS
 
-if TYPE_CHECKING:
-    import can
-
 _SLOW_MS: Final = 20.0
 """Six Stops should not take longer than the shortest watchdog timeout, nor an 80-byte frame than its cycle."""
 _ALLOWED: Final = "ttyAMA"
 """The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
-_CYCLE_S: Final = 0.02
-"""The cycle of the robot's own driver. That driver restarts after 0.1 s without a heartbeat."""
 _PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
-_ROUNDS, _ROUND_S = 4, 0.1
-"""A query to the board may be lost. The board answers within 2 ms."""
 _CAN: Final = "280"
 """ARPHRD_CAN, in /sys/class/net/…/type."""
 
@@ -82,27 +72,36 @@ def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
 # ---- SPI, or a plug-in
 
 
-def device(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Open and set up the SPI device or plug-in as the service does, and close it, unless a gateway holds it."""
-    spi, wire, used, error = robot.settings.spi, robot.settings.wire, effective.read(), None
-    others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
-    absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
-    absent = f"set spi.device; this machine has {others}" if others else absent
-    rows = [] if wire.built_in is None else _node_faults(robot, spi.device, "spi", absent)
-    robot.gateway_runs = wire.built_in is None and used is not None and used.runs
+def _fault(opened: Callable[[], SpiDevice | SerialUart]) -> SpiError | None:
+    """Open and close it, as the service does. Return the error."""
     try:
-        if wire.built_in is not None and not any(rows):
-            KernelDevice(spi.device, spi.speed_hz, mode=wire.built_in.spi_mode).close()
-        elif wire.built_in is None and not robot.gateway_runs:
-            PluginDevice(wire.name, wire.plugin, exclusive=False).close()
-    except SpiError as why:
-        error = why
+        opened().close()
+    except SpiError as error:
+        return error
+    return None
+
+
+def plugin(robot: CheckedRobot) -> Iterator[Result | None]:
+    """Open and close the plug-in, unless a gateway holds it."""
+    wire, used = robot.settings.wire, effective.read()
     if wire.built_in is None:
+        robot.gateway_runs = used is not None and used.runs
         can = [name.replace("_", " ") for name, has in wire.capabilities._asdict().items() if has]
+        error = None if robot.gateway_runs else _fault(lambda: PluginDevice(wire.name, wire.plugin, exclusive=False))
         yield first("wire",
             failure(error, str(error), "read what the plug-in needs, and fix [wire] of the configuration"),
             well(f"{wire.name} opens: {type(wire.plugin).__name__}, {', '.join(can) or 'servos one by one'}"))
+
+
+def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
+    """The SPI device, its controller and kernel, other devices on the bus, and the clock."""
+    spi, protocol, root = robot.settings.spi, robot.settings.wire.built_in, robot.root
+    if protocol is None:
         return
+    others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
+    absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
+    rows = _node_faults(robot, spi.device, "spi", f"set spi.device; this machine has {others}" if others else absent)
+    error = None if any(rows) else _fault(lambda: KernelDevice(spi.device, spi.speed_hz, mode=protocol.spi_mode))
     held = error is not None and isinstance(error.__cause__, BlockingIOError)
     robot.gateway_runs = held and outside.is_gateways(spi.device)
     opens = f"opens, as {_name(pwd.getpwuid, os.geteuid())}" + (f"; {ioctls.USED}" if ioctls.are_used() else "")
@@ -112,13 +111,6 @@ def device(robot: CheckedRobot) -> Iterator[Result | None]:
                 f"find and end that program (sudo fuser -v {spi.device}), then: {RESTART}"),
         failure(error and not held, str(error), f"is {spi.device} a SPI device? see dmesg"),
         well(f"{spi.device} {'is held by a running gateway; a second one would be rejected' if held else opens}"))
-
-
-def bus(robot: CheckedRobot) -> Iterator[Result | None]:
-    """The SPI controller and its kernel, other devices on the bus, and the clock."""
-    spi, protocol, root = robot.settings.spi, robot.settings.wire.built_in, robot.root
-    if protocol is None:
-        return
     release, built = machine.kernel(root)
     selects = {True: ", chip select is a GPIO", False: ", the controller drives chip select", None: ""}
     found = f"{machine.computer(root) or 'a computer without a device tree'}, Linux {release or 'of unknown release'}"
@@ -187,7 +179,7 @@ def calibration(robot: CheckedRobot) -> Iterator[Result | None]:
 
 
 def uart(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Open the UART, listen for heartbeats, and close it, unless a gateway holds it."""
+    """Open and close the UART, unless a gateway holds it."""
     path, name = robot.settings.controller.uart, Path(robot.settings.controller.uart).resolve().name
     if not robot.settings.wire.has_uart:
         return
@@ -199,49 +191,36 @@ def uart(robot: CheckedRobot) -> Iterator[Result | None]:
     free = f"free it, and reboot: sudo hexapod-gateway setup --wire {WITH_UART}"
     console = name in robot.text("/sys/class/tty/console/active").split()
     login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
-    found = first("UART",
+    rows = [
         *_node_faults(robot, path, "dialout", absent),
         failure(console, f"{path} is the Linux console: the kernel's messages go to the controller", free),
         failure(login, f"{path} has a login terminal, which takes the controller's bytes", free),
-        well(f"{path} is the running gateway's, which reports whether the controller answers")
-        if robot.gateway_runs else None)
-    if found is not None:
-        yield found
-        return
-    beats, count, ms = 0, 0, round(robot.settings.controller.silent_ms)
-    try:
-        with closing(SerialUart(path)) as line:
-            heartbeats, end_s = Heartbeats(), time.monotonic() + ms / 1000
-            while time.monotonic() < end_s:
-                time.sleep(_CYCLE_S)
-                data = line.read()
-                count, beats = count + len(data), beats + heartbeats.feed(data)
-    except SpiError as error:
-        held = isinstance(error.__cause__, OSError) and error.__cause__.errno in (errno.EAGAIN, errno.EBUSY)
-        yield first("UART",
-            failure(held, f"{path} is held by another program", f"find and end that program: sudo fuser -v {path}"),
-            failure(error, str(error), f"is {path} a UART? see dmesg"))
-        return
+    ]
+    runs = robot.gateway_runs
+    error = None if any(rows) or runs else _fault(lambda: SerialUart(path))
+    cause = error and error.__cause__
+    held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
     yield first("UART",
+        *rows,
+        well(f"{path} is the running gateway's, which reports whether the controller answers") if runs else None,
+        failure(held, f"{path} is held by another program", f"find and end that program: sudo fuser -v {path}"),
+        failure(error, str(error), f"is {path} a UART? see dmesg"),
         warning(robot.service and not name.startswith(_ALLOWED), f"{path} opens, but the unit lets the service open "
                 f"{_ALLOWED}… only", "sudo systemctl edit hexapod-gateway, with [Service] "
                 f"DeviceAllow=char-{name.rstrip('0123456789')} rw"),
         well(f"{path} opens, as {_name(pwd.getpwuid, os.geteuid())}"))
-    yield first("heartbeat",
-        failure(not beats, f"none came in {ms} ms, but {count} other bytes",
-                "see that the controller has power, that its TX leads to the Pi's RX, and both have the same ground; "
-                f'a controller of HexapodProtocol v1.0.0 needs wire.name = "{FRAMED}"'),
-        well(f"{beats} came in {ms} ms, so the controller speaks {WITH_UART}"))
 
 
 # ---- the power board
 
 
 def power(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Query the power board, unless it is the gateway's."""
+    """Open and close the interface to the power board, unless it is the gateway's."""
     settings, rows = robot.settings.power, list[Row]()
     path, where = settings.channel, f"{settings.interface} {settings.channel}"
     absent = "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
+    if not settings.interface:
+        return
     if settings.interface == "slcan":
         rows = _node_faults(robot, path, "dialout", absent)
     elif settings.interface == "socketcan":  # everybody may use it, but only root can switch it on
@@ -256,37 +235,17 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
         ]
     elif settings.interface == "sim":
         rows = [warning(path, "is simulated: no servo loses its supply", 'set power.interface; "" is none')]
-    if robot.gateway_runs and settings.interface:
+    if robot.gateway_runs:
         rows.append(well(f"{where} is the running gateway's; `status` shows whether the board answers"))
-    if any(rows) or not settings.interface:
-        yield first("power board", *rows)
-        return
-    try:
-        with open_bus(settings) as bus:
-            supply_mv = next(_supply_mv(bus, settings), None)
-    except Exception as error:  # also of any of python-can's interfaces
-        named = error if isinstance(error, GatewayError) else f"{where}: {error}"
-        yield first("power board", failure(error, str(named), "see dmesg, and the settings of [power]"))
-        return
-    yield first("power board",
-        failure(supply_mv is None, f"{where} opens, and the board does not answer",
-                "press its power button (in standby it is silent); see that CAN-H and CAN-L lead to it, with a "
-                "resistor of 120 Ω at each end, and that the interface has its bit rate, 1 Mbit/s"),
-        well(f"answers on {where}: supply {(supply_mv or 0) / 1e3:.1f} V"))
+    error = ""
+    if not any(rows):
+        try:
+            open_bus(settings).shutdown()
+        except Exception as why:  # also of any of python-can's interfaces
+            error = str(why) if isinstance(why, GatewayError) else f"{where}: {why}"
+    yield first("power board", *rows, failure(error, error, "see dmesg, and the settings of [power]"),
+                well(f"{where} opens; once the gateway runs, `status` shows whether the board answers"))
 
 
 # fmt: on
-def _supply_mv(bus: "can.BusABC", settings: PowerSettings) -> Iterator[int]:
-    """Ask for the supply's voltage until the board answers."""
-    for _ in range(_ROUNDS):
-        send(bus, power_board.CanFrame(power_board.SUPPLY_BATTERY_MV), _ROUND_S)
-        end_s = time.monotonic() + _ROUND_S
-        while (left_s := end_s - time.monotonic()) > 0:
-            message = bus.recv(left_s)
-            frame = None if message is None else received(message, settings)
-            read = None if frame is None else power_board.read(frame)
-            if isinstance(read, power_board.Rails):
-                yield read.values[0]
-
-
-PROBES: Final = (device, bus, uart, framing, calibration)
+PROBES: Final = (plugin, spi_bus, uart, framing, calibration)
