@@ -1,16 +1,17 @@
-"""The means of `check --move` and `--stops`: one servo, a client, and the frames and events received meanwhile."""
+"""The means of `check --move`, `--stops` and `--wire`: steps; one servo, a client, and what it receives meanwhile."""
 
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, decode
+from gateway.onboard.check.table import show
 from gateway.people.client.blocking import Client
 from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.commands.moving import ServoMotion
@@ -40,7 +41,34 @@ def demand(true: object, sentence: str) -> None:
         raise FailedError(sentence)
 
 
-class StopsOptions(NamedTuple):
+class Step(NamedTuple):
+    """One step: its name, a sentence for a person, and its function. That returns figures, or a better sentence."""
+
+    name: str
+    does: str
+    run: Callable[[Any], Figures | str | None]
+
+    def outcome(self, means: object, held: AbstractContextManager[None], *, quiet: bool = False) -> dict[str, object]:
+        """Run it while `held`, and print the result unless `quiet`. Return it as `--json` prints it."""
+        result, figures = "PASS", Figures()
+        try:
+            with held:
+                found = self.run(means)
+            figures = found if isinstance(found, dict) else figures
+            each = {name: f"{value:.1f}" if isinstance(value, float) else value for name, value in figures.items()}
+            detail = ", ".join(f"{name} {value}" for name, value in each.items()) or str(found or self.does)
+        except (FailedError, Skipped) as ended:
+            result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
+        except GatewayError as error:
+            result, detail = "FAIL", f"the check could not go on: {error}"
+        except Exception as error:  # of a plug-in, which is somebody else's code
+            result, detail = "FAIL", f"{type(error).__name__}: {error}"
+        if not quiet:
+            show(result, self.name, detail)
+        return {"step": self.name, "result": result, "detail": detail, "figures": figures}
+
+
+class Options(NamedTuple):
     """The options of the command line. With every core busy, Stops were late by 2.9 ms at most."""
 
     leg: int = 1
@@ -71,7 +99,7 @@ class Bench:
 
     client: Client
     motion: ServoMotion
-    options: StopsOptions = StopsOptions()  # noqa: RUF009  (immutable)
+    options: Options = Options()  # noqa: RUF009  (immutable)
     calibration: RobotCalibration = field(default_factory=RobotCalibration)
     frames_published: bool = False
     answer_ms: float = 0.0

@@ -4,16 +4,16 @@ The plug-in is called as the gateway would call it, without a gateway, on the el
 """
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from collections.abc import Sequence
+from contextlib import closing, nullcontext, suppress
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.settings_table import WireSettings
-from gateway.onboard.check.bench import FailedError, demand, ms_since
-from gateway.onboard.check.table import conclude, show
+from gateway.onboard.check.bench import Skipped, Step, demand, ms_since
+from gateway.onboard.check.table import conclude
 from gateway.people.terminal import ask
 from gateway.robot import settings as settings_file
 from gateway.robot.spi.bus import STALLED_NS
@@ -35,9 +35,9 @@ Changes = Sequence[tuple[int, float | None]]
 class Tried:
     """A plug-in under test, and the longest duration of its calls."""
 
-    def __init__(self, wire: WireSettings) -> None:
+    def __init__(self, wire: WireSettings, unplug: bool) -> None:
         """Raises ConfigError if the plug-in rejects its options."""
-        self._settings = wire
+        self._settings, self.unplug = wire, unplug
         self.wire = self.another()
         self.longest_ms = {True: 0.0, False: 0.0}
         """The longest `apply` with Stops (True) and with motions (False)."""
@@ -75,21 +75,12 @@ def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
         raise ConfigError(f"--wire is for plug-ins, and {wire.name} is built in: --move and --stops try it")
     if used is not None and used.runs:
         raise ConfigError("a gateway runs, and has the wire: end it first (sudo systemctl stop hexapod-gateway)")
-    tried, broken = Tried(wire), 0
+    tried = Tried(wire, unplug)
     question = f"All servos go to {_MIDDLE_DEG:g}° and move by {_BY_DEG:g}°. Are all legs free? yes or no: "
     if not agreed and ask(question) != "yes":
         raise ConfigError("nothing was moved; --yes agrees")
     try:
-        for step in STEPS:
-            if step.name == "unplugged" and not unplug:
-                show("SKIPPED", step.name, "add --unplug to prove that an absent board is reported")
-                continue
-            try:
-                show("PASS", step.name, step.run(tried) or step.keeps)
-            except Exception as error:  # of somebody else's code
-                broken += 1
-                said = str(error) if isinstance(error, FailedError) else f"{type(error).__name__}: {error}"
-                show("FAIL", step.name, said)
+        broken = [step.outcome(tried, nullcontext())["result"] for step in STEPS].count("FAIL")
     finally:
         with suppress(Exception):
             tried.wire.apply(_STOPS)
@@ -101,11 +92,10 @@ def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
 # ---- the steps
 
 
-def _some(tried: Tried) -> str | None:
+def _some(tried: Tried) -> None:
     if tried.wire.capabilities.whole_robot:
-        return "not tested: its capabilities state that it stops only all servos together"
+        raise Skipped("its capabilities state that it stops only all servos together")
     tried.apply([(32, None)], [(31, 90.0), (33, 90.0)], [(32, 90.0)])
-    return None
 
 
 def _another(tried: Tried) -> None:
@@ -133,6 +123,8 @@ def _times(tried: Tried) -> str:
 
 
 def _unplugged(tried: Tried) -> None:
+    if not tried.unplug:
+        raise Skipped("add --unplug to prove that an absent board is reported")
     ask("Unplug the board, or switch its power off, then press Enter: ")
     end_s = time.monotonic() + _UNPLUGGED_S
     while True:
@@ -146,30 +138,22 @@ def _unplugged(tried: Tried) -> None:
     _reopen(tried)
 
 
-class WireStep(NamedTuple):
-    """One step. `run` may return a sentence in place of `keeps`. Any exception is a failure."""
-
-    name: str
-    keeps: str
-    run: Callable[[Tried], str | None]
-
-
 # fmt: off
 STEPS: Final = (
-    WireStep("open", "it opens", lambda tried: tried.wire.open()),
-    WireStep("stops", "18 Stops in one call are accepted", lambda tried: tried.apply(_STOPS)),
-    WireStep("start", f"all servos at {_MIDDLE_DEG:g}°", lambda tried: tried.move(_MIDDLE_DEG, hold_s=_HOLD_S)),
-    WireStep("set", f"by {_BY_DEG:g}° and back", lambda tried: tried.move(_MIDDLE_DEG + _BY_DEG, _MIDDLE_DEG,
-                                                                         hold_s=_HOLD_S)),
-    WireStep("hundredths", "an angle of 90.01° is accepted",
-             lambda tried: tried.apply([(servo_id, 90.01) for servo_id in SERVO_IDS])),
-    WireStep("single servos", "servo 32 was stopped, and started again while others ran", _some),
-    WireStep("stops again", "Stops of stopped servos are accepted", lambda tried: tried.apply(_STOPS, _STOPS)),
-    WireStep("stop-servos", "a second instance stops the servos while the first is open, as stop-servos does",
-             _another),
-    WireStep("reopen", "closed twice and opened again, it accepts Stops", _reopen),
-    WireStep("times", "", _times),
-    WireStep("unplugged", "apply raises an OSError, and accepts Stops after close and open", _unplugged),
+    Step("open", "it opens", lambda tried: tried.wire.open()),
+    Step("stops", "18 Stops in one call are accepted", lambda tried: tried.apply(_STOPS)),
+    Step("start", f"all servos at {_MIDDLE_DEG:g}°", lambda tried: tried.move(_MIDDLE_DEG, hold_s=_HOLD_S)),
+    Step("set", f"by {_BY_DEG:g}° and back",
+         lambda tried: tried.move(_MIDDLE_DEG + _BY_DEG, _MIDDLE_DEG, hold_s=_HOLD_S)),
+    Step("hundredths", "an angle of 90.01° is accepted",
+         lambda tried: tried.apply([(servo_id, 90.01) for servo_id in SERVO_IDS])),
+    Step("single servos", "servo 32 was stopped, and started again while others ran", _some),
+    Step("stops again", "Stops of stopped servos are accepted", lambda tried: tried.apply(_STOPS, _STOPS)),
+    Step("stop-servos", "a second instance stops the servos while the first is open, as stop-servos does",
+         _another),
+    Step("reopen", "closed twice and opened again, it accepts Stops", _reopen),
+    Step("times", "", _times),
+    Step("unplugged", "apply raises an OSError, and accepts Stops after close and open", _unplugged),
 )
 # fmt: on
 """The steps in their order: later steps need what earlier ones opened."""

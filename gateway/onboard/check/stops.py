@@ -5,15 +5,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
-from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Skipped, StopsOptions, demand, ms_since
-from gateway.onboard.check.table import SERVICE, conclude, show, shown
+from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Options, Skipped, Step, demand, ms_since
+from gateway.onboard.check.table import SERVICE, conclude, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
@@ -32,7 +32,7 @@ _SILENT_MS: Final = 200.0  # a power board that is silent for this long is repor
 _PLUGGED_S: Final = 60.0  # for a person to unplug something
 
 
-def stops(connect: Connection, options: StopsOptions) -> int:
+def stops(connect: Connection, options: Options) -> int:
     """Do the steps. Return the exit code.
 
     Raises ConfigError if nothing may be moved, and ZenohError if no gateway answers, also between steps.
@@ -57,30 +57,14 @@ def stops(connect: Connection, options: StopsOptions) -> int:
             with _ended_stopped(bench):
                 for number, step in enumerate(steps, 1):
                     hint(f"{number}/{len(steps)} {step.name}: {step.does} …")
-                    outcomes.append(_do(bench, step))
+                    held = drives(client, _LEASE_S, moves=True)
+                    outcomes.append(step.outcome(bench, held, quiet=options.as_json))
+                    with suppress(GatewayError, FailedError):  # the end tries again, and reports it
+                        bench.rest()
     failed = [str(outcome["step"]) for outcome in outcomes if outcome["result"] == "FAIL"]
     passed = len(outcomes) == len(steps) and not failed
     end = "all passed" if passed else f"NOT passed: {', '.join(failed) or 'not finished'}"
     return conclude(end, well=passed, as_json={"steps": outcomes} if options.as_json else None)
-
-
-def _do(bench: Bench, step: "CheckStep") -> dict[str, object]:
-    """Do a step. Return its outcome as `--json` prints it."""
-    result, figures = "PASS", Figures()
-    try:
-        with drives(bench.client, _LEASE_S, moves=True):
-            figures = step.run(bench)
-        each = {name: f"{value:.1f}" if isinstance(value, float) else value for name, value in figures.items()}
-        detail = ", ".join(f"{name} {value}" for name, value in each.items())
-    except (FailedError, Skipped) as ended:
-        result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
-    except GatewayError as error:
-        result, detail = "FAIL", f"the check could not go on: {error}"
-    if not bench.options.as_json:
-        show(result, step.name, detail)
-    with suppress(GatewayError, FailedError):  # the end tries again, and reports it
-        bench.rest()
-    return {"step": step.name, "result": result, "detail": detail, "figures": figures}
 
 
 @contextmanager
@@ -362,25 +346,17 @@ def is_at_rest(client: Client) -> bool:
     return state.mode is Mode.IDLE and state.power is not None and state.power.alive and not state.power.supplied
 
 
-class CheckStep(NamedTuple):
-    """One step: its name, the sentence that a person reads before it, and its function."""
-
-    name: str
-    does: str
-    run: Callable[[Bench], Figures]
-
-
 # fmt: off
 STEPS: Final = (
-    CheckStep("command", "starts the servo, moves it by 5°, and stops it", command),
-    CheckStep("silence", "falls silent after a start: the watchdog must stop the servo", silence),
-    CheckStep("estop", "engages the emergency stop while setpoints stream: six Stops, nothing after, a reset", estop),
-    CheckStep("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
-    CheckStep("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
-    CheckStep("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
-    CheckStep("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
+    Step("command", "starts the servo, moves it by 5°, and stops it", command),
+    Step("silence", "falls silent after a start: the watchdog must stop the servo", silence),
+    Step("estop", "engages the emergency stop while setpoints stream: six Stops, nothing after, a reset", estop),
+    Step("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
+    Step("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
+    Step("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
+    Step("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
               "confirm it", spi_unplugged),
-    CheckStep("can-unplugged", "the power board is unplugged while the servo runs: must be reported, and stopped "
+    Step("can-unplugged", "the power board is unplugged while the servo runs: must be reported, and stopped "
               "over SPI", can_unplugged),
 )
 # fmt: on
