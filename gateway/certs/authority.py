@@ -8,9 +8,10 @@ import datetime as dt
 import ipaddress
 import re
 import secrets
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -64,12 +65,8 @@ def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
     extensions: list[_Extension] = [(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)]
     if hosts:
         # A kind of name without an entry is not constrained, so each gets an unused one.
-        names = map(_general_name, (*hosts, "invalid", "255.255.255.255"))
-        permitted = [
-            x509.IPAddress(ipaddress.ip_network(n.value)) if isinstance(n, x509.IPAddress) else n for n in names
-        ]
-        constraints = x509.NameConstraints(permitted_subtrees=permitted, excluded_subtrees=None)
-        extensions += [(constraints, True), (_usage(CONSOLE), False)]
+        permitted = [_general_name(host, ipaddress.ip_network) for host in (*hosts, "invalid", "255.255.255.255")]
+        extensions += [(x509.NameConstraints(permitted, None), True), (_usage(CONSOLE), False)]
     subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", CONSOLE if hosts else CA)
     span = (now - BACKDATE, now + dt.timedelta(days=CA_DAYS))
     return KeyPair(_signed(subject, key, subject, key.public_key(), span, extensions, is_ca=True), key)
@@ -124,11 +121,10 @@ def _signed(
 
 def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
     """Return whether this CA signed the certificate."""
-    try:
+    with suppress(ValueError, TypeError, InvalidSignature):
         certificate.verify_directly_issued_by(ca)
-    except (ValueError, TypeError, InvalidSignature):
-        return False
-    return True
+        return True
+    return False
 
 
 def is_ca(certificate: x509.Certificate) -> bool:
@@ -183,19 +179,14 @@ def holder_of(certificate: x509.Certificate) -> Holder:
 
 
 def _extension(certificate: x509.Certificate, kind: type[_Kind]) -> _Kind | None:
-    try:
+    with suppress(x509.ExtensionNotFound):
         return certificate.extensions.get_extension_for_class(kind).value
-    except x509.ExtensionNotFound:
-        return None
+    return None
 
 
 def _name(common_name: str, unit: str) -> x509.Name:
-    parts = (
-        (NameOID.COMMON_NAME, common_name),
-        (NameOID.ORGANIZATIONAL_UNIT_NAME, unit),
-        (NameOID.ORGANIZATION_NAME, _ORGANIZATION),
-    )
-    return x509.Name([x509.NameAttribute(oid, value) for oid, value in parts])
+    oids = (NameOID.COMMON_NAME, NameOID.ORGANIZATIONAL_UNIT_NAME, NameOID.ORGANIZATION_NAME)
+    return x509.Name(list(map(x509.NameAttribute, oids, (common_name, unit, _ORGANIZATION))))
 
 
 def _attribute(name: x509.Name, oid: ObjectIdentifier) -> str:
@@ -203,12 +194,11 @@ def _attribute(name: x509.Name, oid: ObjectIdentifier) -> str:
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    try:
+    with suppress(ValueError):
         return ipaddress.ip_address(host)
-    except ValueError:
-        return None
+    return None
 
 
-def _general_name(host: str) -> x509.GeneralName:
-    address = _address(host)
-    return x509.DNSName(host) if address is None else x509.IPAddress(address)
+def _general_name(host: str, kind: Callable[[str], Any] = ipaddress.ip_address) -> x509.GeneralName:
+    """Return the name, or the address as `kind` has it: alone, or as a network of one address."""
+    return x509.DNSName(host) if _address(host) is None else x509.IPAddress(kind(host))

@@ -47,10 +47,6 @@ class Certificate:
     not_before: dt.datetime
     not_after: dt.datetime
 
-    def days_left(self, now: dt.datetime) -> int:
-        """Return the whole days until it expires; negative after that."""
-        return (self.not_after - now) // dt.timedelta(days=1)
-
 
 def init(
     directory: Path, hosts: Sequence[str], *, days: int = LEAF_DAYS, port: int = 7447, now: dt.datetime | None = None
@@ -60,7 +56,7 @@ def init(
     `directory` is made (0700) if missing. Raises ConfigError if it has a CA, or a file of the same name.
     """
     now = now or now_utc()
-    if os.path.lexists(directory / "ca.key") or os.path.lexists(directory / "ca.pem"):
+    if any(os.path.lexists(directory / name) for name in ("ca.key", "ca.pem")):
         raise ConfigError(
             f"{directory} has a CA already, and a new one would lock out all laptops: `certs issue` adds a laptop or "
             "a robot to it; for a new CA give another --dir"

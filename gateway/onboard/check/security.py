@@ -60,14 +60,14 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
     if not certificate_files(config):
         yield first("certificates", well("none are in use"))
     for each in map(certs.folder.describe, certificate_files(config)):
-        end, left_days = f"{each.not_after:%Y-%m-%d}", each.days_left(now)
+        soon = certs.expires_soon(str(each.path), each.not_after, now)
         renew = f"{certs.how_to_renew(each.path.name, each.role, each.name)}, then: {RESTART}"
         yield first("certificates",
             failure(now < each.not_before, f"{each.path} is valid only from {each.not_before:%Y-%m-%d}",
                     "set the clock (timedatectl)"),
-            failure(left_days < 0, f"{each.path} expired on {end}: nobody can connect", renew),
-            warning(left_days < certs.WARN_DAYS, f"{each.path} is good until {end}, {left_days} days more", renew),
-            well(f"{each.path} is good until {end}"))
+            failure(each.not_after <= now, f"{soon}: nobody can connect", renew),
+            warning(soon, str(soon), renew),
+            well(f"{each.path} is good until {each.not_after:%Y-%m-%d}"))
     parts = ("certificate", "private_key")
     pairs = {tuple(get(config, f"{_TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
     for names, side in pairs.items():
