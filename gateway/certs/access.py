@@ -91,11 +91,6 @@ def rules() -> str:
     return "".join(f"      {json.dumps(rule(each, ''))},\n" for each in TRAFFIC)
 
 
-def body_rules(namespace: str = "") -> list[dict[str, Any]]:
-    """Return the rules of BODY for the gateway's end."""
-    return [rule(each, namespace) for each in BODY]
-
-
 def rules_for(*roles: str) -> str:
     """Return the names of the rules for exactly these roles, as a JSON5 list."""
     return json.dumps([each.what for each in TRAFFIC if each.roles == roles])

@@ -7,7 +7,6 @@ import contextlib
 import os
 import stat
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -21,9 +20,8 @@ from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
 from gateway import durable
 from gateway.errors import ConfigError
 
-SECRET_MODE = 0o600
-PUBLIC_MODE = 0o644
-
+PUBLIC: Final = (".pem", ".json5", ".crl")
+"""Names of the files that everybody may read. All others are secret."""
 UNREADABLE: Final = (
     ValueError,
     TypeError,
@@ -79,23 +77,20 @@ def read_file(path: Path, what: str) -> bytes:
         raise ConfigError(f"cannot read the {what} {path}: {error.strerror}; {fix}") from error
 
 
-@dataclass(frozen=True)
-class FileContent:
-    """A file's content and mode."""
-
-    data: bytes
-    mode: int = PUBLIC_MODE
+def mode_of(path: Path) -> int:
+    """Return the mode of a file by its name."""
+    return 0o644 if path.suffix in PUBLIC else 0o600
 
 
-def publish(files: Mapping[Path, FileContent]) -> None:
+def publish(files: Mapping[Path, bytes]) -> None:
     """Write new files in order. If one exists or cannot be written, remove the others and raise ConfigError."""
     with contextlib.ExitStack() as undo:
-        for path, content in files.items():
+        for path, data in files.items():
             with _explained(path):
                 for parent in reversed([each for each in (path.parent, *path.parent.parents) if not each.exists()]):
                     parent.mkdir(mode=0o700)
                     undo.callback(_undo, parent.rmdir)
-                durable.create(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))
+                durable.create(path, data, mode_of(path), prepare=partial(_check_mode, path))
                 undo.callback(_undo, path.unlink)
         for directory in {path.parent for path in files}:
             with _explained(directory):
@@ -103,14 +98,14 @@ def publish(files: Mapping[Path, FileContent]) -> None:
         undo.pop_all()
 
 
-def replace(path: Path, content: FileContent) -> None:
+def replace(path: Path, data: bytes) -> None:
     """Replace the file at `path` atomically. Raises ConfigError if it cannot be written."""
     with _explained(path):
-        durable.write_with_mode(path, content.data, content.mode, prepare=partial(_check_mode, path, content.mode))
+        durable.write_with_mode(path, data, mode_of(path), prepare=partial(_check_mode, path))
 
 
-def _check_mode(path: Path, mode: int, descriptor: int) -> None:
-    if os.fstat(descriptor).st_mode & 0o777 != mode:
+def _check_mode(path: Path, descriptor: int) -> None:
+    if os.fstat(descriptor).st_mode & 0o777 != mode_of(path):
         raise ConfigError(f"{path.parent} cannot keep a file private (FAT?): choose a directory on a Linux file system")
 
 

@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import serialization
 from gateway import nesting
 from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, revocation, zenoh_files
 from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
-from gateway.certs.files import SECRET_MODE, FileContent, publish, read_certificate, read_file, read_key, replace
+from gateway.certs.files import PUBLIC, mode_of, publish, read_certificate, read_file, read_key, replace
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
@@ -98,7 +98,7 @@ def issue(
             raise ConfigError(sentence)
     if role == ROBOT:
         files = _robot(directory / name, ca, _dialled_hosts(hosts), port_of(directory / "gateway.json5"), days, now)
-        files[directory / name / "ca.pem"] = FileContent(ca.certificate_pem())
+        files[directory / name / "ca.pem"] = ca.certificate_pem()
     elif role == CONSOLE:
         parsed = authority.parse_hosts(hosts)
         own = authority.make_ca(now, parsed)
@@ -110,21 +110,21 @@ def issue(
         for robot, folder in robots_of(directory).items():
             config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
             dialled, port = hosts_of(folder / "gateway.pem"), port_of(folder / "gateway.json5")
-            files[config] = FileContent(zenoh_files.laptop_json5(name, role, dialled, port, config.name))
-    if bundle in files:
+            files[config] = zenoh_files.laptop_json5(name, role, dialled, port, config.name)
+    if bundle in files or (bundle is not None and bundle.suffix in PUBLIC):
         raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
     if bundle is not None:
-        members = {"ca.pem": FileContent(ca.certificate_pem())} | {path.name: each for path, each in files.items()}
-        files[bundle] = FileContent(_zip(members, now), SECRET_MODE)
+        members = {"ca.pem": ca.certificate_pem()} | {path.name: each for path, each in files.items()}
+        files[bundle] = _zip(members, now)
     publish(files)
     return list(files)
 
 
 def _robot(
     directory: Path, ca: KeyPair, hosts: Sequence[str], port: int, days: int, now: dt.datetime
-) -> dict[Path, FileContent]:
+) -> dict[Path, bytes]:
     made = authority.make_leaf(ca, GATEWAY, GATEWAY, hosts, days, now)
-    config = {directory / "gateway.json5": FileContent(zenoh_files.gateway_json5(hosts, port))}
+    config = {directory / "gateway.json5": zenoh_files.gateway_json5(hosts, port)}
     return _pair(directory / GATEWAY, made) | config
 
 
@@ -150,7 +150,7 @@ def renew(
         raise ConfigError(f"--host adds one to a robot; {path} keeps its own: `certs issue` makes one for other hosts")
     reached = list(dict.fromkeys([*reached, *(_dialled_hosts(hosts) if hosts else ())]))
     renewed = authority.sign(ca, old.subject, old.public_key(), reached, days, now)
-    replace(path, FileContent(renewed.public_bytes(serialization.Encoding.PEM)))
+    replace(path, renewed.public_bytes(serialization.Encoding.PEM))
     return path
 
 
@@ -198,7 +198,7 @@ def _sign(
 ) -> RevocationList:
     number = 1 if before is None else before.number + 1
     made = revocation.sign(load_ca(directory, now), number, entries, now)
-    replace(directory / revocation.REVOCATION_FILE, FileContent(made.pem))
+    replace(directory / revocation.REVOCATION_FILE, made.pem)
     return made
 
 
@@ -303,22 +303,22 @@ def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
     return found
 
 
-def _pair(stem: Path, pair: KeyPair) -> dict[Path, FileContent]:
+def _pair(stem: Path, pair: KeyPair) -> dict[Path, bytes]:
     """Return the two files of a pair: the key (0600) and the certificate."""
     return {
-        stem.with_name(f"{stem.name}.key"): FileContent(pair.key_pem(), SECRET_MODE),
-        stem.with_name(f"{stem.name}.pem"): FileContent(pair.certificate_pem()),
+        stem.with_name(f"{stem.name}.key"): pair.key_pem(),
+        stem.with_name(f"{stem.name}.pem"): pair.certificate_pem(),
     }
 
 
-def _zip(members: dict[str, FileContent], now: dt.datetime) -> bytes:
+def _zip(members: dict[str, bytes], now: dt.datetime) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
             entry = zipfile.ZipInfo(name, now.timetuple()[:6])
             entry.create_system = 3  # Unix: `unzip` then restores the mode, and the key stays 0600
-            entry.external_attr = (stat.S_IFREG | content.mode) << 16
-            archive.writestr(entry, content.data, zipfile.ZIP_DEFLATED)
+            entry.external_attr = (stat.S_IFREG | mode_of(Path(name))) << 16
+            archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
 
 

@@ -57,8 +57,7 @@ class ProofChecker:
 
     def fault(self, proof: Proof, do: str, source: str, now: dt.datetime, purpose: Purpose = DRIVING) -> str | None:
         """Return why the proof does not show that `source` sent this request; None: it does. Ignores the nonce."""
-        wrong_clock = self.clock_fault(now)
-        if wrong_clock is not None:
+        if (wrong_clock := self.clock_fault(now)) is not None:
             return wrong_clock
         try:
             certificate = x509.load_pem_x509_certificates(proof.certificate.encode())[0]
@@ -75,7 +74,8 @@ class ProofChecker:
         holder = holder_of(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         clock, roles = f"the robot's clock states {_minute(now)}", " or a ".join(purpose.roles)
-        issued = any(is_issued(certificate, ca) for ca in self._cas if _is_valid(ca, now))
+        valid = (ca for ca in self._cas if ca.not_valid_before_utc <= now <= ca.not_valid_after_utc)
+        issued = any(is_issued(certificate, ca) for ca in valid)
         revoked = self._revoked is not None and self._revoked.holds(holder.common_name, certificate.serial_number)
         own = holder.name == source or (purpose.own_names and source.startswith(f"{holder.name}/"))
         faults = (
@@ -103,10 +103,6 @@ def sign(key_file: Path, text: bytes) -> bytes:
         return key.sign(text, padding.PKCS1v15(), hashes.SHA256())
     issue = "get one from `hexapod-gateway certs issue`"
     raise ConfigError(f"{key_file} is neither an elliptic-curve nor an RSA key: {issue}")
-
-
-def _is_valid(ca: x509.Certificate, now: dt.datetime) -> bool:
-    return ca.not_valid_before_utc <= now <= ca.not_valid_after_utc
 
 
 def _signed(certificate: x509.Certificate, signature: str, text: bytes) -> bool:

@@ -36,7 +36,7 @@ def admit(config: zenoh.Config, folder: Path) -> None:
     if get(config, "transport/link/protocols"):
         _append(config, "transport/link/protocols", _LINK)
     if get(config, f"{_CONTROL}/enabled") is True:
-        rules = access.body_rules(get(config, "namespace") or "")
+        rules = [access.rule(each, get(config, "namespace") or "") for each in access.BODY]
         _append(config, f"{_CONTROL}/rules", *rules)
         _append(config, f"{_CONTROL}/subjects", {"id": SUBJECT, "link_protocols": [_LINK]})
         _append(config, f"{_CONTROL}/policies", {"subjects": [SUBJECT], "rules": [rule["id"] for rule in rules]})

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gateway import certs, durable
-from gateway.certs.files import FileContent, publish
+from gateway.certs.files import publish
 from gateway.errors import ConfigError
 from gateway.zenoh_config import load_client_config, load_config
 from tests.support.certs_folder import (
@@ -62,7 +62,7 @@ def test_an_interruption_leaves_no_trace(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_a_file_system_without_modes_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fchmod", lambda _descriptor, _mode: None)
-    assert "cannot keep a file private" in fault(lambda: publish({tmp_path / "x.key": FileContent(b"", 0o640)}))
+    assert "cannot keep a file private" in fault(lambda: publish({tmp_path / "x.pem": b""}))
     assert names(tmp_path) == set()
 
 
