@@ -125,7 +125,9 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     else:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
-        if used is not None:  # the wire is looked at with the service's settings
+        if used is not None:  # the wire is looked at with the service's settings, a device that is gone with the file's
+            if robot.settings.device != used.spi.device and used.wire.built_in is not None:
+                yield from (each for each in results(robot, wire.spi_bus) if each.verdict is Verdict.FAILURE)
             uart = replace(robot.settings.controller, uart=used.controller.uart)
             robot.settings = replace(robot.settings, wire=used.wire, spi=used.spi, controller=uart)
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -56,12 +56,11 @@ Row = tuple[Verdict, str, str] | None
 """Verdict, sentence and remedy; None: it does not apply."""
 
 
-def failure(when: object, sentence: str, remedy: str) -> Row:
-    return (Verdict.FAILURE, sentence, remedy) if when else None
+def _fault(verdict: Verdict, when: object, sentence: str, remedy: str) -> Row:
+    return (verdict, sentence, remedy) if when else None
 
 
-def warning(when: object, sentence: str, remedy: str) -> Row:
-    return (Verdict.WARNING, sentence, remedy) if when else None
+failure, warning = partial(_fault, Verdict.FAILURE), partial(_fault, Verdict.WARNING)
 
 
 def well(sentence: str) -> Row:

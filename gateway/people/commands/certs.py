@@ -192,13 +192,10 @@ def _endpoints(directory: Path, to: list[str]) -> dict[str, list[str]]:
     """How to reach each robot: `to` has names of the folder, hosts or endpoints; without it, all of the folder."""
     robots, found = certs.folder.robots_of(directory), dict[str, list[str]]()
     for each in to or robots:
-        home = robots.get(each)
-        if "/" in each:
-            found[each] = [each]
-        else:
-            hosts = [each] if home is None else certs.folder.hosts_of(home / "gateway.pem")
-            port = certs.folder.port_of((home or directory) / "gateway.json5")
-            found[each] = [certs.zenoh_files.endpoint(host, port) for host in hosts]
+        home = robots.get(each, directory)
+        hosts = certs.folder.hosts_of(home / "gateway.pem") if each in robots else [each]
+        port = 0 if "/" in each else certs.folder.port_of(home / "gateway.json5")
+        found[each] = [certs.zenoh_files.endpoint(host, port) for host in hosts] if port else [each]
     return found
 
 
