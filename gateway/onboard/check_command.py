@@ -75,7 +75,7 @@ def check(
     if move and as_json:
         raise ConfigError("--move asks a person, so it has no --json")
     if move or stops:
-        from gateway.onboard.check.bench import Options
+        from gateway.onboard.check.bench import StopsOptions
         from gateway.onboard.check.move import move as move_servo
         from gateway.onboard.check.stops import stops as prove_stops
         from gateway.people.commands import reach
@@ -83,7 +83,7 @@ def check(
         connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway check")
         if move:
             sys.exit(move_servo(connection, agreed=yes))
-        sys.exit(prove_stops(connection, Options(leg, yes, only or (), late, restart, unplug, config, as_json)))
+        sys.exit(prove_stops(connection, StopsOptions(leg, yes, only or (), late, restart, unplug, config, as_json)))
     from gateway.onboard.check import check, check_laptop
 
     if config is not None and zenoh_config is not None:

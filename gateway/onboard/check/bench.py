@@ -23,9 +23,6 @@ _SETPOINT_S: Final = 0.02
 STREAM_S: Final = 0.3  # setpoints stream for this time before the step acts
 _QUIET_S: Final = 0.15  # after this time all pending frames are sent: a leg's rate slot comes every 20 ms
 
-Figures = dict[str, float | int | str]
-"""A step's measurements. Their names end with the unit."""
-
 
 class FailedError(Exception):
     """A step failed; the message states what happened instead."""
@@ -41,16 +38,16 @@ def demand(true: object, sentence: str) -> None:
         raise FailedError(sentence)
 
 
-class Step(NamedTuple):
+class CheckStep(NamedTuple):
     """One step: its name, a sentence for a person, and its function. That returns figures, or a better sentence."""
 
     name: str
     does: str
-    run: Callable[[Any], Figures | str | None]
+    run: Callable[[Any], dict[str, Any] | str | None]
 
     def outcome(self, means: object, held: AbstractContextManager[None], *, quiet: bool = False) -> dict[str, object]:
         """Run it while `held`, and print the result unless `quiet`. Return it as `--json` prints it."""
-        result, figures = "PASS", Figures()
+        result, figures = "PASS", dict[str, Any]()
         try:
             with held:
                 found = self.run(means)
@@ -68,7 +65,7 @@ class Step(NamedTuple):
         return {"step": self.name, "result": result, "detail": detail, "figures": figures}
 
 
-class Options(NamedTuple):
+class StopsOptions(NamedTuple):
     """The options of the command line. With every core busy, Stops were late by 2.9 ms at most."""
 
     leg: int = 1
@@ -99,7 +96,7 @@ class Bench:
 
     client: Client
     motion: ServoMotion
-    options: Options = Options()  # noqa: RUF009  (immutable)
+    options: StopsOptions = StopsOptions()  # noqa: RUF009  (immutable)
     calibration: RobotCalibration = field(default_factory=RobotCalibration)
     frames_published: bool = False
     answer_ms: float = 0.0

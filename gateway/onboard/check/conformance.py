@@ -12,7 +12,7 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.settings_table import WireSettings
-from gateway.onboard.check.bench import Skipped, Step, demand, ms_since
+from gateway.onboard.check.bench import CheckStep, Skipped, demand, ms_since
 from gateway.onboard.check.table import conclude
 from gateway.people.terminal import ask
 from gateway.robot import settings as settings_file
@@ -140,20 +140,20 @@ def _unplugged(tried: Tried) -> None:
 
 # fmt: off
 STEPS: Final = (
-    Step("open", "it opens", lambda tried: tried.wire.open()),
-    Step("stops", "18 Stops in one call are accepted", lambda tried: tried.apply(_STOPS)),
-    Step("start", f"all servos at {_MIDDLE_DEG:g}°", lambda tried: tried.move(_MIDDLE_DEG, hold_s=_HOLD_S)),
-    Step("set", f"by {_BY_DEG:g}° and back",
+    CheckStep("open", "it opens", lambda tried: tried.wire.open()),
+    CheckStep("stops", "18 Stops in one call are accepted", lambda tried: tried.apply(_STOPS)),
+    CheckStep("start", f"all servos at {_MIDDLE_DEG:g}°", lambda tried: tried.move(_MIDDLE_DEG, hold_s=_HOLD_S)),
+    CheckStep("set", f"by {_BY_DEG:g}° and back",
          lambda tried: tried.move(_MIDDLE_DEG + _BY_DEG, _MIDDLE_DEG, hold_s=_HOLD_S)),
-    Step("hundredths", "an angle of 90.01° is accepted",
+    CheckStep("hundredths", "an angle of 90.01° is accepted",
          lambda tried: tried.apply([(servo_id, 90.01) for servo_id in SERVO_IDS])),
-    Step("single servos", "servo 32 was stopped, and started again while others ran", _some),
-    Step("stops again", "Stops of stopped servos are accepted", lambda tried: tried.apply(_STOPS, _STOPS)),
-    Step("stop-servos", "a second instance stops the servos while the first is open, as stop-servos does",
+    CheckStep("single servos", "servo 32 was stopped, and started again while others ran", _some),
+    CheckStep("stops again", "Stops of stopped servos are accepted", lambda tried: tried.apply(_STOPS, _STOPS)),
+    CheckStep("stop-servos", "a second instance stops the servos while the first is open, as stop-servos does",
          _another),
-    Step("reopen", "closed twice and opened again, it accepts Stops", _reopen),
-    Step("times", "", _times),
-    Step("unplugged", "apply raises an OSError, and accepts Stops after close and open", _unplugged),
+    CheckStep("reopen", "closed twice and opened again, it accepts Stops", _reopen),
+    CheckStep("times", "", _times),
+    CheckStep("unplugged", "apply raises an OSError, and accepts Stops after close and open", _unplugged),
 )
 # fmt: on
 """The steps in their order: later steps need what earlier ones opened."""

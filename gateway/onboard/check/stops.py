@@ -12,7 +12,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
-from gateway.onboard.check.bench import STREAM_S, Bench, FailedError, Figures, Options, Skipped, Step, demand, ms_since
+from gateway.onboard.check.bench import STREAM_S, Bench, CheckStep, FailedError, Skipped, StopsOptions, demand, ms_since
 from gateway.onboard.check.table import SERVICE, conclude, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
@@ -31,8 +31,11 @@ _REST_S: Final = 3.0  # after a reset the board's errors are deleted, for 2 s at
 _SILENT_MS: Final = 200.0  # a power board that is silent for this long is reported
 _PLUGGED_S: Final = 60.0  # for a person to unplug something
 
+Figures = dict[str, float | int | str]
+"""A step's measurements. Their names end with the unit."""
 
-def stops(connect: Connection, options: Options) -> int:
+
+def stops(connect: Connection, options: StopsOptions) -> int:
     """Do the steps. Return the exit code.
 
     Raises ConfigError if nothing may be moved, and ZenohError if no gateway answers, also between steps.
@@ -348,15 +351,15 @@ def is_at_rest(client: Client) -> bool:
 
 # fmt: off
 STEPS: Final = (
-    Step("command", "starts the servo, moves it by 5°, and stops it", command),
-    Step("silence", "falls silent after a start: the watchdog must stop the servo", silence),
-    Step("estop", "engages the emergency stop while setpoints stream: six Stops, nothing after, a reset", estop),
-    Step("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
-    Step("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
-    Step("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
-    Step("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
+    CheckStep("command", "starts the servo, moves it by 5°, and stops it", command),
+    CheckStep("silence", "falls silent after a start: the watchdog must stop the servo", silence),
+    CheckStep("estop", "engages the emergency stop while setpoints stream: six Stops, nothing after, a reset", estop),
+    CheckStep("stop-servos", "runs stop-servos while the gateway runs and setpoints stream", stop_servos),
+    CheckStep("restart", "kills the service while setpoints stream: stopped at once, and at its new start", killed),
+    CheckStep("power", "engages the emergency stop: the power board must confirm that no servo is fed", confirmed_off),
+    CheckStep("spi-unplugged", "engages the emergency stop while the controller is unplugged: the power board must "
               "confirm it", spi_unplugged),
-    Step("can-unplugged", "the power board is unplugged while the servo runs: must be reported, and stopped "
+    CheckStep("can-unplugged", "the power board is unplugged while the servo runs: must be reported, and stopped "
               "over SPI", can_unplugged),
 )
 # fmt: on
