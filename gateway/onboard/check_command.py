@@ -20,17 +20,21 @@ def check(
     move: Annotated[
         bool,
         typer.Option(
-            "--move", help="Through the running gateway: start one servo, move it by 5°, stop all. Asks first."
+            "--move",
+            help="Through the running gateway: start one servo, move it by 5°, stop all. Asks on a real robot.",
         ),
     ] = False,
     stops: Annotated[
         bool,
-        typer.Option("--stops", help="Through the running gateway: prove step by step that it stops. Asks first."),
+        typer.Option(
+            "--stops",
+            help="Through the running gateway: prove step by step that it stops. Asks on a real robot.",
+        ),
     ] = False,
     wire: Annotated[
         bool,
         typer.Option(
-            "--wire", help="Without a gateway: test the plug-in of [wire] as the gateway calls it. Asks first."
+            "--wire", help="Without a gateway: test your own plug-in of [wire]; stop the gateway first. It asks first."
         ),
     ] = False,
     leg: Annotated[int, typer.Option("--leg", metavar="N", min=1, max=6, help="With --stops: the leg that moves.")] = 1,
@@ -39,7 +43,8 @@ def check(
         typer.Option("--only", metavar="STEP", help="With --stops: run only this step; may be repeated."),
     ] = None,
     late: Annotated[
-        float, typer.Option("--late", metavar="MS", min=1, help="With --stops: the delay that a Stop may have.")
+        float,
+        typer.Option("--late", metavar="MS", min=1, help="With --stops: the longest delay of a Stop that passes."),
     ] = 20.0,
     restart: Annotated[
         bool, typer.Option("--restart", help="With --stops: also kill the service. Needs root, on the robot.")

@@ -36,7 +36,8 @@ def test_it_passes_on_a_robot_that_works(tmp_path: Path, monkeypatch: pytest.Mon
     """With certificates, and where silence lands the robot before it stops it."""
     monkeypatch.setattr(stops, "_ANSWER_MS", LATE_MS)
     watchdog = {"timeout_ms": 1000, "landing_ms": 300}
-    settings = patient(2000, **FRAMES, watchdog=watchdog, **{"watchdog.landing": {"11": 60.0, "31": 60.0}})
+    landing = {"watchdog.landing": {"11": 60.0, "31": 60.0}}
+    settings = patient(2000, **FRAMES, watchdog=watchdog, limits={"takeover_deg_s": 180}, **landing)
     with Secured(tmp_path, settings) as robot:
         operator = ("--zenoh-config", str(robot.folder / "anna.json5"))
         done = robot.gateway.run("check", "--stops", *operator, "--leg", "3", "--late", str(LATE_MS), "--json")
@@ -51,7 +52,8 @@ def test_it_passes_on_a_robot_that_works(tmp_path: Path, monkeypatch: pytest.Mon
     assert set(results.values()) == {"PASS", "SKIPPED"}, "the others need a device, systemd, or a power board"
     (silence,) = (each for each in found["steps"] if each["step"] == "silence")
     assert silence["figures"]["landing_ms"] == 300
-    assert abs(silence["figures"]["later_us"]) < LATE_MS * 1000
+    # The start comes soon after a Stop, 5° away: its last frame is 40 ms later than its first, and so is no silence.
+    assert -25_000 < silence["figures"]["later_us"] < LATE_MS * 1000
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
