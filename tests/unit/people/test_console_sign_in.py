@@ -57,8 +57,13 @@ class Visitor:
         assert session.key not in answer.text
         return found["nonce"], found["proof"]
 
-    def comes_in(self, session: SignIn, shown: str) -> bool:
-        return isinstance(self.get(f"/ws?{shown}", session, Origin=HERE), Entry)
+    def comes_in(self, session: SignIn, shown: str, **headers: str) -> bool:
+        return isinstance(self.get(f"/ws?{shown}", session, **{"Origin": HERE, **headers}), Entry)
+
+    def status(self, path: str, session: SignIn, **headers: str) -> int:
+        answer = self.get(path, session, **headers)
+        assert isinstance(answer, web.Response)
+        return answer.status
 
 
 @pytest.fixture
@@ -85,6 +90,30 @@ def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
     made = f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
     assert visitor.comes_in(session, made)
     assert not visitor.comes_in(session, made), "a nonce serves once"
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "",
+        "null",
+        "http://localhost:8080",
+        "https://127.0.0.1:8080",
+        "http://127.0.0.1:8080/",
+        "http://127.0.0.1:80801",
+        "http://evil.example",
+    ],
+)
+def test_foreign_origins(visitor: Visitor, origin: str) -> None:
+    """Another page on this machine is as foreign as any: its origin has another port, scheme or name."""
+    session = visitor.sign_in()
+    nonce, _ = visitor.nonce(session)
+    made = f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
+    assert not visitor.comes_in(session, made, Origin=origin)
+    assert visitor.status("/", session, Origin=origin) == 403
+    assert visitor.status(f"/ws?{made}", session) == 403, "a browser states a WebSocket's origin"
+    assert visitor.status("/", session) == visitor.status("/", session, Origin=HERE) == 200
+    assert visitor.comes_in(session, made), "the nonce is not used up"
 
 
 def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:

@@ -46,24 +46,6 @@ TLS = Site("0.0.0.0", 443, ("robot.local", "192.0.2.7", "2001:db8::7"), ssl.SSLC
 )
 def test_foreign_hosts(where: Site, host: str | None) -> None:
     assert not where.knows_host(host)
-    assert not where.knows_origin(f"{where.scheme}://{host}", host)
-
-
-@pytest.mark.parametrize(
-    "origin",
-    [
-        None,
-        "null",
-        "http://localhost:8080",
-        "https://127.0.0.1:8080",
-        "http://127.0.0.1:8080/",
-        "http://127.0.0.1:80801",
-        "http://evil.example",
-    ],
-)
-def test_foreign_origins(origin: str | None) -> None:
-    """Another page on this machine is as foreign as any: its origin has another port, scheme or name."""
-    assert not HERE.knows_origin(origin, "127.0.0.1:8080")
 
 
 @pytest.mark.parametrize("listen", ["127.0.0.1:8080", "localhost:1", "[::1]:65535", "127.0.0.5"])

@@ -16,7 +16,7 @@ import mimetypes
 import secrets
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cache
 from html import escape
 from pathlib import Path
 from typing import Final
@@ -36,7 +36,6 @@ NONCE_NS: Final = 10 * NS_PER_S
 """A page opens its WebSocket as soon as it receives the nonce."""
 COOKIE_S: Final = 30 * 24 * 3600
 """Life of a browser's cookie, by the browser's wall clock, which a person may set. The session ends earlier."""
-PACKED: Final = ".gz"
 PUBLIC: Final = ("/enter.html", "/enter.js", "/key.js", "/refused.css")
 """The first three move the key of a new session from the address into the browser's storage."""
 HEADERS: Final = {
@@ -54,41 +53,32 @@ HEADERS: Final = {
     "vary": "Accept-Encoding",
     "server": "hexapod-gateway",
 }
-NEW_LINK: Final = "A link that works once is printed, on the console's machine, by:"
 _PAGES: Final = {"/": "/index.html", "/button": "/button.html"}
 
 
-@dataclass(frozen=True)
 class PageFile:
     """A file of the page, plain and by gzip, in memory: no request waits for a disk or takes a descriptor."""
 
-    content: bytes
-    packed: bytes
-    kind: str
-    tag: str
+    def __init__(self, path: Path) -> None:
+        self.content: Final = path.read_bytes()
+        self._packed = gzip.compress(self.content, 5)  # the page in 30 ms; at the best level in 70 ms
+        kind = mimetypes.guess_type(path.name)[0] or "text/plain"
+        kind += "; charset=utf-8" if kind.startswith("text/") else ""
+        self._headers = {"ETag": f'W/"{hashlib.sha256(self.content).hexdigest()[:32]}"', "Content-Type": kind}
 
     def response(self, headers: MultiMapping[str]) -> web.Response:
-        """Return the file, packed where that is smaller, or 304 to a browser that has it."""
-        if headers.get("If-None-Match") == self.tag:
-            return web.Response(status=304, headers={"ETag": self.tag})
-        is_packed = "gzip" in headers.get("Accept-Encoding", "") and len(self.packed) < len(self.content)
-        coding = {"Content-Encoding": "gzip"} if is_packed else {}
-        named = {"ETag": self.tag, "Content-Type": self.kind, **coding}
-        return web.Response(body=self.packed if is_packed else self.content, headers=named)
+        """Return the file, packed to a browser that accepts this, or 304 to a browser that has it."""
+        if headers.get("If-None-Match") == self._headers["ETag"]:
+            return web.Response(status=304, headers=self._headers)
+        if "gzip" in headers.get("Accept-Encoding", ""):
+            return web.Response(body=self._packed, headers={**self._headers, "Content-Encoding": "gzip"})
+        return web.Response(body=self.content, headers=self._headers)
 
 
+@cache
 def read_files() -> Mapping[str, PageFile]:
-    """Return the page's files by path. A built package has them packed; those of a repository are packed here."""
-    found = {}
-    for path in PAGE.rglob("*"):
-        if path.is_file() and path.suffix != PACKED:
-            content, beside = path.read_bytes(), path.with_name(path.name + PACKED)
-            packed = beside.read_bytes() if beside.exists() else gzip.compress(content, mtime=0)
-            kind = mimetypes.guess_type(path.name)[0] or "text/plain"
-            kind += "; charset=utf-8" if kind.startswith("text/") else ""
-            tag = f'W/"{hashlib.sha256(content).hexdigest()[:32]}"'
-            found[f"/{path.relative_to(PAGE).as_posix()}"] = PageFile(content, packed, kind, tag)
-    return found
+    """Return the page's files by path."""
+    return {f"/{path.relative_to(PAGE).as_posix()}": PageFile(path) for path in PAGE.rglob("*") if path.is_file()}
 
 
 class Auth:
@@ -105,50 +95,47 @@ class Auth:
 
         A response to a request without a session closes its connection.
         """
-        public = self._public(url, headers)
-        if public is not None:
-            public.force_close()
-        found = self._for_session(url, headers) if public is None else public
+        found = self._admit(url, headers)
         if isinstance(found, web.Response):
-            found.headers.update(HEADERS)
+            found.force_close()
+        elif url.path == WEBSOCKET:
+            return found
+        else:
+            found = self._for_session(found, url, headers)
+        found.headers.update(HEADERS)
         return found
 
-    def _public(self, url: URL, headers: MultiMapping[str]) -> web.Response | None:
-        """The answer to a request that no page of ours sends, and to one that needs no session."""
+    def _admit(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
+        """The session of the request, for a WebSocket with a proof of its key; else the response."""
         host, origin = headers.get("Host"), headers.get("Origin")
         if not self._site.knows_host(host):
             return _text(403, f"this console is at {self._site.url}, and not at the address that you gave")
-        if (url.path == WEBSOCKET or origin is not None) and not self._site.knows_origin(origin, host):
+        if (url.path == WEBSOCKET or origin is not None) and origin != f"{self._site.scheme}://{host}":
             return _text(403, "only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
-            return self._enter(*url.query["token"].partition(",")[::2])
-        return self._files[url.path].response(headers) if url.path in PUBLIC else None
-
-    def _for_session(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
-        path, query = _PAGES.get(url.path, url.path), url.query
+            return self._exchange(*url.query["token"].partition(",")[::2])
+        if url.path in PUBLIC:
+            return self._files[url.path].response(headers)
         entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
-        if entry is None or (path == WEBSOCKET and not self._is_proved(entry, query.get("nonce"), query.get("proof"))):
-            why = "You are not signed in."
-            found = (
-                self._refused(why) if url.path in _PAGES else _text(403, f"{why} {NEW_LINK} {self._site.link_command}")
-            )
-            found.force_close()
-            return found
-        if path == WEBSOCKET:
+        if entry is not None and (url.path != WEBSOCKET or self._is_proved(entry, url.query)):
             return entry
-        if path == "/session":
-            nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
-            made = proof(entry.key_sha256, f"console {query.get('nonce')} {nonce}")
-            return web.json_response({"nonce": nonce, "proof": made})
-        return self._files[path].response(headers) if path in self._files else _text(404, "there is nothing here")
+        return self._refused("You are not signed in.")
 
-    def _is_proved(self, entry: Entry, nonce: str | None, made: str | None) -> bool:
+    def _is_proved(self, entry: Entry, query: MultiMapping[str]) -> bool:
         """Use up the nonce. Return whether the page knows the session's key."""
-        if not nonce or not made or not self._nonces.spend(nonce, time.monotonic_ns()):
-            return False
-        return hmac.compare_digest(proof(entry.key_sha256, f"page {nonce}").encode(), made.encode())
+        nonce, made = query.get("nonce", ""), query.get("proof", "")
+        wanted = proof(entry.key_sha256, f"page {nonce}")
+        return self._nonces.spend(nonce, time.monotonic_ns()) and hmac.compare_digest(wanted.encode(), made.encode())
 
-    def _enter(self, token: str, card: str) -> web.Response:
+    def _for_session(self, entry: Entry, url: URL, headers: MultiMapping[str]) -> web.Response:
+        if url.path == "/session":
+            nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
+            made = proof(entry.key_sha256, f"console {url.query.get('nonce')} {nonce}")
+            return web.json_response({"nonce": nonce, "proof": made})
+        file = self._files.get(_PAGES.get(url.path, url.path))
+        return _text(404, "there is nothing here") if file is None else file.response(headers)
+
+    def _exchange(self, token: str, card: str) -> web.Response:
         found = self._sessions.exchange(token)
         if found is None:
             return self._refused("This link was used already, or is too old.")

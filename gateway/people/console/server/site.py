@@ -83,10 +83,6 @@ class Site:
             own += [each.rpartition(":")[0] for each in own]
         return host is not None and host.lower() in own
 
-    def knows_origin(self, origin: str | None, host: str | None) -> bool:
-        """Return whether an Origin header is this site's own, reached by that Host."""
-        return self.knows_host(host) and origin == f"{self.scheme}://{host}"
-
 
 def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
     """Return the site at `listen`. Raises ConfigError, with a fix, if it is no address or needs TLS."""
