@@ -1,5 +1,6 @@
 """Writes files atomically: after a power cut a file is the old or the new one, complete."""
 
+import importlib
 import os
 import secrets
 import stat
@@ -7,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 _NONBLOCK, _NOFOLLOW, _CLOEXEC = (getattr(os, f"O_{name}", 0) for name in ("NONBLOCK", "NOFOLLOW", "CLOEXEC"))
 """Windows has none of them, nor owners, modes and folders that can be synced."""
@@ -112,6 +113,23 @@ def like_the_folder(path: Path, descriptor: int) -> None:
     if hasattr(os, "geteuid") and os.geteuid() == 0:
         folder = path.parent.stat()
         os.fchown(descriptor, folder.st_uid, folder.st_gid)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Context that only one process and thread at a time enters for `path`; waits for the others. Raises OSError.
+
+    The lock is on a second file (`.lock`), since writers replace the first.
+    """
+    with os.fdopen(os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | _CLOEXEC, 0o600)) as file:
+        like_the_folder(path, file.fileno())
+        if os.name == "nt":
+            windows: Any = importlib.import_module("msvcrt")
+            windows.locking(file.fileno(), windows.LK_LOCK, 1)
+        else:
+            fcntl: Any = importlib.import_module("fcntl")
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX)
+        yield
 
 
 def sync(path: Path) -> None:

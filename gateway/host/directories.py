@@ -10,6 +10,8 @@ SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), for commands that systemd did not start."""
 SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")
 """The service's runtime directory, for such commands."""
+CONSOLE_STATE: Final = Path("/var/lib/hexapod-console")
+"""The state directory of the service hexapod-console."""
 
 
 def state_directory(path: str) -> Path | None:
@@ -34,6 +36,12 @@ def users_state() -> Path:
     """Return the folder for this user's state, outside a service."""
     state_home = os.environ.get("XDG_STATE_HOME")
     return (Path(state_home) if state_home else Path.home() / ".local" / "state") / "hexapod-gateway"
+
+
+def console_state() -> Path:
+    """Return the state folder of this user's console; of the service's in the service, and for root's commands."""
+    is_roots = hasattr(os, "geteuid") and os.geteuid() == 0 and CONSOLE_STATE.is_dir()
+    return state_directory("") or (CONSOLE_STATE if is_roots else users_state())
 
 
 def _named(variable: str) -> Path | None:

@@ -4,6 +4,7 @@ import errno
 import os
 import stat
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -86,3 +87,16 @@ def test_two_that_write_at_once_leave_one_whole_file(tmp_path: Path) -> None:
         path, b"first", 0o600, prepare=lambda _: durable.write_with_mode(path, b"the second", 0o600)
     )
     assert (path.read_bytes(), list(tmp_path.iterdir())) == (b"first", [path])
+
+
+def test_one_at_a_time_is_in_a_locked_block(tmp_path: Path) -> None:
+    path = tmp_path / "count.json"
+    path.write_text("0")
+
+    def count_on(_: int) -> None:
+        with durable.locked(path):
+            path.write_text(str(int(path.read_text()) + 1))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(count_on, range(100)))
+    assert path.read_text() == "100"

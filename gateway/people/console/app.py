@@ -22,8 +22,6 @@ MAX_CLOSING: Final = 16
 """Further WebSockets, which are being closed; those beyond are rejected."""
 CHECK_S: Final = 1.0
 """The period in which each page's session is checked."""
-CLOSE_PAGES_S: Final = 1.0
-"""The longest wait for all pages to receive that the console ends."""
 SIGNED_OUT: Final = "signed out"
 
 
@@ -57,14 +55,10 @@ class Console:
         return websocket
 
     async def close(self) -> None:
-        """Close all pages, and wait for them up to CLOSE_PAGES_S."""
-        ends = [
-            asyncio.create_task(websocket.end(WSCloseCode.SERVICE_RESTART, "the console ends"))
-            for websocket in self._open
-            if websocket.prepared
-        ]
-        if ends:
-            await asyncio.wait(ends, timeout=CLOSE_PAGES_S)
+        """Close all pages. None is waited for longer than a second (`WebSocket.end`)."""
+        why = WSCloseCode.SERVICE_RESTART, "the console ends"
+        ends = [websocket.end(*why) for websocket in self._open if websocket.prepared]
+        await asyncio.gather(*ends, return_exceptions=True)
 
     async def _serve_page(self, websocket: WebSocket, session: Entry, tab: str) -> None:
         """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""

@@ -8,10 +8,10 @@ from typing import Final, NoReturn
 from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
+from gateway.host.directories import console_state
 from gateway.own_command import install
 from gateway.people.console.options import Options
-from gateway.people.console.server import sessions
-from gateway.people.console.server.sessions import Sessions
+from gateway.people.console.server.sessions import Sessions, kept
 from gateway.people.console.server.site import (
     CONSOLE_PORT,
     DEFAULT_ADDRESS,
@@ -40,7 +40,7 @@ def console(options: Options) -> NoReturn:
 
     passed = inherited()
     if options.phone:
-        options = phone.prepared(options, sessions.folder())
+        options = phone.prepared(options, console_state())
     address = address_in(passed, options.listen) if passed else options.listen or free_address()
     place = site(address, options.cert, options.key)
     if not passed and options.listen is None and place.port != CONSOLE_PORT:
@@ -65,7 +65,7 @@ def link(listen: str | None, card: str = "") -> int:
     from gateway.people.console.serve import show  # noqa: PLC0415 (likewise)
 
     address, port = (_answering() or (DEFAULT_ADDRESS, CONSOLE_PORT)) if listen is None else address_of(listen)
-    made = Sessions(sessions.folder(), port).new_link(card)
+    made = Sessions(console_state(), port).new_link(card)
     try:
         socket.create_connection((address, port), ANSWERS_S).close()
     except OSError as error:
@@ -77,8 +77,8 @@ def link(listen: str | None, card: str = "") -> int:
 
 
 def _answering() -> tuple[str, int] | None:
-    for each in sessions.kept(sessions.folder()):
-        for address in (DEFAULT_ADDRESS, urlsplit(each.url).hostname) if each.url else ():
+    for each in kept(console_state()):
+        for address in (DEFAULT_ADDRESS, urlsplit(each.before_token).hostname) if each.before_token else ():
             with suppress(OSError):
                 socket.create_connection((address, each.port), ANSWERS_S).close()
                 return address or DEFAULT_ADDRESS, each.port
@@ -87,7 +87,7 @@ def _answering() -> tuple[str, int] | None:
 
 def sign_out() -> int:
     """End all sessions of this user's consoles (root: the service's). Raises GatewayError."""
-    ended = sum(each.revoke() for each in sessions.kept(sessions.folder()))
+    ended = sum(each.revoke() for each in kept(console_state()))
     say(f"{ended} session{'' if ended == 1 else 's'} ended; no printed link works any more")
     return 0
 

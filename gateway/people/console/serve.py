@@ -2,6 +2,7 @@
 
 import asyncio
 import getpass
+import logging
 import os
 import socket
 import sys
@@ -12,7 +13,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Final, NamedTuple, NoReturn
+from typing import Any, Final, NamedTuple, NoReturn
 from urllib.parse import urlsplit
 
 import segno
@@ -20,6 +21,7 @@ import segno
 from gateway import certs, durable
 from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
+from gateway.host.directories import console_state
 from gateway.people.console import phone
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.link import STACK_BYTES, GatewayLink
@@ -27,9 +29,8 @@ from gateway.people.console.options import Options
 from gateway.people.console.pages.page_messages import ROLES, Role, least
 from gateway.people.console.pages.page_stops import Stops, send_stopping
 from gateway.people.console.pages.pages import Pages, Shared
-from gateway.people.console.server import sessions
 from gateway.people.console.server.auth import Auth
-from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, report
+from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener
 from gateway.people.console.server.sessions import LINK_S, Sessions
 from gateway.people.console.server.site import LOCALHOST, Site, listening
 from gateway.people.terminal import hint, on_end_signals, say
@@ -39,6 +40,8 @@ OWN_DESCRIPTORS: Final = 96
 """Descriptors for the Zenoh session, four more sessions for STOP ALL, four for other Stops, a reserve, and files."""
 DESCRIPTORS: Final = MAX_CONNECTIONS + MAX_PAGES + MAX_CLOSING + OWN_DESCRIPTORS
 """More than the places for connections, so that no flood of connections takes all."""
+
+_log: Final = logging.getLogger(__name__)
 
 
 class Owner(NamedTuple):
@@ -64,8 +67,8 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
     door = phone.door(site) if options.phone else None
     with listening(site, passed) as sockets, listening(door) if door else nullcontext(()) as doors:
         logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
-        found = Sessions(sessions.folder(), site.port)
-        found.begin(site.url, owner.role, owner.common_name, phone.link(door, site) if door else "")
+        found = Sessions(console_state(), site.port)
+        found.begin(phone.link(door, site) if door else f"{site.url}/?token=", owner.role, owner.common_name)
         asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry))
 
 
@@ -89,7 +92,7 @@ async def _run(
 ) -> NoReturn:
     """`sockets`: the console's, and those of the page without TLS that explains the warning to a phone."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
-    loop.set_exception_handler(report)
+    loop.set_exception_handler(_report)
     pages = Pages(owner.common_name, found.revoke)
     gateway = GatewayLink(options.connect, options.zenoh_config, owner.person, options.timeout_s, pages)
     stops = Stops(gateway.estop, send_stopping)
@@ -123,6 +126,11 @@ async def _run(
     # The interpreter's own end would wait for threads that ask a gateway which does not answer.
     logs.close()
     os._exit(0)
+
+
+def _report(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Log one line as asyncio's exception handler; its own would render a traceback on the loop."""
+    _log.error("%s: %r", context.get("message"), context.get("exception"))
 
 
 def _say_where(site: Site, found: Sessions, card: str) -> None:

@@ -31,7 +31,7 @@ class Stand:
 
     def __init__(self, folder: Path, listening: socket.socket) -> None:
         sessions = Sessions(folder, 8080)
-        sessions.begin(URL, "operator")
+        sessions.begin(f"{URL}/?token=", "operator")
         found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
         self.session: SignIn = found

@@ -19,6 +19,7 @@ from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Now
 from gateway.people.console.server.site import site
 
 HERE = "http://127.0.0.1:8080"
+START = f"{HERE}/?token="
 
 
 class Visitor:
@@ -28,7 +29,7 @@ class Visitor:
         self.now_ns = 100_000_000_000
         monkeypatch.setattr("gateway.people.console.server.auth.time.monotonic_ns", lambda: self.now_ns)
         self._sessions = Sessions(folder, 8080)
-        self._sessions.begin(HERE, "operator")
+        self._sessions.begin(START, "operator")
         self._site = site("127.0.0.1:8080", None, None)
         self._auth = Auth(self._site, self._sessions)
 
@@ -185,7 +186,7 @@ def clock() -> Clock:
 @pytest.fixture
 def sessions(tmp_path: Path, clock: Clock) -> Sessions:
     found = Sessions(tmp_path, 8080, clock)
-    found.begin(HERE, "operator")
+    found.begin(START, "operator")
     return found
 
 
@@ -206,7 +207,7 @@ def new_session(sessions: Sessions) -> SignIn:
 
 
 def test_a_link_works_once(sessions: Sessions) -> None:
-    sessions.begin(HERE, "observer")
+    sessions.begin(START, "observer")
     token = token_of(sessions.new_link())
     found = sessions.exchange(token)
     assert found is not None
@@ -219,13 +220,13 @@ def test_a_link_works_once(sessions: Sessions) -> None:
 
 def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
     """A console may not be connected when its certificate is revoked, and later have another."""
-    sessions.begin(HERE, "operator", "operator-00")
+    sessions.begin(START, "operator", "operator-00")
     session = new_session(sessions)
-    sessions.begin(HERE, "operator", "operator-00")
+    sessions.begin(START, "operator", "operator-00")
     assert sessions.still_valid(session.entry), "a restart signs nobody out"
-    sessions.begin(HERE, "operator", "operator-01")
+    sessions.begin(START, "operator", "operator-01")
     assert not sessions.still_valid(session.entry)
-    sessions.begin(HERE, "operator", "operator-00")
+    sessions.begin(START, "operator", "operator-00")
     assert not sessions.still_valid(session.entry), "it is over for good"
 
 
@@ -256,7 +257,7 @@ def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
     cookie, token = sign_in(sessions), token_of(sessions.new_link())
     clock.reboots(clock.wall_s + wall_s)
     assert sessions.exchange(token) is None, "how old a link is, nobody knows now"
-    sessions.begin(HERE, "operator")
+    sessions.begin(START, "operator")
     entry = sessions.cookie(cookie)
     assert (entry is not None) is (lasts_s > 0)
     if entry is not None:
@@ -289,25 +290,25 @@ def test_a_faulty_file_lets_nobody_in(sessions: Sessions, tmp_path: Path, conten
     token = sign_in(sessions)
     (tmp_path / "console-8080.json").write_bytes(content)
     assert sessions.cookie(token) is None
-    sessions.begin(HERE, "operator")
+    sessions.begin(START, "operator")
     assert sessions.cookie(sign_in(sessions)) is not None
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot write"):
-        Sessions(tmp_path / "file", 8080).begin(HERE, "operator")
+        Sessions(tmp_path / "file", 8080).begin(START, "operator")
 
 
 def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock) -> None:
     """A file without an address, or of another name, is no console's."""
     for port, written_s in ((8080, 1), (8443, 3), (9000, 2)):
-        Sessions(tmp_path, port, clock).begin(f"https://robot.local:{port}", "operator")
+        Sessions(tmp_path, port, clock).begin(f"https://robot.local:{port}/?token=", "operator")
         os.utime(tmp_path / f"console-{port}.json", (written_s, written_s))
     (tmp_path / "console-7.json").write_text("{}")
     (tmp_path / "console-x.json").write_text("{}")
-    begun = [(each.port, each.url) for each in kept(tmp_path) if each.url]
-    assert begun == [(port, f"https://robot.local:{port}") for port in (8443, 9000, 8080)]
+    begun = [(each.port, each.before_token) for each in kept(tmp_path) if each.before_token]
+    assert begun == [(port, f"https://robot.local:{port}/?token=") for port in (8443, 9000, 8080)]
 
 
 def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(

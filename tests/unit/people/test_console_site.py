@@ -11,9 +11,9 @@ import pytest
 
 from gateway import certs
 from gateway.errors import ConfigError
+from gateway.host.directories import CONSOLE_STATE
 from gateway.people.console.server.site import (
     RECEIVED_BYTES,
-    STATE_DIRECTORY,
     Site,
     address_in,
     address_of,
@@ -96,7 +96,7 @@ def test_names_come_from_the_certificate(tmp_path: Path) -> None:
     ("where", "by", "command"),
     [
         (HERE, "", "hexapod-gateway console --link --listen 127.0.0.1:8080"),
-        (HERE, str(STATE_DIRECTORY), "sudo hexapod-gateway console --link --listen 127.0.0.1:8080"),
+        (HERE, str(CONSOLE_STATE), "sudo hexapod-gateway console --link --listen 127.0.0.1:8080"),
         (Site("::1", 8081, ("::1",)), "", "hexapod-gateway console --link --listen '[::1]:8081'"),
     ],
     ids=["a user's", "the service's", "IPv6"],

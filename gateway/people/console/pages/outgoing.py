@@ -8,14 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from gateway.people.console.pages.page_messages import (
-    BodyMessage,
-    EventMessage,
-    LinkMessage,
-    Stopping,
-    TelemetryMessage,
-    WalkMessage,
-)
+from gateway.people.console.pages import page_messages as messages
 from schemas.telemetry import Report
 
 KEPT_MESSAGES: Final = 64
@@ -27,21 +20,21 @@ class Outgoing:
 
     def __init__(self) -> None:
         self._there = asyncio.Event()
-        self._stops: dict[int, Stopping] = {}
+        self._stops: dict[int, messages.Stopping] = {}
         self._answers: deque[Report] = deque(maxlen=KEPT_MESSAGES)
         self._newest: dict[type[Report] | None, Callable[[], str]] = {}
-        self._events: deque[EventMessage] = deque()
+        self._events: deque[messages.EventMessage] = deque()
 
     def put(self, message: Report) -> None:
         """Queue a message to the page. Never waits."""
         match message:
-            case Stopping():
+            case messages.Stopping():
                 self._stops[message.id] = message
                 if len(self._stops) > KEPT_MESSAGES:
                     del self._stops[next(iter(self._stops))]
-            case LinkMessage() | WalkMessage() | BodyMessage() | TelemetryMessage():
+            case messages.LinkMessage() | messages.WalkMessage() | messages.BodyMessage() | messages.TelemetryMessage():
                 self._newest[type(message)] = message.model_dump_json
-            case EventMessage():
+            case messages.EventMessage():
                 self._events.append(message)
                 if len(self._events) > KEPT_MESSAGES:
                     left_out = self._events.popleft().left_out + 1 + self._events[0].left_out

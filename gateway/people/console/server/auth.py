@@ -163,6 +163,6 @@ def _text(status: int, text: str) -> web.Response:
     return web.Response(status=status, text=f"{text}\n")
 
 
-def _cookie(headers: MultiMapping[str], name: str) -> str | None:
+def _cookie(headers: MultiMapping[str], name: str) -> str:
     cookies = (part.strip().partition("=") for header in headers.getall("Cookie", []) for part in header.split(";"))
-    return next((value for found, _, value in cookies if found == name), None)
+    return next((value for found, _, value in cookies if found == name), "")

@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
-from typing import Any, Final, Literal, cast
+from typing import Final, Literal, cast
 
 from aiohttp import WSMsgType, web
 from multidict import MultiMapping
@@ -81,17 +81,16 @@ class Connection(web.RequestHandler):
         self.address = ""
         self._tls = tls
         self._others = others
-        self._raw: asyncio.Transport | None = None
-        self._handshake: asyncio.Task[None] | None = None
         self._bytes = Allowance(1, UNKNOWN_BYTES)
-        self._deadline = self._own_loop.call_later(UNKNOWN_S, self.abort)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Called again once the handshake is over."""
         transport = cast("asyncio.Transport", transport)
         transport.set_write_buffer_limits(high=UNSENT_BYTES)
-        if self._raw is None:
-            self._raw = transport
+        if self not in self._others:
             self._others[self] = None
+            self._raw = transport
+            self._deadline = self._own_loop.call_later(UNKNOWN_S, self.abort)
             self.address = str((transport.get_extra_info("peername") or [""])[0])
             if self._tls is not None:
                 transport.pause_reading()
@@ -120,17 +119,15 @@ class Connection(web.RequestHandler):
 
     def abort(self) -> None:
         """Close the connection at once, without sending pending data."""
-        if self._raw is not None:
-            self._raw.abort()
+        self._raw.abort()
         self._end()
 
     async def _begin_tls(self, raw: asyncio.Transport, context: ssl.SSLContext) -> None:
         with suppress(OSError):  # also ssl.SSLError: no handshake
             transport = await self._own_loop.start_tls(raw, self, context, server_side=True)
             if transport is not None and not raw.is_closing():
-                self.connection_made(transport)
-                return
-        self.abort()
+                return self.connection_made(transport)
+        return self.abort()
 
     def _end(self) -> None:
         self._deadline.cancel()
@@ -247,9 +244,3 @@ class WebSocket(web.WebSocketResponse):
         with suppress(TimeoutError, ConnectionError):
             async with asyncio.timeout(CLOSING_S):
                 await self.close(code=code, message=reason.encode("ascii", "replace")[:123])
-
-
-def report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log one line as asyncio's exception handler; its own would render a traceback on the loop."""
-    del loop
-    _log.error("%s: %r", context.get("message"), context.get("exception"))

@@ -9,7 +9,6 @@ out, and STOP ALL stays in reach. Only how long a reboot took is by the wall clo
 """
 
 import hashlib
-import importlib
 import os
 import secrets
 import time
@@ -17,15 +16,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 from pydantic import BaseModel
 
 from gateway import durable
 from gateway.errors import ConfigError
-from gateway.host.directories import state_directory, users_state
 from gateway.people.console.pages.page_messages import Role, least
-from gateway.people.console.server.site import STATE_DIRECTORY
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
@@ -33,7 +30,6 @@ LINK_S: Final = 600
 MAX_ENTRIES: Final = 256
 """Most sessions, and most links; beyond these the oldest are dropped."""
 MAX_SESSIONS_BYTES: Final = 1_000_000
-_LOCK_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
 
 
 class Now(NamedTuple):
@@ -68,10 +64,6 @@ class Entry(BaseModel, frozen=True):
     until_s: float
     """When it ends, by the time since the boot in which it was written."""
 
-    def later(self, seconds: float) -> Self:
-        """Return the entry with a later end."""
-        return self.model_copy(update={"until_s": self.until_s + seconds})
-
 
 class SignIn(NamedTuple):
     """A new session: the browser's two secrets, and its entry."""
@@ -82,10 +74,8 @@ class SignIn(NamedTuple):
 
 
 class _Entries(BaseModel, frozen=True):
-    url: str = ""
-    """The address of the console that runs, or last ran, at this port."""
     before_token: str = ""
-    """The beginning of its links."""
+    """The beginning of the links of the console that runs, or last ran, at this port."""
     role: Role = "observer"
     """The most rights that its pages get."""
     common_name: str = ""
@@ -100,7 +90,8 @@ class _Entries(BaseModel, frozen=True):
         if now.boot != self.written.boot:
             passed_s = max(0.0, now.wall_s - self.written.wall_s)
             later_s = now.boot_s - self.written.boot_s - passed_s
-            links, sessions = (), tuple(each.later(later_s) for each in sessions)
+            links = ()
+            sessions = tuple(each.model_copy(update={"until_s": each.until_s + later_s}) for each in sessions)
         links, sessions = (tuple(each for each in kind if now.boot_s < each.until_s) for kind in (links, sessions))
         return self.model_copy(update={"written": now, "links": links, "sessions": sessions})
 
@@ -116,31 +107,28 @@ class Sessions:
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """The file's inode, time and size, and its content: one tuple, since several threads read it."""
 
-    def begin(self, url: str, role: Role, common_name: str = "", before_token: str = "") -> None:
-        """Begin a console at `url`, whose pages have `role` at most; earlier links are void. Raises ConfigError.
+    def begin(self, before_token: str, role: Role, common_name: str = "") -> None:
+        """Begin a console whose pages have `role` at most; earlier links are void. Raises ConfigError.
 
         Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
         connected, and its sessions must not reach the robot by the certificate that replaces it.
         """
-        begun = _Entries(url=url, before_token=before_token or f"{url}/?token=", role=role, common_name=common_name)
-
-        def begin(now: _Entries) -> _Entries:
-            kept = now.sessions if now.common_name == common_name else ()
-            return begun.model_copy(update={"sessions": kept, "written": now.written})
-
-        self._change(begin)
+        begun = {"before_token": before_token, "role": role, "common_name": common_name, "links": ()}
+        self._change(
+            lambda now: now.model_copy(update=begun if now.common_name == common_name else {**begun, "sessions": ()})
+        )
 
     @property
-    def url(self) -> str:
-        """The URL of the console that runs, or last ran, at this port; empty: none ran."""
-        return self._read().url
+    def before_token(self) -> str:
+        """The beginning of the links of the console that runs, or last ran, at this port; empty: none ran."""
+        return self._read().before_token
 
     def new_link(self, card: str = "") -> str:
         """Return a link that works once, to the page's start or to `card`.
 
         Raises ConfigError if no console has begun, or the folder cannot be written.
         """
-        if not self.url:
+        if not self.before_token:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
         token = secrets.token_urlsafe(32)
 
@@ -168,10 +156,10 @@ class Sessions:
 
         return SignIn(cookie, key, entry) if link in self._change(enter).links else None
 
-    def cookie(self, cookie: str | None) -> Entry | None:
+    def cookie(self, cookie: str) -> Entry | None:
         """Return the cookie's valid session. It gives access to the page's files; the WebSocket requires the key."""
         known = self._read().at(self._now())
-        found = None if cookie is None else _find(known.sessions, cookie)
+        found = _find(known.sessions, cookie)
         return found and found.model_copy(update={"role": least(found.role, known.role)})
 
     def still_valid(self, session: Entry) -> bool:
@@ -202,15 +190,10 @@ class Sessions:
         return _Entries()
 
     def _change(self, change: Callable[[_Entries], _Entries]) -> _Entries:
-        """Replace the valid entries by what `change` returns for them; returns those before. Raises ConfigError.
-
-        A lock on a second file excludes other processes and threads meanwhile.
-        """
+        """Replace the valid entries by what `change` returns for them; returns those before. Raises ConfigError."""
         try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with os.fdopen(os.open(self.path.with_suffix(".lock"), _LOCK_FLAGS, 0o600)) as lock:
-                durable.like_the_folder(self.path, lock.fileno())
-                _lock(lock.fileno())
+            with durable.locked(self.path):
                 before = self._load().at(self._now())
                 durable.write_like_the_folder(self.path, change(before).model_dump_json().encode(), 0o600)
         except OSError as error:
@@ -219,23 +202,6 @@ class Sessions:
                 "so make the folder writable or name another (STATE_DIRECTORY)"
             ) from error
         return before
-
-
-def _lock(descriptor: int) -> None:
-    """Wait for the lock; it ends with the descriptor. Raises OSError."""
-    try:
-        import fcntl  # noqa: PLC0415
-    except ImportError:  # Windows
-        windows: Any = importlib.import_module("msvcrt")
-        windows.locking(descriptor, windows.LK_LOCK, 1)
-    else:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-
-
-def folder() -> Path:
-    """Return where the files are kept: the service's state directory, or the user's."""
-    is_roots = hasattr(os, "geteuid") and os.geteuid() == 0 and STATE_DIRECTORY.is_dir()
-    return state_directory("") or (STATE_DIRECTORY if is_roots else users_state())
 
 
 def kept(folder: Path) -> list[Sessions]:

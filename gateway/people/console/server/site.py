@@ -23,11 +23,10 @@ from gateway.certs.authority import hosts_of
 from gateway.certs.files import read_certificate
 from gateway.endpoints import is_local
 from gateway.errors import AddressTakenError, ConfigError
+from gateway.host.directories import CONSOLE_STATE
 from gateway.own_command import this_command
 
 CONSOLE_PORT: Final = 8080
-STATE_DIRECTORY: Final = Path("/var/lib/hexapod-console")
-"""The folder of the service hexapod-console, also for root's commands."""
 DEFAULT_ADDRESS: Final = "127.0.0.1"
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
@@ -73,7 +72,7 @@ class Site:
     @property
     def link_command(self) -> str:
         """The command that prints a link for another browser, on the console's machine; of the service, as root."""
-        sudo = "sudo " if os.environ.get("STATE_DIRECTORY") == str(STATE_DIRECTORY) else ""
+        sudo = "sudo " if os.environ.get("STATE_DIRECTORY") == str(CONSOLE_STATE) else ""
         return f"{sudo}{this_command()} console --link --listen {shlex.quote(with_port(self.address, self.port))}"
 
     def knows_host(self, host: str | None) -> bool:
