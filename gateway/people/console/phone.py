@@ -62,7 +62,7 @@ class Door:
         files = read_files()
         self._files = {path: files[name] for path, name in _FILES.items()}
 
-    def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response:
+    async def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response:
         """Return the page or one of its files, else 404."""
         file = self._files.get(url.path)
         found = web.Response(status=404) if file is None else file.response(headers)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from aiohttp import web
 
+from gateway import durable
 from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth, proof
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
@@ -30,7 +31,7 @@ class Stand:
     """A front on a port of its own."""
 
     def __init__(self, folder: Path, listening: socket.socket) -> None:
-        sessions = Sessions(folder, 8080)
+        self.sessions = sessions = Sessions(folder, 8080)
         sessions.begin(f"{URL}/?token=", "operator")
         found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
@@ -108,6 +109,15 @@ async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text
 async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listener, "UNKNOWN_S", 0.1)
     assert await stand.ask("GET / HTTP/1.1\r\n") == b""
+
+
+async def test_a_sign_in_that_waits_for_the_disk_delays_nobody(stand: Stand) -> None:
+    link = stand.sessions.new_link().removeprefix(URL)
+    with durable.locked(stand.sessions.path):
+        entering = asyncio.create_task(stand.ask(f"GET {link} HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n"))
+        assert (await stand.ask("GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n")).startswith(b"HTTP/1.1 403 ")
+        assert not entering.done()
+    assert (await entering).startswith(b"HTTP/1.1 303 ")
 
 
 async def test_who_comes_ends_the_oldest(stand: Stand) -> None:

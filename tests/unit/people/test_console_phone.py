@@ -60,8 +60,8 @@ def test_the_fleets_certificate_is_used_where_it_fits(tmp_path: Path, hosts: Seq
         ("/ws", 404),
     ],
 )
-def test_the_page_without_tls_answers_with_its_own_files_only(target: str, status: int) -> None:
-    answer = Door().answer(URL(target), CIMultiDict({"Host": "192.0.2.7:8080"}))
+async def test_the_page_without_tls_answers_with_its_own_files_only(target: str, status: int) -> None:
+    answer = await Door().answer(URL(target), CIMultiDict({"Host": "192.0.2.7:8080"}))
     assert isinstance(answer, web.Response)
     assert answer.status == status
     assert answer.keep_alive is False

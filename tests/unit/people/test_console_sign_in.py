@@ -1,5 +1,6 @@
 """How a page and its console show each other that they know the session's key, which neither sends."""
 
+import asyncio
 import json
 import os
 import re
@@ -41,13 +42,16 @@ class Visitor:
     def follow_link(self, card: str) -> str:
         """Where a browser goes that opens a link to this card."""
         link = self._sessions.new_link().removeprefix(HERE)
-        answer = self._auth.answer(URL(f"{link},{card}", encoded=True), CIMultiDict({"Host": "127.0.0.1:8080"}))
+        answer = self._ask(URL(f"{link},{card}", encoded=True))
         assert isinstance(answer, web.Response)
         return answer.headers["Location"]
 
     def get(self, path: str, session: SignIn, **headers: str) -> web.Response | Entry:
         cookie = f"{self._site.cookie}={session.cookie}"
-        return self._auth.answer(URL(path), CIMultiDict({"Host": "127.0.0.1:8080", "Cookie": cookie, **headers}))
+        return self._ask(URL(path), Cookie=cookie, **headers)
+
+    def _ask(self, url: URL, **headers: str) -> web.Response | Entry:
+        return asyncio.run(self._auth.answer(url, CIMultiDict({"Host": "127.0.0.1:8080", **headers})))
 
     def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
         """The console's, and its proof."""

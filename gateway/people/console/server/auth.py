@@ -9,6 +9,7 @@ sends a nonce to `/session`; the answer has the console's nonce, and an HMAC ove
 Only then the page opens its WebSocket, with an HMAC over the console's nonce.
 """
 
+import asyncio
 import gzip
 import hashlib
 import hmac
@@ -16,6 +17,7 @@ import mimetypes
 import secrets
 import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from html import escape
 from pathlib import Path
@@ -89,13 +91,15 @@ class Auth:
         self._sessions = sessions
         self._files = read_files()
         self._nonces = Nonces(NONCE_NS)
+        self._writer = ThreadPoolExecutor(1, "sign-in")
+        """Waits for the disk, and for other processes that write the sessions."""
 
-    def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
+    async def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
         """Return the response, or the session whose WebSocket is admitted.
 
         A response to a request without a session closes its connection.
         """
-        found = self._admit(url, headers)
+        found = await self._admit(url, headers)
         if isinstance(found, web.Response):
             found.force_close()
         elif url.path == WEBSOCKET:
@@ -105,7 +109,7 @@ class Auth:
         found.headers.update(HEADERS)
         return found
 
-    def _admit(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
+    async def _admit(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
         """The session of the request, for a WebSocket with a proof of its key; else the response."""
         host, origin = headers.get("Host"), headers.get("Origin")
         if not self._site.knows_host(host):
@@ -113,7 +117,7 @@ class Auth:
         if (url.path == WEBSOCKET or origin is not None) and origin != f"{self._site.scheme}://{host}":
             return _text(403, "only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
-            return self._exchange(*url.query["token"].partition(",")[::2])
+            return await self._exchange(*url.query["token"].partition(",")[::2])
         if url.path in PUBLIC:
             return self._files[url.path].response(headers)
         entry = self._sessions.cookie(_cookie(headers, self._site.cookie))
@@ -135,8 +139,9 @@ class Auth:
         file = self._files.get(_PAGES.get(url.path, url.path))
         return _text(404, "there is nothing here") if file is None else file.response(headers)
 
-    def _exchange(self, token: str, card: str) -> web.Response:
-        found = self._sessions.exchange(token)
+    async def _exchange(self, token: str, card: str) -> web.Response:
+        loop = asyncio.get_running_loop()
+        found = await loop.run_in_executor(self._writer, self._sessions.exchange, token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
         card = f"?{card}" if card.isascii() and card.isalpha() else ""

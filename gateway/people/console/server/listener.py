@@ -141,7 +141,7 @@ class HttpListener:
         self,
         listening: Sequence[socket.socket],
         tls: ssl.SSLContext | None,
-        answer: Callable[[URL, MultiMapping[str]], web.Response | Entry],
+        answer: Callable[[URL, MultiMapping[str]], Awaitable[web.Response | Entry]],
         serve_page: Callable[[web.BaseRequest, Entry], Awaitable[web.StreamResponse]],
     ) -> None:
         """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and returns once that has ended."""
@@ -186,7 +186,7 @@ class HttpListener:
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         connection = cast("Connection", request.protocol)
         try:
-            found = self._find(request.rel_url, request.headers)
+            found = await self._find(request.rel_url, request.headers)
             if isinstance(found, Entry):
                 connection.begin("page", None)
                 try:

@@ -12,8 +12,8 @@ import hashlib
 import os
 import secrets
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple, Self
@@ -73,7 +73,7 @@ class SignIn(NamedTuple):
     entry: Entry
 
 
-class _Entries(BaseModel, frozen=True):
+class _Entries(BaseModel):
     before_token: str = ""
     """The beginning of the links of the console that runs, or last ran, at this port."""
     role: Role = "observer"
@@ -81,19 +81,19 @@ class _Entries(BaseModel, frozen=True):
     common_name: str = ""
     """The common name of its certificate; empty: it had none."""
     written: Now = Now()
-    links: tuple[Entry, ...] = ()
-    sessions: tuple[Entry, ...] = ()
+    links: list[Entry] = []
+    sessions: list[Entry] = []
 
     def at(self, now: Now) -> Self:
-        """Return the content without ended entries. A reboot ends all links; sessions count the time since the boot."""
+        """Return a copy without ended entries. A reboot ends all links; sessions count the time since the boot."""
         links, sessions = self.links, self.sessions
         if now.boot != self.written.boot:
-            passed_s = max(0.0, now.wall_s - self.written.wall_s)
-            later_s = now.boot_s - self.written.boot_s - passed_s
-            links = ()
-            sessions = tuple(each.model_copy(update={"until_s": each.until_s + later_s}) for each in sessions)
-        links, sessions = (tuple(each for each in kind if now.boot_s < each.until_s) for kind in (links, sessions))
-        return self.model_copy(update={"written": now, "links": links, "sessions": sessions})
+            later_s = now.boot_s - self.written.boot_s - max(0.0, now.wall_s - self.written.wall_s)
+            links = []
+            sessions = [each.model_copy(update={"until_s": each.until_s + later_s}) for each in sessions]
+        links, sessions = ([each for each in kind if now.boot_s < each.until_s] for kind in (links, sessions))
+        newest = {"links": links[-MAX_ENTRIES:], "sessions": sessions[-MAX_ENTRIES:]}
+        return self.model_copy(update={"written": now, **newest})
 
 
 class Sessions:
@@ -113,10 +113,11 @@ class Sessions:
         Sessions of another certificate (`common_name`) end: it may have been revoked while this console was not
         connected, and its sessions must not reach the robot by the certificate that replaces it.
         """
-        begun = {"before_token": before_token, "role": role, "common_name": common_name, "links": ()}
-        self._change(
-            lambda now: now.model_copy(update=begun if now.common_name == common_name else {**begun, "sessions": ()})
-        )
+        with self._changing() as entries:
+            if entries.common_name != common_name:
+                entries.sessions.clear()
+            entries.links.clear()
+            entries.before_token, entries.role, entries.common_name = before_token, role, common_name
 
     @property
     def before_token(self) -> str:
@@ -131,47 +132,45 @@ class Sessions:
         if not self.before_token:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
         token = secrets.token_urlsafe(32)
-
-        def add(now: _Entries) -> _Entries:
-            entry = Entry(sha256=_sha256(token), role=now.role, until_s=now.written.boot_s + LINK_S)
-            return now.model_copy(update={"links": (*now.links, entry)[-MAX_ENTRIES:]})
-
-        return f"{self._change(add).before_token}{token}{card and f',{card}'}"
+        with self._changing() as entries:
+            until_s = entries.written.boot_s + LINK_S
+            entries.links.append(Entry(sha256=_sha256(token), role=entries.role, until_s=until_s))
+        return f"{entries.before_token}{token}{card and f',{card}'}"
 
     def exchange(self, token: str) -> SignIn | None:
         """Exchange a link's token for a new session and void the link; None if no valid link has the token."""
-        now = self._now()
-        link = _find(self._read().at(now).links, token)
-        if link is None:
+        if _find(self._read().links, token) is None:  # nothing is written for a stranger
             return None
         cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
-        until_s = now.boot_s + SESSION_S
-        entry = Entry(sha256=_sha256(cookie), key_sha256=_sha256(key), role=link.role, until_s=until_s)
-
-        def enter(now: _Entries) -> _Entries:
-            if link not in now.links:  # another process has exchanged it meanwhile
-                return now
-            links, sessions = tuple(each for each in now.links if each != link), (*now.sessions, entry)[-MAX_ENTRIES:]
-            return now.model_copy(update={"links": links, "sessions": sessions})
-
-        return SignIn(cookie, key, entry) if link in self._change(enter).links else None
+        with self._changing() as entries:
+            link = _find(entries.links, token)
+            if link is None:  # another process has exchanged it meanwhile
+                return None
+            until_s = entries.written.boot_s + SESSION_S
+            entry = Entry(sha256=_sha256(cookie), key_sha256=_sha256(key), role=link.role, until_s=until_s)
+            entries.links.remove(link)
+            entries.sessions.append(entry)
+        return SignIn(cookie, key, entry)
 
     def cookie(self, cookie: str) -> Entry | None:
         """Return the cookie's valid session. It gives access to the page's files; the WebSocket requires the key."""
-        known = self._read().at(self._now())
+        known = self._read()
         found = _find(known.sessions, cookie)
         return found and found.model_copy(update={"role": least(found.role, known.role)})
 
     def still_valid(self, session: Entry) -> bool:
         """Return whether the session has neither ended nor been revoked."""
-        return any(each.sha256 == session.sha256 for each in self._read().at(self._now()).sessions)
+        return any(each.sha256 == session.sha256 for each in self._read().sessions)
 
     def revoke(self) -> int:
-        """End all sessions and links; returns how many sessions there were."""
-        return len(self._change(lambda now: now.model_copy(update={"links": (), "sessions": ()})).sessions)
+        """End all sessions and links; returns how many sessions there were. Raises ConfigError."""
+        with self._changing() as entries:
+            ended = len(entries.sessions)
+            entries.links, entries.sessions = [], []
+        return ended
 
     def _read(self) -> _Entries:
-        """Return the file's content; a missing or faulty file has no entries, so it signs nobody in.
+        """Return the file's valid entries; a missing or faulty file has none, so it signs nobody in.
 
         If the file exists and cannot be opened (a flood of connections has taken the last descriptor), its last known
         content counts: a person who is signed in must be able to press STOP ALL just then.
@@ -181,7 +180,7 @@ class Sessions:
             seen = found and (found.st_ino, found.st_mtime_ns, found.st_size)
             if seen != self._known[0]:
                 self._known = seen, self._load()
-        return self._known[1]
+        return self._known[1].at(self._now())
 
     def _load(self) -> _Entries:
         """Raises OSError."""
@@ -189,19 +188,20 @@ class Sessions:
             return _Entries.model_validate_json(durable.read(self.path, MAX_SESSIONS_BYTES) or b"")
         return _Entries()
 
-    def _change(self, change: Callable[[_Entries], _Entries]) -> _Entries:
-        """Replace the valid entries by what `change` returns for them; returns those before. Raises ConfigError."""
+    @contextmanager
+    def _changing(self) -> Iterator[_Entries]:
+        """The valid entries; the file gets what the block makes of them. Raises ConfigError."""
         try:
             self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with durable.locked(self.path):
-                before = self._load().at(self._now())
-                durable.write_like_the_folder(self.path, change(before).model_dump_json().encode(), 0o600)
+                entries = self._load().at(self._now())
+                yield entries
+                durable.write_like_the_folder(self.path, entries.model_dump_json().encode(), 0o600)
         except OSError as error:
             raise ConfigError(
                 f"cannot write {self.path}: {error.strerror}; the console keeps its sessions there, "
                 "so make the folder writable or name another (STATE_DIRECTORY)"
             ) from error
-        return before
 
 
 def kept(folder: Path) -> list[Sessions]:
@@ -210,7 +210,7 @@ def kept(folder: Path) -> list[Sessions]:
     return [Sessions(folder, int(port)) for path in paths if (port := path.stem.removeprefix("console-")).isdigit()]
 
 
-def _find(entries: tuple[Entry, ...], token: str) -> Entry | None:
+def _find(entries: Sequence[Entry], token: str) -> Entry | None:
     """Compares SHA-256 values, so the time that it takes shows nothing about a token."""
     wanted = _sha256(token)
     return next((entry for entry in entries if entry.sha256 == wanted), None)
