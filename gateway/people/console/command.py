@@ -11,8 +11,7 @@ from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
 from gateway.own_command import install
 from gateway.people.console.options import Options
-from gateway.people.console.server.sessions import Sessions, kept
-from gateway.people.console.server.site import (
+from gateway.people.console.place import (
     CONSOLE_PORT,
     DEFAULT_ADDRESS,
     address_in,
@@ -21,6 +20,7 @@ from gateway.people.console.server.site import (
     inherited,
     site,
 )
+from gateway.people.console.server.sessions import Sessions, kept
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("aiohttp", "segno")

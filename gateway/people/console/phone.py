@@ -21,8 +21,9 @@ from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 from gateway.people.commands.certs import DEFAULT_FOLDER
 from gateway.people.console.options import Options
+from gateway.people.console.place import address_of, free_address
 from gateway.people.console.server.auth import HEADERS, read_files
-from gateway.people.console.server.site import LOCALHOST, Site, address_of, free_address
+from gateway.people.console.server.site import LOCALHOST, Site
 
 LISTEN: Final = "0.0.0.0:8443"
 _FILES: Final = {"/": "/tap.html", "/tap.js": "/tap.js", "/refused.css": "/refused.css"}

@@ -12,7 +12,7 @@ from yarl import URL
 from gateway import certs
 from gateway.people.console.options import Options
 from gateway.people.console.phone import Door, prepared
-from gateway.people.console.server.site import site
+from gateway.people.console.place import site
 
 LISTEN = "192.0.2.7:8443"
 
