@@ -39,7 +39,7 @@ class Stand:
         self.admitted: asyncio.Queue[Entry] = asyncio.Queue()
         self.address = listening.getsockname()
         auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions)
-        self.listener = HttpListener([listening], None, auth.answer, self.serve_page)
+        self.listener = HttpListener(None, auth.answer, self.serve_page)
 
     async def serve_page(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
         """As the console does."""
@@ -79,7 +79,7 @@ def listening() -> Iterator[socket.socket]:
 async def stand(tmp_path: Path) -> AsyncIterator[Stand]:
     with listening() as taken:
         found = Stand(tmp_path, taken)
-        serving = asyncio.create_task(found.listener.serve())
+        serving = asyncio.create_task(found.listener.serve([taken]))
         yield found
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)

@@ -1,4 +1,4 @@
-"""Answers HTTP requests, without I/O. A request without a session is answered by 403, a reason, and nothing else.
+"""Answers HTTP requests from memory; without a session by 403 and a reason, and the connection is closed.
 
 A session has two secrets. Browsers send the cookie with every request, also to other ports of the same host, where
 another user of the machine may listen. So it gives access to the page's files alone; the WebSocket also requires the
@@ -95,10 +95,7 @@ class Auth:
         """Waits for the disk, and for other processes that write the sessions."""
 
     async def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response | Entry:
-        """Return the response, or the session whose WebSocket is admitted.
-
-        A response to a request without a session closes its connection.
-        """
+        """Return the response, or the session whose WebSocket is admitted."""
         found = await self._admit(url, headers)
         if isinstance(found, web.Response):
             found.force_close()
@@ -113,9 +110,9 @@ class Auth:
         """The session of the request, for a WebSocket with a proof of its key; else the response."""
         host, origin = headers.get("Host"), headers.get("Origin")
         if not self._site.knows_host(host):
-            return _text(403, f"this console is at {self._site.url}, and not at the address that you gave")
+            return web.Response(status=403, text=f"this console is at {self._site.url}: open that address")
         if (url.path == WEBSOCKET or origin is not None) and origin != f"{self._site.scheme}://{host}":
-            return _text(403, "only the console's own page may come here")
+            return web.Response(status=403, text="only the console's own page may come here")
         if url.path == "/" and "token" in url.query:
             return await self._exchange(*url.query["token"].partition(",")[::2])
         if url.path in PUBLIC:
@@ -137,19 +134,16 @@ class Auth:
             made = proof(entry.key_sha256, f"console {url.query.get('nonce')} {nonce}")
             return web.json_response({"nonce": nonce, "proof": made})
         file = self._files.get(_PAGES.get(url.path, url.path))
-        return _text(404, "there is nothing here") if file is None else file.response(headers)
+        return web.Response(status=404, text="there is nothing here") if file is None else file.response(headers)
 
     async def _exchange(self, token: str, card: str) -> web.Response:
-        loop = asyncio.get_running_loop()
-        found = await loop.run_in_executor(self._writer, self._sessions.exchange, token)
+        found = await asyncio.get_running_loop().run_in_executor(self._writer, self._sessions.exchange, token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
         card = f"?{card}" if card.isascii() and card.isalpha() else ""
         response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{found.key}"})
-        secure = self._site.tls is not None
-        response.set_cookie(
-            self._site.cookie, found.cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure
-        )
+        name, secure = self._site.cookie, self._site.tls is not None
+        response.set_cookie(name, found.cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
         return response
 
     def _refused(self, why: str) -> web.Response:
@@ -162,10 +156,6 @@ class Auth:
 def proof(key_sha256: str, text: str) -> str:
     """Return an HMAC in hex that proves knowledge of the key with this SHA-256, as `key.js` makes it."""
     return hmac.new(key_sha256.encode(), text.encode("utf-8", "surrogatepass"), hashlib.sha256).hexdigest()
-
-
-def _text(status: int, text: str) -> web.Response:
-    return web.Response(status=status, text=f"{text}\n")
 
 
 def _cookie(headers: MultiMapping[str], name: str) -> str:

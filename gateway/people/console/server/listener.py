@@ -1,10 +1,8 @@
 """Takes connections, TLS, HTTP requests and pages' WebSockets: aiohttp, within bounds.
 
-It runs on the loop that serves the pages, so what somebody without a session costs is bounded:
-
-| per connection | a number of reads and bytes, one deadline for everything, one request, no body |
-| at once        | a number of places; a further connection ends the oldest of the address that has most of them |
-| a second       | a number of connections; the kernel queues the others, or drops them |
+It runs on the loop that serves the pages, so what somebody without a session costs is bounded: reads, bytes and time of
+a connection, which has one request and no body; connections at once; and connections a second, of which the kernel
+queues further ones, or drops them.
 """
 
 import asyncio
@@ -57,9 +55,8 @@ SEND_S: Final = 5.0
 """A page that does not read for this long, while its socket is full, is closed."""
 
 _log: Final = logging.getLogger(__name__)
-_silent: Final = logging.getLogger("gateway.people.console.aiohttp")
+_silent: Final = logging.Logger("aiohttp", logging.CRITICAL + 1)
 """Silences aiohttp's log: a traceback for each malformed request."""
-_silent.disabled = True
 
 
 class Connection(web.RequestHandler):
@@ -78,7 +75,6 @@ class Connection(web.RequestHandler):
         )
         self.serves: Literal["nobody", "files", "page"] = "nobody"
         """Somebody without a session, or with one what is bounded apart."""
-        self.address = ""
         self._tls = tls
         self._others = others
         self._bytes = Allowance(1, UNKNOWN_BYTES)
@@ -135,17 +131,15 @@ class Connection(web.RequestHandler):
 
 
 class HttpListener:
-    """Serves these sockets, on the loop of the pages."""
+    """Serves sockets, on the loop of the pages."""
 
     def __init__(
         self,
-        listening: Sequence[socket.socket],
         tls: ssl.SSLContext | None,
         answer: Callable[[URL, MultiMapping[str]], Awaitable[web.Response | Entry]],
         serve_page: Callable[[web.BaseRequest, Entry], Awaitable[web.StreamResponse]],
     ) -> None:
         """`answer` is `Auth.answer`; `serve_page` answers a page's WebSocket, and returns once that has ended."""
-        self._listening = listening
         self._tls = tls
         self._find = answer
         self._serve_page = serve_page
@@ -153,9 +147,9 @@ class HttpListener:
         self._open: dict[Connection, None] = {}
         self._allowance = Allowance(CONNECTIONS_A_SECOND, CONNECTIONS_AT_ONCE)
 
-    async def serve(self) -> None:
+    async def serve(self, listening: Sequence[socket.socket]) -> None:
         """Accept connections until it is cancelled."""
-        await asyncio.gather(*(self._serve(each) for each in self._listening))
+        await asyncio.gather(*(self._serve(each) for each in listening))
 
     async def _serve(self, listening: socket.socket) -> None:
         listening.setblocking(False)
@@ -202,10 +196,7 @@ class HttpListener:
 
 
 class WebSocket(web.WebSocketResponse):
-    """One page's, until it is closed by either side.
-
-    It buffers little for a page that reads slowly, since the newest state waits behind what is buffered.
-    """
+    """One page's. It buffers little for a page that reads slowly: the newest state waits behind what is buffered."""
 
     def __init__(self) -> None:
         super().__init__(

@@ -50,7 +50,6 @@ class SignIn(NamedTuple):
 
 class _Entries(BaseModel):
     before_token: str = ""
-    """The beginning of the links of the console that runs, or last ran, at this port."""
     role: Role = "observer"
     """The most rights that its pages get."""
     common_name: str = ""
@@ -77,7 +76,6 @@ class Sessions:
     def __init__(self, folder: Path, port: int, now: Callable[[], Now] = clocks) -> None:
         self.port = port
         self.path = folder / f"console-{port}.json"
-        """The file that holds them."""
         self._now = now
         self._known: tuple[tuple[int, int, int] | None, _Entries] = None, _Entries()
         """The file's inode, time and size, and its content: one tuple, since several threads read it."""
@@ -100,10 +98,7 @@ class Sessions:
         return self._read().before_token
 
     def new_link(self, card: str = "") -> str:
-        """Return a link that works once, to the page's start or to `card`.
-
-        Raises ConfigError if no console has begun, or the folder cannot be written.
-        """
+        """Return a link that works once, to the page's start or to `card`. Raises ConfigError, also if none ran."""
         if not self.before_token:
             raise ConfigError(f"no console has run there: {self.path} is missing; start one, or name its --listen")
         token = secrets.token_urlsafe(32)

@@ -20,7 +20,6 @@ from gateway.own_command import this_command
 
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
-
 BACKLOG: Final = 64
 """Connections that the kernel queues; it drops further ones."""
 UNSENT_BYTES: Final = 4096
@@ -50,11 +49,9 @@ class Site:
 
     @property
     def cookie(self) -> str:
-        """The session cookie's name, with the port: browsers send a cookie to all ports, and another console may run.
-
-        With TLS no other host can set it (`__Host-`).
-        """
-        return f"{'__Host-' if self.tls else ''}hexapod-console-{self.port}"
+        """The session cookie's name, with the port: browsers send a cookie to all ports, also of other consoles."""
+        host = "__Host-" if self.tls else ""  # no other host can set it
+        return f"{host}hexapod-console-{self.port}"
 
     @property
     def link_command(self) -> str:
