@@ -109,7 +109,7 @@ class Sessions:
 
     def exchange(self, token: str) -> SignIn | None:
         """Exchange a link's token for a new session and void the link; None if no valid link has the token."""
-        if _find(self._read().links, token) is None:  # nothing is written for a stranger
+        if _find(self._read().links, token) is None:  # nothing is written for an unknown token
             return None
         cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
         with self._changing() as entries:
