@@ -10,8 +10,7 @@ from urllib.parse import urlsplit
 from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
 from gateway.own_command import install
-from gateway.people.console.options import Options
-from gateway.people.console.place import (
+from gateway.people.console.address import (
     CONSOLE_PORT,
     DEFAULT_ADDRESS,
     address_in,
@@ -20,6 +19,7 @@ from gateway.people.console.place import (
     inherited,
     site,
 )
+from gateway.people.console.options import Options
 from gateway.people.console.server.sessions import Sessions, kept
 from gateway.people.terminal import hint, say
 

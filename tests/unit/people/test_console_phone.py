@@ -10,9 +10,9 @@ from multidict import CIMultiDict
 from yarl import URL
 
 from gateway import certs
+from gateway.people.console.address import site
 from gateway.people.console.options import Options
 from gateway.people.console.phone import Door, prepared
-from gateway.people.console.place import site
 
 LISTEN = "192.0.2.7:8443"
 
