@@ -23,7 +23,7 @@ UV = str(Path(sys.executable).with_name("uv"))
 _GIT = ["git", "-c", f"safe.directory={ROOT}", "-C", str(ROOT)]
 """The owner of the repository."""
 _VERSION = re.compile(r'^__version__ = "(.*)"$', re.MULTILINE)
-_SOURCES = ("pyproject.toml", "README.md", "LICENSE", "gateway", "schemas")
+_SOURCES = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "gateway", "schemas")
 
 
 def version() -> str:
@@ -35,7 +35,7 @@ def version() -> str:
     if found is None:
         raise SystemExit("gateway/__init__.py has no __version__")
     commit = _git("rev-parse", "--short=7", "HEAD")
-    changed = _git("status", "--porcelain", "--", "pyproject.toml", "deploy", "gateway", "schemas")
+    changed = _git("status", "--porcelain", "--", "pyproject.toml", "setup.py", "deploy", "gateway", "schemas")
     if not commit or (not changed and f"v{found[1]}" in _git("tag", "--points-at", "HEAD").splitlines()):
         return found[1]
     return f"{found[1]}+g{commit}{'.changed' if changed else ''}"
