@@ -45,7 +45,5 @@ class SpiProtocol(enum.StrEnum):
 
 FRAMED: Final = SpiProtocol.HEXAPOD_1_0
 """The wire with SPI alone, whose frames need a framing."""
-WITH_UART: Final = SpiProtocol.ELKAPOD_2025
-"""The wire whose controller also has a UART."""
 BUILT_IN: Final = {str(each): each for each in SpiProtocol}
 """The built-in wires by name."""

@@ -19,7 +19,7 @@ from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME
-from gateway.model.protocols import FRAMED
+from gateway.host.settings_table import WireSettings
 
 LIBRARY: Final = Path("/usr/lib/hexapod-gateway")
 UNITS: Final = Path("/usr/lib/systemd/system")
@@ -114,7 +114,7 @@ def _is_set_up() -> bool:
     """Return whether the configuration states a wire, or the service is enabled without one."""
     try:
         stated = tomllib.loads(CONFIGURATION.read_text())
-        other = stated.get("wire", {}).get("name", FRAMED) != FRAMED
+        other = "name" in (wire := stated.get("wire", {})) and not WireSettings(wire["name"]).framed
         framing = stated.get("spi", {}).get("framing")
     except (ValueError, AttributeError):  # the trial names the fault
         return True

@@ -8,14 +8,14 @@ from typing import Annotated, Literal
 import typer
 
 from gateway.errors import ConfigError
-from gateway.model.protocols import WITH_UART, SpiProtocol
+from gateway.model.protocols import SpiProtocol
 
 app = typer.Typer()
 
 
 @app.command(
     epilog="Example: sudo hexapod-gateway setup --framing length-prefixed --certs robot.zip\n\n"
-    f"Example: hexapod-gateway setup --wire {WITH_UART} --dry-run"
+    f"Example: hexapod-gateway setup --wire {[*SpiProtocol][-1]} --dry-run"
 )
 def setup(
     wire: Annotated[

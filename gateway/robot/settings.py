@@ -45,7 +45,6 @@ from gateway.host.settings_table import (
 )
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.framing import Framing
-from gateway.model.protocols import FRAMED
 from gateway.own_command import CONNECT_VARIABLE
 from gateway.text import echo, key_name
 
@@ -223,7 +222,7 @@ _WHICH_FRAMING: Final = (
 
 def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
     wire, spi = tables.get("wire", {}), tables.get("spi", {})
-    framed = isinstance(wire, Mapping) and wire.get("name", FRAMED) == FRAMED
+    framed = isinstance(wire, Mapping) and WireSettings(str(wire.get("name", WireSettings().name))).framed
     if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))

@@ -20,7 +20,6 @@ from gateway.host import effective
 from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
-from gateway.model.protocols import WITH_UART
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
@@ -184,11 +183,12 @@ def uart(robot: CheckedRobot) -> Iterator[Result | None]:
     if not robot.settings.wire.has_uart:
         return
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
-    absent = f"switch it on and reboot: sudo hexapod-gateway setup --wire {WITH_UART}; or set controller.uart"
+    setup = f"sudo hexapod-gateway setup --wire {robot.settings.wire.name}"
+    absent = f"switch it on and reboot: {setup}; or set controller.uart"
     if not machine.computer(robot.root).startswith(_PI_5):
         absent = ("switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in "
                   f"config.txt), reboot, and set controller.uart to its node; here there is {here}")
-    free = f"free it, and reboot: sudo hexapod-gateway setup --wire {WITH_UART}"
+    free = f"free it, and reboot: {setup}"
     console = name in robot.text("/sys/class/tty/console/active").split()
     login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
     rows = [

@@ -16,7 +16,7 @@ from gateway import nesting
 from gateway.errors import ConfigError
 from gateway.host.settings_table import ControllerSettings, WireSettings
 from gateway.model.framing import Framing
-from gateway.model.protocols import FRAMED, SpiProtocol
+from gateway.model.protocols import SpiProtocol
 from gateway.onboard.setup.machine import ETC, SERVICE, Machine
 from gateway.people.terminal import say
 
@@ -24,6 +24,7 @@ FILE: Final = f"{ETC}/gateway.toml"
 TEMPLATE: Final = f"/usr/share/{SERVICE}/gateway.toml"
 _SHIPPED: Final = Path(gateway.__file__).parent / "deploy"
 _WIRE, _FRAMING = "wire.name", "spi.framing"
+_DEFAULT: Final = WireSettings().name
 _WIRES: Final = {each: each.words for each in SpiProtocol}
 _FRAMINGS: Final = {
     Framing.LENGTH_PREFIXED: "the published STM32 firmware (after a plain frame, only a reset makes it receive again)",
@@ -47,7 +48,7 @@ class Configuration(NamedTuple):
     @property
     def uart(self) -> str | None:
         """The controller's UART; None if the wire has none."""
-        wire = WireSettings(self.get("wire", "name", FRAMED))
+        wire = WireSettings(self.get("wire", "name", _DEFAULT))
         return self.get("controller", "uart", ControllerSettings().uart) if wire.has_uart else None
 
 
@@ -76,13 +77,13 @@ def state_wire(machine: Machine, wire: str | None, framing: str | None) -> Confi
     stated = {_WIRE: found.get("wire", "name"), _FRAMING: found.get("spi", "framing")}
     if wire is None and framing is None and not any(stated.values()):
         wire = _ask("wire", _WIRES)
-    wanted = {_WIRE: wire or stated[_WIRE] or FRAMED}
-    if wanted[_WIRE] == FRAMED:
+    wanted = {_WIRE: wire or stated[_WIRE] or _DEFAULT}
+    if WireSettings(wanted[_WIRE]).framed:
         wanted[_FRAMING] = framing or stated[_FRAMING] or _ask("framing", _FRAMINGS)
         if not (wire or stated[_WIRE]):
             del wanted[_WIRE]  # the default
     elif framing is not None:
-        raise ConfigError(f"--framing is for {FRAMED}; leave it out with {wanted[_WIRE]}")
+        raise ConfigError(f"--framing is for {_DEFAULT}; leave it out with {wanted[_WIRE]}")
     for setting, value in wanted.items():
         if value == stated[setting]:
             say(f'{FILE} states {setting} = "{value}"')

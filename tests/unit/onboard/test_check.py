@@ -14,7 +14,7 @@ import pytest
 from gateway import certs
 from gateway.errors import ConfigError, GatewayError, SpiError
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.protocols import WITH_UART
+from gateway.model.protocols import SpiProtocol
 from gateway.onboard.check import installation, security, wire
 from gateway.onboard.check.table import CheckedRobot, Probes, Result, Verdict, results
 from gateway.robot.host import calibration_file
@@ -526,4 +526,4 @@ def test_each_command_that_a_message_names_is_the_programs() -> None:
 
 def value(shown: ast.expr) -> str:
     """7, but for the name of a wire."""
-    return WITH_UART if "WITH_UART" in ast.unparse(shown) else "7"
+    return SpiProtocol.ELKAPOD_2025 if re.search(r"wire\.name|SpiProtocol", ast.unparse(shown)) else "7"
