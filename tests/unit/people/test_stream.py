@@ -11,6 +11,7 @@ from gateway.errors import DisconnectedError, GatewayError, RejectedError, Stopp
 from gateway.people.client.pace import SILENCE_S
 from gateway.people.client.stopped import AGAIN, DECIDES, STOP
 from gateway.people.client.stream import WHOLE, Stream
+from schemas.robot import LEGS
 from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState
 from tests.support.published import WALL, event, state
 
@@ -199,18 +200,6 @@ def test_the_end_of_a_stream_whose_lease_is_elsewhere_stops_nothing(robot: Any) 
     assert robot.running == {1}
 
 
-def test_a_gateway_that_was_restarted_is_noticed_by_its_first_state(robot: Robot, stream: Stream) -> None:
-    robot.running = set()
-    assert isinstance(ends(robot, stream, Robot.publish_state), StoppedError)
-    assert robot.published == []
-    stream.start_again()
-    stream.set({1: POSE})
-    assert robot.running == {1}
-    asked = robot.questions
-    stream.set({1: POSE})
-    assert robot.questions == asked, "one answer was enough"
-
-
 def test_a_start_that_only_the_whole_robot_has_says_what_to_send_in_its_place(robot: Any) -> None:
     robot.rejects = Ack(accepted=False, reason=Reason.WHOLE_ROBOT, detail="this robot starts as a whole")
     with Stream(robot, HZ) as stream:
@@ -233,35 +222,6 @@ def test_a_program_whose_setpoints_take_a_leg_from_another_one_is_warned_once(ro
     assert warned[0].filename == __file__, "the program's own line"
     robot.publish_event(changed.model_copy(update={"legs": (2,)}))
     stream.set({1: POSE, 2: POSE})
-
-
-def newer(kind: Kind, detail: str, source: str | None = None, *legs: int) -> Event:
-    return event(kind, detail, source).model_copy(update={"time": WALL + timedelta(hours=1), "legs": legs})
-
-
-@pytest.mark.parametrize(
-    ("kind", "detail", "sentence"),
-    [
-        (Kind.CONTROLLER_SILENT, "why it stops", "why it stops"),
-        (Kind.FALLEN, "why it stops", "why it stops"),
-        (Kind.BUS_FAULT, "write failed; tried again", "write failed; tried again"),
-        (Kind.ESTOP_ENGAGED, "all is rejected until a reset", "the emergency stop was engaged by somebody"),
-        (Kind.STOPPING, "the gateway ends; all servos are stopped", "the gateway ends"),
-    ],
-)
-def test_what_stops_a_robot_ends_it_by_its_event_and_is_said_without_what_holds_from_then_on(
-    robot: Robot, stream: Stream, kind: Kind, detail: str, sentence: str
-) -> None:
-    robot.publish_event(newer(kind, detail))
-    with pytest.raises(StoppedError) as error:
-        stream.set({1: POSE})
-    assert (error.value.lasting, robot.questions) == (sentence, 0)
-
-
-def test_a_controller_that_fell_silent_is_named_where_its_event_was_lost(robot: Robot, stream: Stream) -> None:
-    robot.running.clear()
-    robot.changed = {"mode": Mode.BUS_FAULT, "controller": ControllerReport(alive=False)}
-    assert "the controller fell silent" in str(ends(robot, stream, Robot.publish_state))
 
 
 # ---- a program that goes on after each error
@@ -343,6 +303,9 @@ def test_recover_waits_for_the_end_of_the_cause_and_the_next_set_starts(
     stream.set({1: POSE, 2: POSE})
     assert robot.running == {1, 2}
     stream.recover(timeout_s=0)  # without an error it does nothing
+    asked = robot.questions
+    stream.set({1: POSE, 2: POSE})
+    assert robot.questions == asked, "one answer was enough"
 
 
 @pytest.mark.parametrize(
@@ -383,18 +346,27 @@ def test_a_start_that_an_emergency_stop_rejects_is_recovered_from_and_one_out_of
         assert robot.running == {1}
 
 
+def newer(kind: Kind, detail: str, source: str | None = None, *legs: int) -> Event:
+    return event(kind, detail, source).model_copy(update={"time": WALL + timedelta(hours=1), "legs": legs})
+
+
+def by(who: str | None) -> Callable[[Robot], None]:
+    """Their Stop of all legs, as far as the state tells."""
+
+    def happens(robot: Robot) -> None:
+        robot.running = set()
+        robot.changed = {"legs": tuple(leg.model_copy(update={"source": who}) for leg in robot.report().legs)}
+        robot.publish_state()
+
+    return happens
+
+
 def by_bert(robot: Robot) -> None:
     """His Stop, 0.2 s ago."""
-    legs = range(1, 7)
-    changed = event(Kind.SOURCE_CHANGED, "leg 1 is commanded by bert, and was by anna's laptop", "bert")
-    for leg in legs:
-        robot.publish_event(changed.model_copy(update={"legs": (leg,)}))
+    for leg in LEGS:
+        robot.publish_event(newer(Kind.SOURCE_CHANGED, "leg 1 is commanded by bert", "bert", leg))
     robot.now_s += 0.2
-    robot.running = set()
-    report = robot.report()
-    stopped = tuple(leg.model_copy(update={"source": "bert"}) for leg in report.legs)
-    robot.changed = {"legs": stopped}
-    robot.publish_state()
+    by("bert")(robot)
 
 
 def test_recover_undoes_nobodys_stop(robot: Robot, stream: Stream) -> None:
@@ -405,62 +377,67 @@ def test_recover_undoes_nobodys_stop(robot: Robot, stream: Stream) -> None:
     with pytest.raises(StoppedError, match="bert stopped"):
         stream.recover(timeout_s=100)
     assert (len(robot.requests_s), robot.now_s) == (requests, begun_s)
+    robot.now_s += 3
+    assert str(error) == "bert stopped legs 1 and 2, 3.2 s ago", "when it is shown again"
 
 
-# ---- who, what, and how long ago
+# ---- who, what, which legs, and how long ago
 
 
-def test_somebodys_stop_names_them_the_legs_and_how_long_ago(robot: Any) -> None:
-    with Stream(robot, HZ) as stream:
-        stream.set([POSE] * 6)
-        error = ends(robot, stream, by_bert)
-        assert isinstance(error, StoppedError)
-        assert str(error) == "bert stopped all legs, 0.2 s ago"
-        assert (error.by, error.cause, error.legs) == ("bert", STOP, (1, 2, 3, 4, 5, 6))
-        robot.now_s += 3
-        assert str(error) == "bert stopped all legs, 3.2 s ago", "when it is shown again"
-        assert error.lasting == "bert stopped all legs"
+def told(*events: Event) -> Callable[[Robot], None]:
+    """The gateway's events, 0.1 s ago."""
+
+    def happens(robot: Robot) -> None:
+        for each in events:
+            robot.publish_event(each)
+        robot.now_s += 0.1 - PERIOD_S
+
+    return happens
+
+
+def fell_silent(robot: Robot) -> None:
+    """The controller; its event was lost."""
+    robot.running.clear()
+    robot.changed = {"mode": Mode.BUS_FAULT, "controller": ControllerReport(alive=False)}
+    robot.publish_state()
+
+
+BUTTON = newer(Kind.ESTOP_ENGAGED, "all is rejected until a reset")
+BERTS = newer(Kind.ESTOP_ENGAGED, "emergency stop", "bert", 1, 2)
+FELL = newer(Kind.FALLEN, "the robot has fallen", None, 1, 2)
+EXPIRED = [newer(Kind.WATCHDOG_EXPIRED, f"no command for leg {leg} in 250 ms", None, leg) for leg in LEGS]
+AGO = ", 0.1 s ago"
 
 
 @pytest.mark.parametrize(
-    ("who", "sentence"),
+    ("happens", "sentence", "who", "cause"),
     [
-        ("anna's laptop", "anna's laptop (this program) stopped legs 1 and 2"),
-        (None, "the gateway, or somebody without a name, stopped legs 1 and 2"),
+        (told(newer(Kind.CONTROLLER_SILENT, "it is silent")), f"it is silent{AGO}", None, "controller_silent"),
+        (told(newer(Kind.BUS_FAULT, "failed; tried again")), f"failed; tried again{AGO}", None, "bus_fault"),
+        (told(newer(Kind.STOPPING, "the gateway ends; all stop")), f"the gateway ends{AGO}", None, "stopping"),
+        (told(BUTTON), f"the emergency stop was engaged by somebody{AGO}", None, "estop_engaged"),
+        (told(*EXPIRED), f"the watchdog stopped all legs (no command in 250 ms){AGO}", None, "watchdog_expired"),
+        # each cause once, and the one that a person decides about counts
+        (told(BERTS, FELL, FELL), f"the emergency stop was engaged by bert; the robot has fallen{AGO}", None, "fallen"),
+        # no event was received: the state is asked for
+        (fell_silent, "the controller fell silent", None, "controller_silent"),
+        (by_bert, "bert stopped all legs, 0.2 s ago", "bert", STOP),
+        (by("anna's laptop"), "anna's laptop (this program) stopped all legs", "anna's laptop", STOP),
+        (by(None), "the gateway, or somebody without a name, stopped all legs", None, STOP),
     ],
 )
-def test_a_stop_of_the_own_program_and_one_without_a_name(
-    robot: Robot, stream: Stream, who: str | None, sentence: str
+def test_what_stops_it_is_named_with_its_source_and_its_time(
+    robot: Any, happens: Callable[[Robot], None], sentence: str, who: str | None, cause: str
 ) -> None:
-    robot.running = set()
-    robot.changed = {"legs": tuple(leg.model_copy(update={"source": who}) for leg in robot.report().legs)}
-    error = ends(robot, stream, Robot.publish_state)
-    assert isinstance(error, StoppedError)
-    assert (str(error), error.by, error.cause) == (sentence, who, STOP)
-
-
-def test_the_watchdogs_events_of_all_legs_are_one_sentence(robot: Any) -> None:
     with Stream(robot, HZ) as stream:
         stream.set([POSE] * 6)
-        for leg in range(1, 7):
-            robot.publish_event(newer(Kind.WATCHDOG_EXPIRED, f"no command for leg {leg} in 250 ms", None, leg))
-        robot.now_s += 0.1 - PERIOD_S
-        with pytest.raises(StoppedError) as error:
-            stream.set([POSE] * 6)
-        assert str(error.value) == "the watchdog stopped all legs (no command in 250 ms), 0.1 s ago"
-        assert (error.value.by, error.value.cause) == (None, "watchdog_expired")
-
-
-def test_each_cause_is_named_once_and_the_one_that_a_person_decides_about_counts(robot: Robot, stream: Stream) -> None:
-    robot.publish_event(newer(Kind.ESTOP_ENGAGED, "emergency stop", "bert", 1, 2))
-    for _ in range(3):
-        robot.publish_event(newer(Kind.FALLEN, "the robot has fallen", None, 1, 2))
-    with pytest.raises(StoppedError) as error:
-        stream.set({1: POSE, 2: POSE})
-    assert error.value.lasting == "the emergency stop was engaged by bert; the robot has fallen"
-    assert (error.value.by, error.value.cause, error.value.legs) == (None, "fallen", (1, 2))
-    with pytest.raises(StoppedError):
-        stream.recover(timeout_s=100)
+        robot.questions = 0
+        error = ends(robot, stream, happens)
+    assert isinstance(error, StoppedError)
+    assert (str(error), error.by, error.cause) == (sentence, who, cause)
+    assert error.legs == ((1, 2) if cause == "fallen" else tuple(LEGS))
+    assert error.lasting == sentence.partition(", 0.")[0]
+    assert robot.questions == (AGO not in sentence)
 
 
 def test_a_stream_reports_its_jitter_and_a_short_repr(robot: Robot, stream: Stream) -> None:
