@@ -4,15 +4,14 @@ What is said over SPI and over the UART is one stream in order. Only a start tha
 Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gateway.client import Client, leg_payload
+from gateway.client import Client
 from gateway.model.elkapod import SHUTDOWN, START
-from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
@@ -26,7 +25,6 @@ WATCHDOG: dict[str, Any] = {"timeout_ms": 10_000}
 ROUNDS = 4
 """Of each Stop: one, and the repeats."""
 POSE = {leg: (80.0 + leg, 100.0 + leg, 120.0 + leg) for leg in LEGS}
-ANGLES = tuple(angle for leg in LEGS for angle in POSE[leg])
 ALL = frozenset(SERVO_IDS)
 ENOUGH = 10
 """Frames to wait for something that must not come."""
@@ -38,13 +36,9 @@ def robot(tmp_path: Path) -> Iterator[ElkapodBed]:
         yield bed
 
 
-def run(robot: ElkapodBed, folder: Path, **sections: dict[str, Any]) -> Gateway:
-    return Gateway(folder, robot.settings_with(**{"watchdog": WATCHDOG, **sections}), bed=robot)
-
-
 @pytest.fixture
 def gateway(robot: ElkapodBed, tmp_path: Path) -> Iterator[Gateway]:
-    with run(robot, tmp_path) as gateway:
+    with Gateway(tmp_path, robot.settings_with(watchdog=WATCHDOG), bed=robot) as gateway:
         yield gateway
 
 
@@ -62,14 +56,6 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
     assert ack.accepted, ack
     robot.wait_for_message(START, since=begun, timeout_s=LATE_S)
     robot.wait_until(lambda: robot.controller.energised == ALL, LATE_S)
-
-
-def expect_shut_down(robot: ElkapodBed, since: int, rounds: int = ROUNDS) -> None:
-    """Shutdowns, as often as it has to be, and no start behind them while frames go on."""
-    robot.wait_for(lambda _: robot.messages_since(since).count(SHUTDOWN) >= rounds, LATE_S)
-    robot.wait_for_frames(ENOUGH, len(robot.events))
-    assert START not in robot.messages_since(since)
-    assert robot.controller.energised == frozenset()
 
 
 def order_of(robot: ElkapodBed, since: int = 0) -> list[str]:
@@ -101,44 +87,6 @@ def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot
 
 
 # ---- Stops
-
-
-STOPS: dict[str, Callable[[Client], object]] = {
-    "emergency stop": lambda client: client.estop(),
-    "emergency stop of bytes that say nothing": lambda client: client.session.put(keys.ESTOP, b"\xff\x00"),
-    "all legs": lambda client: client.stop(),
-    "a leg": lambda client: client.stop(3),
-    "a servo": lambda client: client.servo(32, "stop"),
-    "a leg, unasked": lambda client: client.publish(keys.leg_command(6), leg_payload("stop")),
-}
-
-
-def test_each_stop_is_a_shutdown(robot: ElkapodBed, client: Client) -> None:
-    for name, stop in STOPS.items():
-        start_all(robot, client)
-        since = len(robot.events)
-        stop(client)
-        robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
-        expect_shut_down(robot, since, rounds=1)
-        if "emergency" in name:
-            assert client.reset().accepted
-    assert not robot.controller.corruptions
-
-
-def test_silence_shuts_down(robot: ElkapodBed, tmp_path: Path) -> None:
-    with run(robot, tmp_path, watchdog={**WATCHDOG, "timeout_ms": 2000}) as gateway, gateway.client() as client:
-        heard = events(client)
-        robot.wait_for_count(1, LATE_S)
-        since = len(robot.events)
-        assert client.start_legs(POSE).accepted
-        robot.wait_for_message(START, since=since, timeout_s=LATE_S)
-        said = heard.wait(lambda event: event.kind is Kind.WATCHDOG_EXPIRED).detail
-        assert "this robot can only be stopped as a whole" in said
-        started = order_of(robot, since).index("start")
-        robot.wait_until(lambda: "shutdown" in order_of(robot, since)[started:], LATE_S)
-        robot.wait_for_frames(ENOUGH, len(robot.events))
-        assert robot.controller.energised == frozenset()
-        assert robot.said[-1].what == ANGLES, "frames hold what was commanded: nothing would move for a lost shutdown"
 
 
 def test_sigterm_ends_it_with_shutdowns(robot: ElkapodBed, gateway: Gateway, client: Client) -> None:
@@ -188,4 +136,7 @@ def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client)
     assert "frame" not in order_of(robot, since), "it still hangs"
     assert robot.controller.energised == frozenset()
     robot.release()
-    expect_shut_down(robot, since)
+    robot.wait_for(lambda _: robot.messages_since(since).count(SHUTDOWN) >= ROUNDS, LATE_S)
+    robot.wait_for_frames(ENOUGH, len(robot.events))
+    assert START not in robot.messages_since(since)
+    assert robot.controller.energised == frozenset()

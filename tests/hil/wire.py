@@ -16,8 +16,6 @@ from tests.support.transfers import on_wire, preamble_of
 
 STOPS = [stop_leg(leg).to_bytes().hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""
-LAST_STOP_3 = [STOPS[2], *STOPS[:2], *STOPS[3:]]
-"""Leg 3's Stop, after which no servo runs: all other legs get one behind it."""
 START_3 = "0e011f015a0020012d0021017800"  # leg 3 at 90, 45, 120
 QUIET: dict[str, Any] = {"timeout_ms": 10_000}
 """A watchdog that adds nothing to what a test of something else expects."""
