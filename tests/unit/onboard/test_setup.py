@@ -14,7 +14,7 @@ import pytest
 from gateway import certs
 from gateway.certs import authority, zenoh_files
 from gateway.errors import ConfigError, GatewayError
-from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_overlay, with_spi, without_console
+from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_spi
 from gateway.onboard.setup.configuration import with_value
 from gateway.people.commands import certs as commands
 from tests.unit.onboard.computer import CONFIG_TXT, TEMPLATE, TOML, Computer
@@ -54,12 +54,6 @@ def test_one_value_changes_and_everything_else_stays(before: str, after: str) ->
     assert changed.lstrip("\n") == after.lstrip("\n")
 
 
-@pytest.mark.parametrize("text", ['spi = { framing = "x" }\n', '[spi]\nframing = """x\n"""\n', '"spi".framing = "x"\n'])
-def test_a_text_that_a_person_has_to_change(text: str) -> None:
-    with pytest.raises(ConfigError, match="a person must change"):
-        with_value(text, "spi", "framing", "plain")
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -79,26 +73,6 @@ def test_spi_is_on_or_is_switched_on_for_every_pi(before: str, after: str | None
     """Outside any filter and before any overlay."""
     assert spi_is_on(before) is (after is None)
     assert after is None or (with_spi(before) == after and spi_is_on(after))
-
-
-@pytest.mark.parametrize(
-    ("before", "on"),
-    [
-        ("dtoverlay=uart1-pi5,ctsrts\n", True),
-        ("[pi5]\ndtoverlay=uart1-pi5\n", True),
-        ("[pi4]\ndtoverlay=uart1-pi5\n", False),
-        ("", False),
-    ],
-)
-def test_an_overlay(before: str, on: bool) -> None:
-    assert overlay_is_on(before, "uart1-pi5") is on
-    assert overlay_is_on(with_overlay(before, "uart1-pi5"), "uart1-pi5")
-
-
-def test_the_console_leaves_the_controllers_uart_alone() -> None:
-    line = "console=serial0,115200 console=tty1 root=PARTUUID=1 console=ttyAMA1\n"
-    assert without_console(line, {"ttyAMA1"}) == "console=serial0,115200 console=tty1 root=PARTUUID=1\n"
-    assert without_console(line, {"ttyAMA1", "serial0"}) == "console=tty1 root=PARTUUID=1\n"
 
 
 # ---- a whole run
@@ -239,6 +213,7 @@ def test_the_elkapod_on_a_pi_5(computer: Computer) -> None:
     computer.says(wire="elkapod-2025")
     assert tomllib.loads(computer.read(TOML))["wire"] == {"name": "elkapod-2025"}
     assert overlay_is_on(computer.read(CONFIG_TXT), "uart1-pi5")
+    assert not overlay_is_on("[pi4]\ndtoverlay=uart1-pi5\n", "uart1-pi5")
     assert computer.read("/boot/firmware/cmdline.txt") == "console=tty1 root=PARTUUID=1\n"
     assert "disable --quiet --now serial-getty@ttyAMA1.service" in computer.systemd.calls
     assert f"/dev/ttyAMA1 is on in {CONFIG_TXT}, but is not there: a reboot is due" in computer.says(dry=True)
