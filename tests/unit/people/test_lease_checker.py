@@ -189,16 +189,6 @@ def test_of_a_certificate_with_one_bit_changed_only_what_the_ca_signed_is_taken(
 # ---- nonces
 
 
-def test_a_nonce_serves_once_and_for_five_seconds() -> None:
-    nonces = Nonces(NONCE_NS)
-    nonces.issue("a", 0)
-    nonces.issue("b", 0)
-    assert nonces.spend("a", 4_999_999_999)
-    assert not nonces.spend("a", 4_999_999_999)
-    assert not nonces.spend("b", 5_000_000_000)
-    assert not nonces.spend("c", 0)
-
-
 def test_few_nonces_are_remembered_the_newest() -> None:
     nonces = Nonces(NONCE_NS)
     for number in range(256 + 1):

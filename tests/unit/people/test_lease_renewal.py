@@ -42,12 +42,6 @@ def renew(renewal: Renewal, answers: Iterable[LeaseAck | None]) -> list[float]:
     return left_s
 
 
-def test_it_is_renewed_three_times_in_the_time_that_it_lives() -> None:
-    renewal = granted()
-    assert renew(renewal, [DONE] * 5) == pytest.approx([0.3, 0.6, 0.9, 1.2, 1.5])
-    assert (renewal.holds, renewal.lost, renewal.elsewhere) == (Holds.YES, None, False)
-
-
 def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
     renewal = granted()
     left_s = renew(renewal, [None] * 10)
