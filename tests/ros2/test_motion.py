@@ -1,6 +1,7 @@
 """What moves the robot through the bridge, and what stops it: joint commands, walking, trajectories, several nodes."""
 
 import itertools
+from functools import partial
 from typing import Final
 
 import pytest
@@ -49,7 +50,7 @@ def test_joint_commands_become_frames_in_any_order_and_their_silence_stops_the_l
 ) -> None:
     happened, written, steps = events(watcher), frames(watcher), itertools.count()
     driven.subscribe("/hexapod/joint_states", JointState)
-    publish = driven.publish_serialized if serialized else driven.publish
+    publish = partial(driven.publish, serialized=serialized)
 
     def next_step() -> None:
         message = resting(joint_11=next(steps) / 1000)

@@ -6,8 +6,7 @@ import threading
 from importlib import import_module
 from typing import Any
 
-from gateway.people.ros2.messages import Message
-from tests.support.rclpy_peer import ANSWER_S, DOMAIN, RclpyPeer, act, packed
+from tests.support.rclpy_peer import ANSWER_S, DOMAIN, RclpyPeer, act
 from tests.support.rclpy_peer import Actor as RclpyActor
 
 NAME = "/hexapod/follow_joint_trajectory"
@@ -18,19 +17,6 @@ class ActionPeer(RclpyPeer):
 
     def __init__(self, env: dict[str, str], domain: int = DOMAIN) -> None:
         super().__init__(domain, "tests.support.rclpy_action_peer", **env)
-
-    def send(self, goal: Message) -> bool:
-        """Whether it is accepted."""
-        return bool(self._ask("send", packed(goal)))
-
-    def cancel(self, number: int) -> int:
-        """How many goals are cancelled."""
-        return int(self._ask("cancel", number))
-
-    def result(self, number: int) -> tuple[int, int, str]:
-        """Status, code and sentence, once it has ended."""
-        status, code, text = self._ask("result", number)
-        return status, code, text
 
     def feedback(self) -> tuple[list[float], list[float], list[float]]:
         """The next: desired, actual and error."""
@@ -49,6 +35,7 @@ class Actor(RclpyActor):
         self._results: list[Any] = []
 
     def send(self, packed_goal: str) -> bool:
+        """Whether it is accepted."""
         if not self._client.wait_for_server(ANSWER_S / 2):
             raise TimeoutError(f"nobody serves {NAME}")
         fields = vars(pickle.loads(bytes.fromhex(packed_goal)))  # noqa: S301 - our own test's
@@ -60,9 +47,11 @@ class Actor(RclpyActor):
         return bool(handle.accepted)
 
     def cancel(self, number: int) -> int:
+        """How many goals are cancelled."""
         return len(self._done(self._handles[number].cancel_goal_async()).goals_canceling)
 
     def result(self, number: int) -> tuple[int, int, str]:
+        """Status, code and sentence, once it has ended."""
         found = self._done(self._results[number])
         return found.status, found.result.error_code, found.result.error_string
 

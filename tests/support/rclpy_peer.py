@@ -1,6 +1,7 @@
 """A ROS 2 peer that is not ours: rclpy over FastDDS in a process of its own, which takes its tasks over stdin.
 
-A JSON list a line, [name, arguments …], a JSON value back; messages are pickled. It ends as a peer that vanishes does.
+A JSON list a line, [name, arguments, named ones], a JSON value back; messages are pickled. It ends as a peer that
+vanishes does.
 Nothing of it leaves this machine, and each run of the tests has a domain of its own.
 """
 
@@ -12,8 +13,9 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Self
@@ -49,7 +51,7 @@ ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION
 
 
 class RclpyPeer:
-    """The end that a test holds."""
+    """The end that a test holds. What it is asked for, the `Actor` in the process does."""
 
     def __init__(self, domain: int = DOMAIN, module: str = "tests.support.rclpy_peer", **env: str) -> None:
         _remove_half_made()
@@ -63,55 +65,11 @@ class RclpyPeer:
     def __exit__(self, *_: object) -> None:
         self.child.close()
 
-    def advertise(self, topic: str, kind: type[Message], *, best_effort: bool = False) -> None:
-        """Be a publisher from now on; `best_effort`: by qos_profile_sensor_data."""
-        self._ask("advertise", topic, kind.TYPE, best_effort)
-
-    def subscribe(self, topic: str, kind: type[Message], *, latched: bool = False, best_effort: bool = False) -> None:
-        """`latched`: and ask for what was published before; `best_effort`: by qos_profile_sensor_data."""
-        self._ask("subscribe", topic, kind.TYPE, latched, best_effort)
-
-    def publish(self, topic: str, message: Message) -> None:
-        """One message of a topic that is advertised."""
-        self._ask("publish", topic, packed(message))
-
-    def publish_empty(self, topic: str) -> None:
-        """One std_msgs/Empty."""
-        self._ask("publish_empty", topic)
-
-    def publish_serialized(self, topic: str, message: Message) -> None:
-        """What `serialize_message` returns: bytes behind the last field, too."""
-        self._ask("publish", topic, packed(message), True)
-
-    def call(self, service: str) -> tuple[bool, str]:
-        """A Trigger's `success` and `message`."""
-        success, message = self._ask("call", service)
-        return success, message
-
-    def graph(self) -> Any:
-        """Topics and services with their types, as its own discovery finds them."""
-        return self._ask("graph")
-
-    def withdraw(self, topic: str) -> None:
-        """Publish there no more."""
-        self._ask("withdraw", topic)
-
-    def change_state(self, label: str) -> bool:
-        """A transition of the bridge's lifecycle, such as `deactivate`: whether it succeeded."""
-        return bool(self._ask("change_state", label))
-
-    def state(self) -> str:
-        """The state of the bridge's lifecycle, such as `active`."""
-        return str(self._ask("state"))
-
-    def parameter(self, name: str) -> Any:
-        """A parameter of the bridge."""
-        return self._ask("parameter", name)
-
-    def set_parameter(self, name: str, value: bool | float) -> tuple[bool, str]:
-        """Whether it was set, or why not."""
-        done, why = self._ask("set_parameter", name, value)
-        return done, why
+    def __getattr__(self, command: str) -> Callable[..., Any]:
+        """A command of `Actor`'s, as its method of that name."""
+        if command.startswith("_"):
+            raise AttributeError(command)
+        return partial(self._ask, command)
 
     def next(self, topic: str, condition: Any = lambda _: True) -> Any:
         """The next message of a topic for which it holds."""
@@ -122,11 +80,19 @@ class RclpyPeer:
                 return message
         raise TimeoutError(f"no such message on {topic}")
 
-    def _ask(self, *words: object) -> Any:
-        answer = json.loads(self.child.ask(json.dumps(words), ANSWER_S))
+    def _ask(self, command: str, *arguments: object, **named: object) -> Any:
+        words = json.dumps([command, [_sent(each) for each in arguments], named])
+        answer = json.loads(self.child.ask(words, ANSWER_S))
         if "error" in answer:
             raise RuntimeError(answer["error"])
-        return answer["ok"]
+        return tuple(answer["ok"]) if isinstance(answer["ok"], list) else answer["ok"]
+
+
+def _sent(argument: Any) -> object:
+    """A message's type by its name, a message packed."""
+    if isinstance(argument, type):
+        return argument.TYPE  # type: ignore[attr-defined]
+    return packed(argument) if isinstance(argument, Message) else argument
 
 
 def packed(message: Any) -> str:
@@ -175,28 +141,32 @@ class Actor:
         executor.add_node(self._node)
         threading.Thread(target=executor.spin, daemon=True).start()
 
-    def advertise(self, topic: str, kind: str, best_effort: bool = False) -> None:
-        qos = import_module("rclpy.qos").qos_profile_sensor_data if best_effort else 10
-        publisher = self._node.create_publisher(_ros_type(kind), topic, qos)
+    def advertise(self, topic: str, kind: str) -> None:
+        """Be a publisher from now on."""
+        publisher = self._node.create_publisher(_ros_type(kind), topic, 10)
         self._publishers[topic] = publisher
         _wait(lambda: publisher.get_subscription_count() > 0)
 
     def withdraw(self, topic: str) -> None:
+        """Publish there no more."""
         self._node.destroy_publisher(self._publishers.pop(topic))
 
     def publish(self, topic: str, message: str, serialized: bool = False) -> None:
+        """One message of a topic that is advertised; `serialized`: with bytes behind the last field, too."""
         made = self._to_ros(pickle.loads(bytes.fromhex(message)))  # noqa: S301 - our own test's
         self._publishers[topic].publish(self._serialization.serialize_message(made) if serialized else made)
 
     def publish_empty(self, topic: str) -> None:
+        """One std_msgs/Empty."""
         kind = _ros_type("std_msgs/msg/Empty")
         publisher = self._node.create_publisher(kind, topic, 10)
         _wait(lambda: publisher.get_subscription_count() > 0)
         publisher.publish(kind())
 
-    def subscribe(self, topic: str, kind: str, latched: bool, best_effort: bool = False) -> None:
+    def subscribe(self, topic: str, kind: str, latched: bool = False) -> None:
+        """`latched`: and ask for what was published before."""
         qos = import_module("rclpy.qos")
-        profile = qos.qos_profile_sensor_data if best_effort else qos.QoSProfile(depth=1000)
+        profile = qos.QoSProfile(depth=1000)
         if latched:
             profile.durability = qos.DurabilityPolicy.TRANSIENT_LOCAL
         received = self._received[topic]
@@ -208,10 +178,12 @@ class Actor:
         return self._received[topic].get(timeout=ANSWER_S / 2)
 
     def call(self, service: str) -> tuple[bool, str]:
+        """A Trigger's `success` and `message`."""
         response = self._request(TRIGGER, service)
         return bool(response.success), str(response.message)
 
     def change_state(self, label: str) -> bool:
+        """A transition of the bridge's lifecycle, such as `deactivate`: whether it succeeded."""
         transition = import_module("lifecycle_msgs.msg").Transition(label=label)
         return bool(
             self._request("lifecycle_msgs/srv/ChangeState", f"{NODE}/change_state", transition=transition).success
@@ -225,6 +197,7 @@ class Actor:
         return import_module("rclpy.parameter").parameter_value_to_python(found)
 
     def set_parameter(self, name: str, value: bool | float) -> tuple[bool, str]:
+        """Whether it was set, or why not."""
         wanted = import_module("rclpy.parameter").Parameter(name, value=value).to_parameter_msg()
         kind, service = "rcl_interfaces/srv/SetParameters", f"{NODE}/set_parameters"
         (result,) = self._request(kind, service, parameters=[wanted]).results
@@ -240,6 +213,7 @@ class Actor:
         return response
 
     def graph(self) -> dict[str, list[str]]:
+        """Topics and services with their types, as its own discovery finds them."""
         node = self._node
         return dict(node.get_topic_names_and_types()) | dict(node.get_service_names_and_types())
 
@@ -271,9 +245,9 @@ def act(actor: object) -> None:
     """Do what stdin says, until it ends."""
     print(PEER_READY, flush=True)
     for line in sys.stdin:
-        name, *arguments = json.loads(line)
+        name, arguments, named = json.loads(line)
         try:
-            answer = {"ok": getattr(actor, name)(*arguments)}
+            answer = {"ok": getattr(actor, name)(*arguments, **named)}
         except Exception as error:
             answer = {"error": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), flush=True)
