@@ -8,7 +8,6 @@ import json
 import signal
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,8 +26,8 @@ from tests.hil.wire import (
     settings_for,
     start,
 )
-from tests.support.gateway_process import COMMAND, Gateway, write_settings
-from tests.support.heard import events, states
+from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import events
 
 pytestmark = pytest.mark.hil
 
@@ -139,48 +138,6 @@ def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
         wire.expect(*STOPS)
         wire.expect_repeats(3, *STOPS)
         wire.expect_nothing()
-
-
-@EACH_FRAMING
-def test_a_signal_under_load_lets_nothing_pass_after_the_stops(tmp_path: Path, wire: Wire) -> None:
-    with start(tmp_path, wire) as gateway, gateway.client() as client:
-        seen = states(client)
-        assert client.start_leg(3, 90, 45, 120).accepted
-        terminated = False
-        while gateway.child.returncode is None:
-            client.publish(keys.leg_command(3), leg_payload("start", (90, 45, 120)))
-            if not terminated and len(seen.all) >= 3:  # under way for a while
-                gateway.child.terminate()
-                terminated = True
-        assert gateway.child.wait(LATE_S) == 0, str(gateway.child)
-    frames = [each.data.hex() for each in wire.skip() if len(each.data) == 14]
-    assert START_3 in frames
-    assert frames[-4 * 6 :] == STOPS * 4
-    assert set(frames[: -4 * 6]) <= {START_3, *STOPS} - {STOPS[2]}, "legs at rest get Stops"
-
-
-# ---- stop-servos
-
-
-def stop_servos(wire: Wire, config: Path) -> list[str]:
-    child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
-    assert child.wait(LATE_S) == 0, str(child)
-    first, *more = child.stdout.splitlines()
-    assert first == "Stop written to all six legs, 4 times each, on /dev/spidev0.0"
-    return more
-
-
-def config_for(folder: Path, wire: Wire, **spi: Any) -> Path:
-    return write_settings(folder / "gateway.toml", settings_for(wire, spi=spi))
-
-
-@EACH_FRAMING
-def test_stop_servos_without_a_gateway(tmp_path: Path, wire: Wire) -> None:
-    assert stop_servos(wire, config_for(tmp_path, wire)) == [], "nothing is said of a gateway"
-    for _ in range(4):
-        found = wire.expect_opening(*STOPS)
-        assert {(each.mode, each.bits_per_word, each.speed_hz) for each in found} == {(0, 8, 2_500_000)}
-    wire.expect_nothing()
 
 
 # ---- whose device
