@@ -11,7 +11,7 @@ from gateway.client import Client, leg_payload, servo_payload
 from gateway.model.frames import OneLeg, OneServo, decode, stop_leg
 from schemas import keys
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode, Reason
+from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames
@@ -102,17 +102,6 @@ def test_any_request_on_the_emergency_stops_key_engages_it(client: Client, paylo
     heard.wait(lambda record: record.cause == "estop" and frame_of(record) == stop_leg(6))
     assert client.state().mode == Mode.ESTOPPED
     assert running(client) == set()
-
-
-@pytest.mark.parametrize("key", ["hexapod/leg/0/cmd", "hexapod/leg/7/cmd", "hexapod/servo/14/cmd", "hexapod/x/y/cmd"])
-def test_an_unknown_key_is_rejected_by_both_verbs_and_the_next_command_works(client: Client, key: str) -> None:
-    heard = events(client)
-    ack = client.ask(key, START)
-    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
-    client.session.put(key, json.dumps(START))
-    event = heard.wait(lambda event: event.key == key, count=2)
-    assert (event.kind, event.reason) == (Kind.COMMAND_REJECTED, Reason.INVALID)
-    assert client.start_leg(3, 1, 2, 3).accepted
 
 
 def test_a_flood_beside_the_keys_is_told_ten_times_a_second_and_a_command_goes_through(client: Client) -> None:
