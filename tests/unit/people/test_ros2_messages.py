@@ -98,9 +98,3 @@ def test_the_first_is_followed_until_it_is_silent() -> None:
     assert rivals.may_send(B, 10.3 + SILENT_S)
     rivals.sent(B, 10.3 + SILENT_S)
     assert not rivals.may_send(A, 10.4 + SILENT_S), "and now the other"
-
-
-def test_a_graph_that_reports_no_senders_has_one() -> None:
-    rivals = Rivals()
-    rivals.sent(b"", 10.0)
-    assert rivals.may_send(b"", 10.0)
