@@ -29,9 +29,11 @@ from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
+from tests.support.ring import parse
 from tests.support.robot import WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
+from tests.unit.people.test_ring import image
 
 pytestmark = pytest.mark.virtual_time
 
@@ -291,39 +293,19 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     assert "made up: " in "\n".join(story(list(read(path))))
 
 
-KINDS: dict[type[form.Content], int] = {
-    form.Start: form.START,
-    form.EventPublished: form.EVENT,
-    form.FrameWritten: form.FRAME,
-    form.IncidentBegun: form.INCIDENT,
-    form.About: form.ABOUT,
-}
-
-
-def records(*contents: tuple[float, form.Content]) -> ring_reader.Records:
-    """Records at these seconds, behind the start of a gateway."""
-    behind = [(1.0, form.Start(WALL_NS, {})), *contents]
-    made = [form.Record(number, round(at_s * SECOND), content) for number, (at_s, content) in enumerate(behind, 1)]
-    kinds = [KINDS[type(record.content)] for record in made]
-    return ring_reader.Records([record.ns for record in made], kinds, made.__getitem__)
-
-
-def event(kind: str) -> form.EventPublished:
-    return form.EventPublished(kind, "\x1b[2Janna", None, None, "a sentence", 0)
-
-
-BEGUN = form.IncidentBegun(WALL_NS, "20260921-141320-123-watchdog")
-
-
 def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
-    (alone,) = find(records((20, event("watchdog_expired")), (20, BEGUN)), written=True)
-    assert (alone.begin_ns, alone.end_ns) == (10 * SECOND, 25 * SECOND)
-    later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 3)]
-    (two,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True)
-    assert two.end_ns == 33 * SECOND
-    later = [(20.0 + 4 * number, event("estop_engaged")) for number in range(1, 12)]
-    (many,) = find(records((20, event("watchdog_expired")), (20, BEGUN), *later), written=True)
-    assert many.end_ns == 50 * SECOND
+    def found(*later_s: float) -> Incident:
+        """Of a watchdog's at 20 s, behind the start of a gateway, and emergency stops at these seconds."""
+        silent = form.incident(WALL_NS, "20260921-141320-123-watchdog")
+        behind = [(form.START, form.start(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
+        stop = form.event("estop_engaged", "anna", None, None, "a sentence", 0)
+        behind += [(form.EVENT, stop, round(at_s * SECOND)) for at_s in (20.0, *later_s)]
+        (incident,) = find(parse(image(*behind))[0], written=True)
+        return incident
+
+    assert (found().begin_ns, found().end_ns) == (10 * SECOND, 25 * SECOND)
+    assert found(24.0, 28.0).end_ns == 33 * SECOND
+    assert found(*range(24, 65, 4)).end_ns == 50 * SECOND
 
 
 def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
