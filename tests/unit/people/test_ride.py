@@ -351,33 +351,17 @@ def test_where_starting_again_failed_the_press_is_used_up_and_the_reason_is_said
     assert (ride.wants_again, ride.spent, ride.detail) == (False, 3, "rejected: estopped: still engaged")
 
 
-def phase_of(ride: Ride) -> Phase:
-    """Now: a checker of types takes an attribute for what it was."""
-    return ride.phase
-
-
-def fallen(rest_s: float, at_s: float) -> Ride:
-    """It stands, and has fallen at this time, right behind a command."""
-    ride = standing().ride
-    ride.silences = Silences(rest_s=rest_s)
-    ride.go(STILL, at_s)
-    ride.apply_silences(at_s)
+@pytest.mark.parametrize(("rest_s", "after_s", "ends"), [(1.0, 1.0, Phase.ENDS), (8.0, 2.0, Phase.FAILED)])
+def test_one_that_has_fallen_is_stopped_behind_the_silence_and_given_up_behind_two_seconds(
+    rest_s: float, after_s: float, ends: Phase
+) -> None:
+    """And not at their end; it has fallen right behind a command."""
+    ride = standing(Silences(rest_s=rest_s)).ride
+    ride.go(STILL, 200.0)
+    ride.apply_silences(200.0)
     ride._engine.felt = ride._engine.felt._replace(fault="it has fallen")
-    return ride
-
-
-def test_one_that_has_fallen_is_stopped_behind_the_silence_and_not_at_its_end() -> None:
-    ride = fallen(rest_s=1.0, at_s=200.0)
-    ride.apply_silences(201.0)
-    assert not ride.over
-    ride.apply_silences(201.0 + BEHIND_S)
-    assert (ride.over, ride.detail) == (True, "it has fallen")
-
-
-def test_one_that_has_fallen_is_given_up_behind_two_seconds_and_not_at_their_end() -> None:
-    ride = fallen(rest_s=8.0, at_s=200.0)
-    ride.apply_silences(202.0)
-    assert phase_of(ride) is Phase.RUNS
-    ride.apply_silences(202.0 + BEHIND_S)
-    assert phase_of(ride) is Phase.FAILED
-    assert str(ride.error) == "it has fallen"
+    ride.apply_silences(200.0 + after_s)
+    assert (ride.phase, ride.over) == (Phase.RUNS, False)
+    ride.apply_silences(200.0 + after_s + BEHIND_S)
+    assert (ride.phase, ride.over) == (ends, ends is Phase.ENDS)
+    assert str(ride.error or ride.detail) == "it has fallen"
