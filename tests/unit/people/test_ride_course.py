@@ -117,21 +117,6 @@ def test_a_robot_that_can_not_sit_is_stopped() -> None:
 # ---- as the action has it
 
 
-def test_a_plan_that_is_held_stays_where_it_is_as_long_as_at_its_end_and_then_it_sits_down() -> None:
-    one = Followed()
-    way = plan(0.0, (1.0, 0.0), (9.0, 0.2))
-    one.course.follow(way, 0.0)
-    one.run(5.0)
-    assert one.course.progress(way, one.now_s).sent_rad[11] == pytest.approx(rad(STOOD)[11] + 0.1, abs=1e-3)
-    one.course.hold(way, one.now_s)
-    at_deg = one.first_deg
-    held = one.run(REST_S - 0.1).sent[-400:]
-    assert all(pose[1][0] == pytest.approx(at_deg, abs=0.1) for pose in held)
-    assert not one.sinks
-    assert one.run(SITS_WITHIN_S).sinks
-    assert one.course.progress(way, one.now_s).ended == "it was cancelled"
-
-
 def test_what_is_held_early_keeps_the_legs_that_have_started_or_are_being_started_and_starts_no_other() -> None:
     one = Followed()
     one.course.follow(way := plan(0.0, (1.0, 0.0), (9.0, 0.2)), 0.0)
