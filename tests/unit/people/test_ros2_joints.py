@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from gateway.geometry import load
-from gateway.people.ros2.joints import JointNames, JointsError, positions
+from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.messages import Header, Message, Time
 from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, Trajectory
 from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint, replace
@@ -71,19 +71,6 @@ def test_names_that_are_not_taken(names: tuple[str, ...], why: str) -> None:
 def test_patterns_that_do_not_name_each_joint(pattern: str) -> None:
     with pytest.raises(JointsError, match=r"no pattern of joint names|gives two joints one name"):
         JointNames(pattern)
-
-
-@pytest.mark.parametrize(
-    ("values", "why"),
-    [
-        ((0.0, 0.0), "one position for each of 3 joints, not 2"),
-        ((0.0, math.nan, 0.0), "joint_12 is nan"),
-        ((0.0, 0.0, -math.inf), "joint_13 is -inf"),
-    ],
-)
-def test_positions_that_are_not_taken(values: tuple[float, ...], why: str) -> None:
-    with pytest.raises(JointsError, match=why):
-        positions((11, 12, 13), values)
 
 
 # ---- trajectories
