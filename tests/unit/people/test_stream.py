@@ -174,23 +174,6 @@ def test_a_link_that_is_known_to_be_lost_ends_it_at_once(robot: Robot, stream: S
     assert (robot.published, robot.questions) == ([], 0)
 
 
-def test_a_program_that_stalls_asks_before_it_sends_and_learns_what_the_watchdog_stopped(
-    robot: Robot, stream: Stream
-) -> None:
-    robot.sleep(0.25)
-    robot.running, robot.expired = set(), {1, 2}
-    for _ in range(2):
-        with pytest.raises(StoppedError, match=r"watchdog stopped legs 1 and 2 \(no command in .* ms\)") as error:
-            stream.set({1: POSE, 2: POSE})
-        assert error.value.legs == (1, 2)
-        assert error.value.__notes__ == [AGAIN]
-    assert (robot.published, robot.asked) == ([], ["start"]), "nothing moves that was stopped"
-    stream.start_again()
-    stream.set({2: POSE})
-    assert (robot.asked, robot.running) == (["start", "start"], {2})
-    assert stream.missed > 10
-
-
 def test_the_end_of_a_stream_whose_lease_is_elsewhere_stops_nothing(robot: Any) -> None:
     """Whoever was handed it, or took it, may drive these legs."""
     robot.carried_lease = SimpleNamespace(elsewhere=False, check=lambda: None)
@@ -269,14 +252,6 @@ def test_a_program_that_goes_on_after_each_error_keeps_its_ticks_and_asks_twice_
     assert all(later - earlier >= 1 for earlier, later in zip(asked_s, asked_s[2:], strict=False))
     assert len(asked_s) >= 15 if starts_again else len(asked_s) <= 1
     assert not robot.running
-
-
-def test_wrong_angles_wait_for_the_tick_as_well(robot: Robot, stream: Stream) -> None:
-    for wrong, error in (({1: (90, 45, 181)}, RejectedError), ({7: POSE}, RejectedError), ({1: "abc"}, TypeError)):
-        before_s = robot.now_s
-        with pytest.raises(error):
-            stream.set(wrong)
-        assert robot.now_s - before_s == pytest.approx(PERIOD_S)
 
 
 @pytest.mark.parametrize("happens", [estopped, vanished])
