@@ -71,22 +71,6 @@ def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> No
     assert (press.over, press.attempts) == (True, 3)
 
 
-def test_the_oldest_that_is_unconfirmed_is_how_long_it_has_been_so() -> None:
-    stop = Stop()
-    stop.presses(1, 5)
-    stop.presses(2, 8)
-    assert stop.since_ns == 5
-
-
-def test_an_answer_to_an_earlier_request_does_not_count() -> None:
-    """Between the first request and the second press, somebody may have reset it. Also in the same nanosecond."""
-    stop = Stop()
-    first, second = stop.asked(1), stop.asked(2)
-    assert ids(stop.ended(first, 1, answered=True)) == [1]
-    assert stop.since_ns == 0
-    assert ids(stop.ended(second, 1, answered=True)) == [2]
-
-
 def test_beyond_those_at_once_the_newest_is_asked_for_as_soon_as_one_has_ended() -> None:
     stop = Stop()
     requests = [stop.asked(number) for number in range(REQUESTS_AT_ONCE)]
