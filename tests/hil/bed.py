@@ -22,30 +22,31 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from tests.benchmarks.processes import never_delay
 from tests.support.child import Child
 from tests.support.closing import Closing
 
 DEVICE = "/dev/spidev0.0"
 SYSTEM_PYTHON = "/usr/bin/python3"  # the one Debian's gi belongs to
 PROGRAM = Path(__file__).with_name("spi_testbed.py")
+NEEDS = 'import ctypes, gi; gi.require_version("UMockdev", "1.0"); ctypes.CDLL("libumockdev-preload.so.0")'
+PACKAGES = "python3-gi gir1.2-umockdev-1.0 umockdev"
 REPLY_TIMEOUT_S = 30.0  # a reply takes about a millisecond; 12 ms where the node goes or returns
 
 
 @cache
 def missing_packages() -> str:
     """What a test with the emulated device lacks here, in one line; empty when nothing."""
-    if Path(SYSTEM_PYTHON).exists():
-        check = subprocess.run([SYSTEM_PYTHON, PROGRAM, "--check"], capture_output=True, text=True, check=False)
-        packages = check.stdout.split()
-    else:
-        packages = ["python3-gi", "gir1.2-umockdev-1.0", "umockdev"]
-    lacks = [f"Debian packages missing: {' '.join(packages)}"] if packages else []
+    missing = (
+        not Path(SYSTEM_PYTHON).exists()
+        or subprocess.run([SYSTEM_PYTHON, "-c", NEEDS], capture_output=True, check=False).returncode
+    )
+    lacks = [f"Debian packages missing, of: {PACKAGES}"] * bool(missing)
     if importlib.util.find_spec("spidev") is None:
         lacks.append("Python package missing: spidev (hexapod-gateway[spi])")
     return "; ".join(lacks)
@@ -151,7 +152,7 @@ class SpiTestbed(Closing):
         self._channel, theirs = socket.socketpair()
         with theirs:
             self._emulation = subprocess.Popen(
-                [SYSTEM_PYTHON, PROGRAM, "--control-fd", str(theirs.fileno())],
+                [SYSTEM_PYTHON, PROGRAM, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stderr=subprocess.PIPE,
                 text=True,
@@ -183,10 +184,8 @@ class SpiTestbed(Closing):
         return dict(self._ready)
 
     def prefer(self) -> None:
-        """Let the emulation come before every other process: it stands for hardware, which no load slows. Root only."""
-        for task in Path(f"/proc/{self._emulation.pid}/task").iterdir():
-            with suppress(ProcessLookupError):  # the thread has ended
-                os.sched_setscheduler(int(task.name), os.SCHED_FIFO, os.sched_param(50))
+        """Let the emulation come before others, if allowed: it stands for hardware, which no load slows."""
+        never_delay(self._emulation.pid)
 
     def spawn(self, command: Sequence[str], *, env: Mapping[str, str] | None = None) -> Child:
         """Start a program on the device; several may run at once. `env` adds to this process's variables."""
@@ -264,27 +263,27 @@ class SpiTestbed(Closing):
 
         In a list of transfers, those before it are on the wire, and those behind it are not.
         """
-        self._command("fail", code=errno, count=count, after=after)
+        self._command("set", errno=errno, left=count, after=after)
 
     def fail_by_chance(self, share: float, seed: int) -> None:
         """Each transfer fails with this probability, until `heal`."""
-        self._command("fail_by_chance", share=share, seed=seed)
+        self._command("set", share=share, seed=seed)
 
     def reject_lists(self, errno: int = errors.EINVAL) -> None:
         """A kernel that takes no lists of transfers: calls of more than one answer `errno`."""
-        self._command("reject_lists", code=errno)
+        self._command("set", list_errno=errno)
 
     def ignore_cs_change(self) -> None:
         """A driver that does not release chip select within a call: a list of transfers is one cycle."""
-        self._command("ignore_cs_change")
+        self._command("set", ignores_cs_change=True)
 
     def heal(self) -> None:
         """No more errors."""
-        self._command("heal")
+        self._command("set", left=0, share=0.0)
 
     def block(self) -> None:
         """Transfers from now on are answered only by `release`; each is recorded as it arrives."""
-        self._command("block")
+        self._command("set", blocking=True)
 
     def release(self) -> None:
         """Answer the blocked transfers, and block no more."""

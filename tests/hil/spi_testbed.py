@@ -1,11 +1,9 @@
 #!/usr/bin/python3
 """An emulated `/dev/spidev0.0` (umockdev) for unmodified programs; runs under the system's Python, which has gi.
 
-By the test kit:    spi_testbed.py --control-fd N   (see `tests/hil/bed.py`, the other end of the socket)
-What is missing:    spi_testbed.py --check          (one Debian package a line)
-
-On the socket, JSON lines both ways. Out: first `ready` with the environment for children, then every `open`, setting
-and transfer as it arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "fail", …}`.
+The test kit starts `spi_testbed.py FD` with its end of a socket; `tests/hil/bed.py` is the other end. On it, JSON
+lines both ways. Out: first `ready` with the environment for children, then every `open`, setting and transfer as it
+arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "set", …}`.
 
 The answers follow Linux's drivers/spi/spidev.c, spi.c and spi-bcm2835.c (Raspberry Pi 4): 8 bits only, no lsb-first,
 all openings share one mode, speed and number of bits; mode and bits outlive the program that set them, and the speed
@@ -13,13 +11,11 @@ falls back at the last close. An open descriptor whose device has gone answers E
 bytes, of which each transfer takes a multiple of 128. A transfer's pause is made while chip select is asserted; behind
 those with `cs_change` it is then released for 10 µs, whatever pause was asked for. Each such cycle, its pause included,
 is an event of its own, with the time at which it begins. A call lasts as long as the wire needs, and no other call
-comes into it. MISO reads the bytes
-of the last `answer`, from the first on with each message, and zeros behind them: what a controller sends was made ready
-before. A UART is there once it is attached; what a program writes to it is an event, too.
+comes into it. MISO reads the bytes of the last `answer`, from the first on with each message, and zeros behind them:
+what a controller sends was made ready before. A UART is there once it is attached; what a program writes to it is an
+event, too.
 """
 
-import argparse
-import ctypes
 import errno
 import json
 import os
@@ -60,25 +56,6 @@ SEGMENT = struct.Struct("=QQIIHBBBBBB")
 Emit = Callable[[dict[str, object]], None]
 
 
-def missing_packages() -> list[str]:
-    """The Debian packages this program lacks here."""
-    missing = []
-    try:
-        import gi  # noqa: PLC0415
-    except ImportError:
-        missing.append("python3-gi")
-    else:
-        try:
-            gi.require_version("UMockdev", "1.0")
-        except ValueError:
-            missing.append("gir1.2-umockdev-1.0")
-    try:
-        ctypes.CDLL(PRELOAD)
-    except OSError:
-        missing.append("umockdev")
-    return missing
-
-
 class SpiController:
     """The emulated bus and its faults. umockdev calls the handlers on its own thread, commands come on the main one."""
 
@@ -89,64 +66,32 @@ class SpiController:
         self._openings: dict[Any, int] = {}
         self._gone_before = 0  # clients up to this number hold a descriptor of a device that was removed
         self._mode, self._bits, self._speed_hz = 0, 8, DEFAULT_SPEED_HZ
-        self._fail_errno = 0
-        self._fail_left: int | None = 0
-        self._fail_after = 0
-        self._share = 0.0  # of transfers that fail by chance
+        self._faults: dict[str, Any] = {
+            **{"errno": 0, "left": 0, "after": 0, "share": 0.0, "list_errno": 0},
+            **{"ignores_cs_change": False, "blocking": False, "answer": ""},
+        }
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
-        self._list_errno = 0
-        self._ignores_cs_change = False
         self._calls = 0
-        self._blocking = False
-        self._answer = b""
         self.uart = PseudoUart(lambda now_ns, data: emit({"t": now_ns, "kind": "uart", "data": data.hex()}))
         self._held: list[Callable[[], None]] = []
 
-    def fail(self, code: int, count: int | None, after: int = 0) -> None:
-        """`after` so many, the next `count` transfers answer `code`, an errno; with None, all until `heal`.
+    def set(self, **faults: Any) -> None:
+        """Change what holds for transfers from now on; what each means, and ends with, is in `tests/hil/bed.py`.
 
         A transfer that fails ends its message: what comes before it is on the wire, and what follows is not.
         """
         with self._lock:
-            self._fail_errno, self._fail_left, self._fail_after = code, count, after
-
-    def fail_by_chance(self, share: float, seed: int) -> None:
-        """Each transfer fails with this probability, until `heal`."""
-        with self._lock:
-            self._share, self._chance = share, random.Random(seed)  # noqa: S311  (faults, no secrets)
-
-    def heal(self) -> None:
-        """No more errors."""
-        with self._lock:
-            self._fail_left, self._share = 0, 0.0
-
-    def reject_lists(self, code: int) -> None:
-        """Messages of more than one transfer answer `code` from now on; 0: they are taken."""
-        with self._lock:
-            self._list_errno = code
-
-    def ignore_cs_change(self) -> None:
-        """A driver that leaves chip select alone within a message: its transfers are one cycle."""
-        with self._lock:
-            self._ignores_cs_change = True
-
-    def block(self) -> None:
-        """Transfers from now on are answered only by `release`."""
-        with self._lock:
-            self._blocking = True
+            if "seed" in faults:
+                self._chance = random.Random(faults.pop("seed"))  # noqa: S311  (faults, no secrets)
+            self._faults.update(faults)
 
     def release(self) -> None:
         """Answer all held transfers, and hold no more."""
         with self._lock:
-            self._blocking = False
+            self._faults["blocking"] = False
             held, self._held = self._held, []
         for answer in held:
             answer()
-
-    def answer(self, data: str) -> None:
-        """The controller sends these bytes (hex) during each message from now on."""
-        with self._lock:
-            self._answer = bytes.fromhex(data)
 
     def shut_down(self) -> None:
         """The device has gone: descriptors open now answer ESHUTDOWN for ever."""
@@ -192,7 +137,7 @@ class SpiController:
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
         raw = bytes(argument.retrieve())
         segments = []
-        answer = self._answer
+        answer = bytes.fromhex(self._faults["answer"])
         filled: set[tuple[int, int]] = set()  # receive buffers that segments share
         for offset in range(0, size, SEGMENT.size):
             tx_buf, rx_buf, length, speed_hz, delay_us, bits, cs_change, *_ = SEGMENT.unpack_from(raw, offset)
@@ -209,33 +154,23 @@ class SpiController:
             self._calls += 1
             code = self._rejection(client, [segment[0] for segment in segments])
             rejected = bool(code)
+            about = {"kind": kind, "opening": opening, "mode": self._mode, "call": self._calls}
+            about["held"] = blocking = self._faults["blocking"]
             for cycle in [segments] if rejected else self._cycles(segments):
                 code = code or self._verdict()
                 taken = [self._described(segment) for segment in cycle]
-                data = bytes.fromhex("".join(segment["data"] for segment in taken))
-                self._emit(
-                    {
-                        "t": at_ns,
-                        "kind": kind,
-                        "data": data.hex(),
-                        "errno": code,
-                        "opening": opening,
-                        "mode": self._mode,
-                        "call": self._calls,
-                        "held": self._blocking,
-                        "segments": taken,
-                    }
-                )
+                data = b"".join(segment[0] for segment in cycle)
+                self._emit({**about, "t": at_ns, "data": data.hex(), "errno": code, "segments": taken})
                 length += len(data)
                 if code:
                     break
-                for segment in taken:
-                    at_ns += len(bytes.fromhex(segment["data"])) * 8_000_000_000 // max(segment["speed_hz"], SLOWEST_HZ)
-                    at_ns += segment["delay_us"] * 1000
+                for segment, described in zip(cycle, taken, strict=True):
+                    at_ns += len(segment[0]) * 8_000_000_000 // max(described["speed_hz"], SLOWEST_HZ)
+                    at_ns += described["delay_us"] * 1000
                 at_ns += CS_CHANGE_NS
             if rejected:
                 at_ns = now_ns
-            if self._blocking:
+            if blocking:
                 self._held.append(lambda: _answer(client, length, code))
                 return
         while (left_ns := at_ns - CS_CHANGE_NS - time.monotonic_ns()) > 0:
@@ -248,7 +183,7 @@ class SpiController:
         cycles: list[list[tuple[bytes, int, int, int, int]]] = [[]]
         for segment in segments:
             cycles[-1].append(segment)
-            if segment[4] and segment is not segments[-1] and not self._ignores_cs_change:
+            if segment[4] and segment is not segments[-1] and not self._faults["ignores_cs_change"]:
                 cycles.append([])
         return cycles
 
@@ -266,21 +201,22 @@ class SpiController:
         """Why none of a call's transfers is made; 0: they are."""
         if self._clients[client] <= self._gone_before:
             return errno.ESHUTDOWN
-        if len(data) > 1 and self._list_errno:
-            return self._list_errno
+        if len(data) > 1 and self._faults["list_errno"]:
+            return int(self._faults["list_errno"])
         held = sum(-(-len(each) // ALIGNED) * ALIGNED for each in data)
         return errno.EMSGSIZE if held > BUFSIZ else 0
 
     def _verdict(self) -> int:
         """What becomes of the next transfer."""
-        if self._fail_left != 0:
-            if self._fail_after:
-                self._fail_after -= 1
-            else:
-                if self._fail_left is not None:
-                    self._fail_left -= 1
-                return self._fail_errno
-        return errno.EIO if self._share and self._chance.random() < self._share else 0
+        faults = self._faults
+        if faults["left"] == 0:
+            return errno.EIO if faults["share"] and self._chance.random() < faults["share"] else 0
+        if faults["after"]:
+            faults["after"] -= 1
+            return 0
+        if faults["left"] is not None:
+            faults["left"] -= 1
+        return int(faults["errno"])
 
     def _read_setting(self, now_ns: int, client: Any, argument: Any, number: int, size: int) -> None:
         with self._lock:
@@ -339,14 +275,9 @@ class Testbed:
         self.restore_node()
         self.commands: dict[str, Callable[..., None]] = {
             "sync": lambda: None,
-            "fail": self._controller.fail,
-            "fail_by_chance": self._controller.fail_by_chance,
-            "heal": self._controller.heal,
-            "reject_lists": self._controller.reject_lists,
-            "ignore_cs_change": self._controller.ignore_cs_change,
-            "block": self._controller.block,
+            "set": self._controller.set,
             "release": self._controller.release,
-            "answer": self._controller.answer,
+            "answer": lambda data: self._controller.set(answer=data),
             "attach_uart": self._controller.uart.attach,
             "send_uart": self._controller.uart.send,
             "remove_node": self.remove_node,
@@ -414,17 +345,8 @@ def serve(channel: socket.socket) -> int:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Run programs on an emulated SPI device.")
-    task = parser.add_mutually_exclusive_group(required=True)
-    task.add_argument("--check", action="store_true", help="print the Debian packages missing here")
-    task.add_argument("--control-fd", type=int, help="serve the test kit on this socket")
-    options = parser.parse_args()
-    if options.control_fd is None:
-        missing = missing_packages()
-        print("\n".join(missing))
-        return 1 if missing else 0
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the test run, which then closes the socket
-    with socket.socket(fileno=options.control_fd) as channel:
+    with socket.socket(fileno=int(sys.argv[1])) as channel:
         return serve(channel)
 
 
