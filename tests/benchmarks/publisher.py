@@ -2,8 +2,8 @@
 
     python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50
 
-It prints `ready` once it is connected. Then each line on its standard input is a number of seconds to publish for; it
-answers `done`.
+It prints `ready` once it is connected, or listens for gateways that dial it (`--listen`). Then each line on its
+standard input is a number of seconds to publish for; it answers `done`.
 """
 
 import argparse
@@ -13,6 +13,8 @@ import time
 
 import zenoh
 
+from gateway.host.settings_table import ZenohSettings
+from gateway.robot.zenoh_io.session import service_config
 from gateway.zenoh_config import client_config
 from schemas.keys import leg_command
 
@@ -42,8 +44,10 @@ def main() -> None:
     parser.add_argument("endpoint")
     parser.add_argument("--legs", type=int, nargs="+", required=True)
     parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg")
+    parser.add_argument("--listen", action="store_true", help="wait for gateways that dial this endpoint")
     options = parser.parse_args()
-    with zenoh.open(client_config(options.endpoint)) as session:
+    settings = ZenohSettings(listen=(options.endpoint,))
+    with zenoh.open(service_config(settings) if options.listen else client_config(options.endpoint)) as session:
         publishers = itertools.cycle(
             session.declare_publisher(leg_command(leg), encoding="application/json", express=True)
             for leg in options.legs

@@ -7,7 +7,6 @@ as the published firmware does, at the times at which it came.
 import os
 import random
 import signal
-import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -25,9 +24,9 @@ from gateway.model.framing import Framing
 from gateway.people.recorder import ring_reader
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
+from tests.benchmarks.processes import program
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, opening_of, settings_for
-from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, dialling, free_port, write_settings
 from tests.support.transfers import on_wire
 
@@ -74,12 +73,11 @@ LANES = 3  # gateways that share nothing, at once
 def load() -> Iterator[str]:
     """A publisher that gateways dial, at this endpoint."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    publisher = Child([sys.executable, "-m", "tests.hil.starter", endpoint], os.environ)
-    try:
-        publisher.wait_for_output("listening", 30)
+    legs = map(str, LEGS)
+    with program("publisher", endpoint, "--listen", "--legs", *legs, "--hz", "100") as publisher:
+        publisher.wait_for_output("ready", 30)
+        publisher.tell("3600")
         yield endpoint
-    finally:
-        publisher.close()
 
 
 def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str, Any]]:
