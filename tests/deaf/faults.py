@@ -37,12 +37,12 @@ class Tally:
         self.faults += 1
         self.without_effect += not (watcher.missed or watcher.unasked)
         self.missed_first_stops += watcher.missed_first_stops
-        self.stops_after_repeat += len(watcher.stops_after_repeat)
+        self.stops_after_repeat += watcher.stops_after_repeat
         self.deaf_ms = max(self.deaf_ms, watcher.deaf_ns / MS)
         self.corruptions += watcher.controller.corruptions.total()
         self.on_for_good += bool(left_on)
         self.dead += watcher.controller.dead is not None
-        self.unasked |= {what for _, what, _ in watcher.unasked}
+        self.unasked |= watcher.unasked
 
 
 class _Clock:
@@ -152,13 +152,10 @@ def _play_on(log: list[Written], fault: Fault, states: list[State], clock: _Cloc
         clock.now_ns = at_ns
         controller.take(received.get(place, data))
         if controller.dead is not None:
-            watcher.end(clock.now_ns)
             return controller.energised
         watcher.saw(at_ns, data, repeat=repeat)
         whole = len(data) > 1 and place >= max(received)
         if whole and not controller.missing and not watcher.astray and pulses(controller) == states[place]:
-            watcher.end(clock.now_ns)
             return frozenset()
-    watcher.end(clock.now_ns)
     clock.now_ns += GIVEN_UP_NS
     return controller.energised - {servo_id for servo_id, pulse in states[-1].items() if pulse is not None}

@@ -91,26 +91,19 @@ def faults(servos: int) -> Iterator[tuple[str, list[Place]]]:
         yield f"byte {at} doubled", [*frame[: at + 1], *frame[at:], behind]
 
 
-class Outcome(NamedTuple):
-    """What a fault can do in the worst of all legal frames."""
+def worst(stream: list[Place], avoid_cdeg: Avoid) -> frozenset[tuple[int, int]]:
+    """Id and operation of records that kill, in the worst of all legal frames.
 
-    killing: frozenset[tuple[int, int]]
-    """Id and operation of records that kill."""
-    lengths: frozenset[int]
-    """What is taken for the next length, other than the byte behind the frame: a byte that was pushed out."""
-
-
-def worst(stream: list[Place], avoid_cdeg: Avoid) -> Outcome:
-    """What the firmware makes of it: a length, that many bytes, a look at them, the next length."""
+    The firmware reads a length, that many bytes, a look at them, the next length.
+    """
     (length,) = values(stream[0], avoid_cdeg)
-    body, rest = stream[1 : 1 + length], stream[1 + length :]
+    body = stream[1 : 1 + length]
     killing: set[tuple[int, int]] = set()
     for frame_type in values(body[1], avoid_cdeg):
         for at in RECORDS.get((length, frame_type), ()):
             pairs = together(body[at], body[at + 1], avoid_cdeg)
             killing |= pairs & KILLS
-    pushed_out = values(rest[0], avoid_cdeg) if rest and rest[0].servo is not None else frozenset()
-    return Outcome(frozenset(killing), pushed_out)
+    return frozenset(killing)
 
 
 def neighbours(avoid_cdeg: Avoid) -> Iterator[frozenset[tuple[int, int]]]:

@@ -25,13 +25,13 @@ class Watcher:
     missed_first_stops: int = 0
     misread: bool = False
     """Whether anything was executed since the fault that was not written so: at first, what half a body says."""
-    stops_after_repeat: list[tuple[int, int]] = field(default_factory=list)
-    """Servos that were on after a repeated Stop for them, and when: never."""
-    unasked: list[tuple[int, str, int]] = field(default_factory=list)
-    """What no frame said: which servo, started or moved and by what, and for how long."""
+    stops_after_repeat: int = 0
+    """Servos that were on after a repeated Stop for them: none."""
+    unasked: set[str] = field(default_factory=set)
+    """What servos did that no frame said: started or moved, and by what."""
     _executed: int = 0
     _state: State = field(default_factory=lambda: dict.fromkeys(SERVO_IDS))
-    _astray: dict[int, tuple[int, str]] = field(default_factory=dict)
+    _astray: set[int] = field(default_factory=set)
 
     def saw(self, now_ns: int, data: bytes, *, repeat: bool) -> None:
         """What was written just now."""
@@ -45,41 +45,30 @@ class Watcher:
             return
         how = "by half a body" if not self.misread else "out of sync"
         for servo_id in SERVO_IDS:
-            self._compare(servo_id, before[servo_id], now[servo_id], said.get(servo_id), now_ns, how)
+            self._compare(servo_id, before[servo_id], now[servo_id], said.get(servo_id), how)
         self.misread |= executed > 0
         if said and (executed != 1 or now != _after(before, said)):
             self.missed += 1
             self.deaf_ns = max(self.deaf_ns, now_ns - self.fault_ns)
         if said and all(op is None for op, _ in said.values()):
-            on = [servo_id for servo_id in said if now[servo_id] is not None]
+            on = sum(now[servo_id] is not None for servo_id in said)
             if repeat:
-                self.stops_after_repeat += [(servo_id, now_ns) for servo_id in on]
+                self.stops_after_repeat += on
             elif on:
                 self.missed_first_stops += 1
 
-    def _compare(
-        self, servo_id: int, before: int | None, now: int | None, said: Said | None, now_ns: int, how: str
-    ) -> None:
+    def _compare(self, servo_id: int, before: int | None, now: int | None, said: Said | None, how: str) -> None:
         """Whether one servo does what no frame said, or has ended to."""
         op, angle_us = said or (None, None)
         if now is None or (op is not None and now == angle_us and (before is not None or op is Op.START)):
-            if servo_id in self._astray:
-                self._back(servo_id, now_ns)
-        elif now != before:
-            self._astray.setdefault(servo_id, (now_ns, f"{'started' if before is None else 'moved'} {how}"))
-
-    def end(self, now_ns: int) -> None:
-        """No more is written; what is astray now stays so."""
-        for servo_id in list(self._astray):
-            self._back(servo_id, now_ns)
+            self._astray.discard(servo_id)
+        elif now != before and servo_id not in self._astray:
+            self._astray.add(servo_id)
+            self.unasked.add(f"{'started' if before is None else 'moved'} {how}")
 
     @property
     def astray(self) -> bool:
         return bool(self._astray)
-
-    def _back(self, servo_id: int, now_ns: int) -> None:
-        since_ns, what = self._astray.pop(servo_id)
-        self.unasked.append((servo_id, what, now_ns - since_ns))
 
 
 def pulses(controller: Controller) -> State:
