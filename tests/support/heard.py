@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel
 
 from gateway.client import Client
-from gateway.model.frames import decode
+from gateway.model.frames import Op, decode
 from schemas import keys
 from schemas.telemetry import BodyReport, Cause, Event, FrameRecord, GatewayState
 
@@ -81,6 +81,12 @@ def running(client: Client) -> list[int]:
 
 def is_stop(frame: FrameRecord) -> bool:
     return decode(bytes.fromhex(frame.bytes)).is_stop
+
+
+def last_angles(records: list[FrameRecord]) -> dict[int, float]:
+    """Where each servo was sent last before its Stop, in degrees; in the order in which they were first sent."""
+    ops = (each for record in records for each in decode(bytes.fromhex(record.bytes)).servos)
+    return {servo_id: op.angle_cdeg / 100 for servo_id, op in ops if op.op is not Op.STOP}
 
 
 def events(client: Client) -> Heard[Event]:

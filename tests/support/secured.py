@@ -29,7 +29,6 @@ class Secured(Closing):
         hosts: Sequence[str] = (HOST,),
         bed: SpiTestbed | None = None,
         prefix: Sequence[str] = (),
-        options: Sequence[str] = ("--sim",),
     ) -> None:
         """It listens on `address`; its certificate names `hosts`."""
         self.folder = folder / "D"
@@ -38,7 +37,7 @@ class Secured(Closing):
         certs.folder.issue(self.folder, "anna", "operator")
         certs.folder.issue(self.folder, "otto", "observer")
         listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}
-        self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix, options=options)
+        self.gateway = Gateway(folder, {"zenoh": listen, **(settings or {})}, bed=bed, prefix=prefix)
 
     def close(self) -> None:
         self.gateway.child.close()

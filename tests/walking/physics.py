@@ -1,20 +1,18 @@
 """A robot in MuJoCo (gateway/people/physics/world.py): driven by frames, and by the pure gait engine."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 import mujoco
 import numpy as np
 
 from gateway.geometry import Geometry
-from gateway.model.frames import Op, decode
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.model import TIMESTEP_S
 from gateway.people.physics.world import World
 from gateway.people.walking import STILL, Engine, Posture, Velocity
 from schemas.robot import JOINTS
-from schemas.telemetry import FrameRecord
 
 TICK_S: Final = 0.02
 SPEEDS_M_S: Final = {"tripod": 0.08, "ripple": 0.04, "wave": 0.02}
@@ -32,17 +30,6 @@ SINKS_S: Final = 4.0
 
 Sent = tuple[float, Mapping[int, float | None]]
 """When (seconds), and where servos are sent, in degrees; None: stopped."""
-
-
-def sent_by(records: Sequence[FrameRecord], since_ns: int | None = None) -> list[Sent]:
-    """What the frames say, in seconds since then, or since the first of them."""
-    begun_ns = records[0].monotonic_ns if since_ns is None else since_ns
-    found: list[Sent] = []
-    for record in records:
-        servos = decode(bytes.fromhex(record.bytes)).servos
-        angles = {servo_id: None if op.op is Op.STOP else op.angle_cdeg / 100 for servo_id, op in servos}
-        found.append(((record.monotonic_ns - begun_ns) / 1e9, angles))
-    return found
 
 
 def drive(world: World, angles: Mapping[int, float | None], geometry: Geometry) -> None:

@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from schemas import keys
 from schemas.button import ButtonAck, signed_text
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.secured import Secured
@@ -32,10 +32,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 gateway = gateway_fixture(SETTINGS)
 
 
-@pytest.fixture
-def robot(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="kitchen") as client:
-        yield client
+robot = client_fixture("kitchen")
 
 
 class Pressing:

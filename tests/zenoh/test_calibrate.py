@@ -8,7 +8,7 @@ import pytest
 
 from gateway.client import Client
 from schemas.calibration import ServoChange
-from tests.support.fixtures import patient
+from tests.support.fixtures import client_fixture, patient
 from tests.support.gateway_process import Gateway
 
 
@@ -27,11 +27,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.fixture
-def anna(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="anna") as client:
-        client.stop()
-        yield client
+anna = client_fixture("anna", rests=True)
 
 
 def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, anna: Client) -> None:

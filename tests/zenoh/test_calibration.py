@@ -14,6 +14,7 @@ from gateway.robot.host import calibration_file
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
 from schemas.telemetry import FrameRecord, Reason
+from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames
 
@@ -36,11 +37,7 @@ def gateway(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ga
         yield running
 
 
-@pytest.fixture
-def client(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="anna") as connected:
-        assert connected.stop().accepted
-        yield connected
+client = client_fixture("anna", rests=True)
 
 
 def leg_of(record: FrameRecord) -> list[int]:

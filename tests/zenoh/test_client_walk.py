@@ -1,7 +1,6 @@
 """Walking through a real gateway: what it sends, and how a walk ends."""
 
 import time
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Final
 
@@ -9,12 +8,11 @@ import pytest
 
 from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, StoppedError
-from gateway.model.frames import Op, decode
 from gateway.people.walking import Posture
 from schemas.robot import JOINTS, LEGS
-from schemas.telemetry import FrameRecord, Mode
+from schemas.telemetry import Mode
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
-from tests.support.heard import frames, running
+from tests.support.heard import frames, last_angles, running
 
 PATIENT: Final = patient(10_000, telemetry={"frames": True})
 QUICKER: Final = 4
@@ -47,14 +45,6 @@ def walks(walk: Walk, steps: int = 15, forward_m_s: float = 0.1) -> None:
         walk.go(forward_m_s=forward_m_s)
 
 
-def angles(records: list[FrameRecord]) -> Iterator[tuple[int, int]]:
-    """Servo and angle in hundredths of a degree, as written."""
-    for record in records:
-        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
-            if op.op is not Op.STOP:
-                yield servo_id, op.angle_cdeg
-
-
 def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -> None:
     written = frames(watcher)
     before = watcher.state().commands
@@ -79,8 +69,7 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
     assert after.mode == Mode.IDLE
     assert after.lease.holder is None
     assert after.commands.rejected == before.rejected
-    servos = list(dict.fromkeys(servo for servo, _ in angles(written.all)))
-    assert servos == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
+    assert [*last_angles(written.all)] == [10 * leg + joint for leg in LEGS for joint in JOINTS], "leg after leg"
     with pytest.raises(RuntimeError, match="between `open` and `close`"):
         walk.go(0.1)
 

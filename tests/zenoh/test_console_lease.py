@@ -75,12 +75,3 @@ def test_only_the_page_itself_renews_it(anna: Page, bert: Page) -> None:
     lost = lease(anna, "renew")
     assert (lost["mine"], lost["accepted"]) == (False, False)
     assert (lost["end"], lost["silent_s"] * 1000 > TTL_MS) == ("page_silent", True)
-
-
-def test_a_page_that_is_closed_gives_it_back(console: Console, session: SignedIn, bert: Page) -> None:
-    began = datetime.now(UTC)
-    with console.page(session) as page:
-        assert lease(page, "acquire")["mine"]
-    assert bert.event("lease_released", "lease_expired", since=began)["kind"] == "lease_released"
-    assert lease(bert, "acquire")["mine"]
-    lease(bert, "release")

@@ -2,10 +2,9 @@
 
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Mode
 from tests.support.child import Child
 from tests.support.fixtures import patient
-from tests.support.gateway_process import Gateway, write_settings
+from tests.support.gateway_process import Gateway
 from tests.support.heard import events, states
 from tests.support.plugin import NAME, Call, Installed
 
@@ -115,32 +114,3 @@ def test_a_call_that_hangs_ends_the_gateway_as_a_hanging_driver_does(plugin: Ins
         assert plugin.hung.exists()
         plugin.hangs.unlink()
         assert stop_servos(gateway, plugin).returncode == 0
-
-
-@pytest.mark.parametrize(
-    ("change", "line"),
-    [
-        (lambda wire: wire.pop("path"), "wire: path is missing: the file to write to"),
-        (lambda wire: wire.update(name="nothing"), f'installed are "hexapod-1.0", "elkapod-2025", "{NAME}"'),
-    ],
-)
-def test_what_its_options_lack_is_a_sentence(
-    change: Callable[[dict[str, Any]], object], line: str, plugin: Installed, tmp_path: Path
-) -> None:
-    section = plugin.section
-    change(section)
-    with Gateway(tmp_path, {"wire": section}, options=(), env=plugin.env, wait=False) as gateway:
-        assert gateway.child.wait() == 2
-        assert line in gateway.child.stderr
-        assert "Traceback" not in gateway.child.stderr
-
-
-def test_check_opens_it_and_says_what_it_is(plugin: Installed, tmp_path: Path) -> None:
-    file = write_settings(tmp_path / "gateway.toml", {"wire": plugin.section})
-    for unplugged, line in ((False, f"{NAME} opens: ToFile, servos one by one"), (True, f"{NAME}: no such device")):
-        if unplugged:
-            plugin.unplugged.touch()
-        with Child([sys.executable, "-m", "gateway", "check", "--config", str(file)], plugin.env) as child:
-            child.wait()
-        assert line in child.stdout
-        assert plugin.calls() == [], "it writes nothing"

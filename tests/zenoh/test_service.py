@@ -2,18 +2,17 @@
 
 import os
 import re
-import signal
 import socket
-import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from gateway.client import Client
 from schemas import keys
-from tests.support.child import Child
+from tests.support.child import Child, frozen
 from tests.support.gateway_process import READY, Gateway, free_port, write_settings
 
 
@@ -46,16 +45,13 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
         "print('listening', flush=True)\n"
         "time.sleep(600)\n"
     )
+    settings: dict[str, dict[str, Any]] = {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 1000}}
     with (
-        Gateway(tmp_path, {"telemetry": {"frames": True}, "limits": {"leg_rate_hz": 1000}}) as gateway,
-        subprocess.Popen(
-            [sys.executable, "-c", publisher, gateway.endpoint], stdout=subprocess.PIPE, text=True
-        ) as peer,
+        Gateway(tmp_path, settings) as gateway,
+        Child([sys.executable, "-c", publisher, gateway.endpoint], os.environ) as peer,
     ):
-        assert peer.stdout is not None
-        assert peer.stdout.readline() == "listening\n"
-        peer.send_signal(signal.SIGSTOP)
-        try:
+        peer.wait_for_output("listening")
+        with frozen(peer.pid):
             with gateway.client() as client:
                 # Until the frozen one's queues are full: then closing takes Zenoh ten seconds.
                 client.start_leg(1, 90, 45, 120)
@@ -67,9 +63,7 @@ def test_a_frozen_peer_does_not_hold_the_end(tmp_path: Path) -> None:
                         client.start_leg(1, 90, 45, 120, check=False)
             gateway.child.terminate()
             assert gateway.child.wait() == 0
-            assert "ending without waiting for it" in gateway.child.stderr
-        finally:
-            peer.kill()
+        assert "ending without waiting for it" in gateway.child.stderr
 
 
 def test_a_port_that_is_taken_ends_it_with_one_line(tmp_path: Path) -> None:

@@ -7,14 +7,13 @@ import sys
 import pytest
 
 from gateway.geometry import load
-from gateway.model.frames import Op, decode
 from gateway.people.walking import STILL, Engine, Robot
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway
-from tests.support.heard import frames
+from tests.support.heard import frames, last_angles
 
 gateway = gateway_fixture(patient(10_000, telemetry={"frames": True}))
 
@@ -47,16 +46,6 @@ BY_HAND = ASYNC.replace("asyncio.run(main())", "asyncio.new_event_loop().run_unt
 """Nobody there handles Ctrl-C."""
 
 
-def stopped_at(records: list[FrameRecord]) -> dict[int, float]:
-    """Where the servos were sent last before their Stops, in degrees."""
-    found: dict[int, float] = {}
-    for record in records:
-        for servo_id, op in decode(bytes.fromhex(record.bytes)).servos:
-            if op.op is not Op.STOP:
-                found[servo_id] = op.angle_cdeg / 100
-    return found
-
-
 def seat() -> dict[int, float]:
     """Where they are in a robot that lies on its belly with its feet on the ground, by the pure engine."""
     engine = Engine(Robot(load()))
@@ -87,7 +76,7 @@ def test_the_first_sits_and_the_second_stops(
         child = Child([sys.executable, "-c", program.format(endpoint=gateway.endpoint)], os.environ)
         try:
             child.wait_for_output("it stands", 60)
-            stood = stopped_at(written.all)
+            stood = last_angles(written.all)
             child.send_signal(number)
             if again:
                 next(_ for _ in written.each() if _sits_down(written.all, stood, seated))  # not before: two may be one
@@ -99,13 +88,13 @@ def test_the_first_sits_and_the_second_stops(
         state = watcher.state()
         assert (state.mode, state.lease.holder) == ("idle", None)
         if again:
-            assert stopped_at(written.all) != pytest.approx(seated, abs=0.02)
+            assert last_angles(written.all) != pytest.approx(seated, abs=0.02)
         else:
-            written.wait_for_all(lambda records: stopped_at(records) == pytest.approx(seated, abs=0.02))
+            written.wait_for_all(lambda records: last_angles(records) == pytest.approx(seated, abs=0.02))
 
 
 def _sits_down(records: list[FrameRecord], stood: dict[int, float], seated: dict[int, float]) -> bool:
     """Whether the body has sunk by a third: all six legs have bent, of which some stand in a walk."""
-    now = stopped_at(records)
+    now = last_angles(records)
     knees = [10 * leg + 2 for leg in LEGS]
     return all(abs(now[knee] - stood[knee]) > abs(seated[knee] - stood[knee]) / 3 for knee in knees)
