@@ -81,6 +81,18 @@ PUSHES: Final = 100
 WALKS_OR_ENDED: Final = """() => document.getElementById("walk-known").textContent.includes("It walks")
   || !document.querySelector('.stick[data-held="yes"]')"""
 
+CHANGES: Final = """
+const listen = WebSocket.prototype.addEventListener;
+WebSocket.prototype.addEventListener = function (name, heard, ...more) {
+  listen.call(this, name, name !== "message" ? heard : (event) => {
+    const message = JSON.parse(event.data);
+    window.change(message);
+    heard({ data: JSON.stringify(message) });
+  }, ...more);
+};
+"""
+"""Passes each message of the console through `window.change`, which a test has to give."""
+
 LINES: Final = """
 addEventListener("DOMContentLoaded", () => {
   let began = false;
@@ -269,6 +281,10 @@ class Opened:
     def expect_live(self) -> None:
         """Wait until it shows the robot as it is now."""
         expect(self.page.locator("body")).to_have_attribute("data-live", "yes")
+
+    def go_to_button(self) -> None:
+        """The console's other page."""
+        self.page.goto(f"{self.page.url.rstrip('/')}/button")
 
     def get_lease(self) -> None:
         self["lease-acquire"].click()

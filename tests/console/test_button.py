@@ -1,22 +1,19 @@
 """The console's /button: a page that is a stop button."""
 
-import ssl
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, expect
 
-from gateway import certs
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
 from tests.console.browser import HIDE, PHONE, SHOW, Opened, Visitor
 from tests.support.child import frozen
-from tests.support.console_process import Console, sign_in
+from tests.support.console_process import Console
+from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, states
-from tests.support.secured import Secured
 
 pytestmark = pytest.mark.browser
 
@@ -32,10 +29,7 @@ WebSocket.prototype.send = ((send) => function (text) {
 """Somebody on the way delays what the page sends."""
 
 
-@pytest.fixture
-def watcher(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client(source="watcher") as client:
-        yield client
+watcher = client_fixture("watcher")
 
 
 def alive(watcher: Client, count: int) -> GatewayState:
@@ -45,7 +39,7 @@ def alive(watcher: Client, count: int) -> GatewayState:
 def watching(visitor: Visitor, watcher: Client, script: str = "", **options: Any) -> Opened:
     """A page that checks in."""
     page = visitor.open(script=script, **options)
-    page.page.goto(f"{page.page.url.rstrip('/')}/button")
+    page.go_to_button()
     expect(page["word"]).to_have_text("TAP TO WATCH")
     page["button"].click()
     expect(page["word"]).to_have_text("STOP")
@@ -68,25 +62,6 @@ def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
     expect(page["word"]).to_have_text("STOP")
     page["leave"].click()
     alive(watcher, 0)
-
-
-def test_with_a_buttons_certificate_and_tls_a_tap_stops_by_its_own_name(browser: Browser, tmp_path: Path) -> None:
-    with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 2000}}) as secured, secured.client("otto") as otto:
-        certs.folder.issue(secured.folder, "web", "console", hosts=["127.0.0.1"])
-        certs.folder.issue(secured.folder, "kitchen", "button")
-        files = [f"--cert={secured.folder / 'web.pem'}", f"--key={secured.folder / 'web.key'}"]
-        heard = events(otto)
-        with Console(tmp_path / "console", *files, f"--zenoh-config={secured.folder / 'kitchen.json5'}") as console:
-            verify = ssl.create_default_context(cafile=secured.folder / "web-ca.pem")
-            with Visitor(browser, console.url, sign_in(console.new_link(), verify)) as visitor:
-                page = watching(visitor, otto, ignore_https_errors=True)
-                (name,) = otto.state().buttons.names
-                assert name.startswith("kitchen/page ")
-                expect(page["count"]).to_have_text(f"{name} · 1 of 1 alive")
-                page["button"].click()
-                expect(page["known"]).to_have_text("6 Stops written")
-                assert heard.wait(lambda event: event.kind == Kind.ESTOP_ENGAGED).source == name
-                assert otto.state().estop_source == name
 
 
 def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_connection(
@@ -115,7 +90,7 @@ def test_a_page_of_a_button_stops_and_drives_nothing_and_one_that_looks_does_nei
     ):
         if role == "observer":
             page = visitor.open()
-            page.page.goto(f"{console.url}/button")
+            page.go_to_button()
             expect(page["word"]).to_have_text("NO BUTTON")
             page["button"].click()
             expect(page["word"]).to_have_text("NO BUTTON")
@@ -155,7 +130,7 @@ def test_answers_that_come_late_are_seen_and_a_registration_that_was_held_back_d
     expect(page["word"]).to_have_text("STOP")
     page["leave"].click()
     page = visitor.open(script=HELD_BACK)
-    page.page.goto(f"{page.page.url.rstrip('/')}/button")
+    page.go_to_button()
     page.page.evaluate("window.heldBackMs = { register: 600 }")
     page["button"].click()
     expect(page["known"]).to_contain_text("to register took 0.6 s, which is too long")

@@ -1,8 +1,6 @@
 """The page tells the true cause, in its viewer's words, and what cannot work looks so."""
 
 import re
-from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,32 +25,6 @@ CAUSES: Final = (
 )  # fmt: skip
 
 
-class Robot:
-    """A gateway that can be started again at its port, and its console."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        settings = patient(lease={"ttl_ms": 1500}, zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
-        self._settings = settings
-        self.gateway = Gateway(folder, settings, options=("--sim",))
-        self.console = Console(folder, "--connect", self.gateway.endpoint)
-
-    def start_again(self) -> None:
-        self.gateway = Gateway(self._folder, self._settings, options=("--sim",))
-
-    def close(self) -> None:
-        self.console.close()
-        self.gateway.close()
-
-
-@pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Robot]:
-    with ExitStack() as stack:
-        running = Robot(tmp_path)
-        stack.callback(running.close)
-        yield running
-
-
 def expect_grey(page: Opened, *, grey: bool) -> None:
     """Whether what moves the robot looks as if it could not."""
     for name in ("stand", "sit", "lower", "higher", "speed-slow", "speed-fast", "gait-tripod"):
@@ -62,15 +34,20 @@ def expect_grey(page: Opened, *, grey: bool) -> None:
 
 
 def test_a_restarted_gateway_is_the_cause_and_a_phone_is_sent_to_a_person_and_not_to_a_terminal(
-    robot: Robot, browser: Browser
+    tmp_path: Path, browser: Browser
 ) -> None:
-    with Visitor(browser, robot.console.url, robot.console.sign_in()) as visitor:
+    settings = patient(lease={"ttl_ms": 1500}, zenoh={"listen": [f"tcp/127.0.0.1:{free_port()}"]})
+    with (
+        Gateway(tmp_path, settings) as gateway,
+        Console(tmp_path, "--connect", gateway.endpoint) as console,
+        Visitor(browser, console.url, console.sign_in()) as visitor,
+    ):
         phone, desk = visitor.open(**PHONE), visitor.open()
         phone.get_lease()
         expect_grey(phone, grey=False)
         phone["stand"].click()
         expect(phone["walk-known"]).to_contain_text("It stands")
-        robot.gateway.close()
+        gateway.close()
         expect(phone["driver"]).to_have_text("unknown", timeout=WITHOUT_GATEWAY_MS)
         for told in (phone["driver"], phone.said):
             expect(told).not_to_have_text(re.compile("^[Yy]ou( drive.*)?$|^It stands"), timeout=WITHOUT_GATEWAY_MS)
@@ -86,11 +63,11 @@ def test_a_restarted_gateway_is_the_cause_and_a_phone_is_sent_to_a_person_and_no
             page["stop-known"].click()
             expect(page.said).to_contain_text(reason)
         assert not TYPED.search(" ".join(phone.page.locator("#stop, #said").all_inner_texts()))
-        robot.start_again()
-        expect(phone.said).to_have_text(
-            "You do not drive any more: the gateway was started again. Press Drive to go on."
-        )
-        expect(phone["driver"]).to_have_text("nobody")
+        with Gateway(tmp_path, settings):
+            expect(phone.said).to_have_text(
+                "You do not drive any more: the gateway was started again. Press Drive to go on."
+            )
+            expect(phone["driver"]).to_have_text("nobody")
 
 
 def test_who_moves_the_legs_without_the_lease_is_named(visitor: Visitor, gateway: Gateway) -> None:

@@ -18,8 +18,7 @@ def running(gateway: Gateway) -> bool:
 
 def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) -> None:
     anna, bert = visitor.open(), visitor.open()
-    anna["lease-acquire"].click()
-    expect(anna["driver"]).to_have_text("you")
+    anna.get_lease()
     expect(bert["driver"]).to_contain_text("(page ")
     bert.page.keyboard.press("h")
     expect(bert.said).to_contain_text("this page does not have the lease")

@@ -13,23 +13,18 @@ from gateway.people.walking import Robot
 from gateway.people.walking.planning import lying_deg
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Telemetry
-from tests.console.browser import Opened, Visitor
+from tests.console.browser import CHANGES, Opened, Visitor
 from tests.support.fixtures import client_fixture
 from tests.support.heard import states
 from tests.support.measuring import LEANING, measures
 
 pytestmark = pytest.mark.browser
 
-WHOLE: Final = """
-window.controller = { protocol: "elkapod-2025", alive: true, age_ms: 5 };
-const listen = WebSocket.prototype.addEventListener;
-WebSocket.prototype.addEventListener = function (name, heard, ...more) {
-  listen.call(this, name, name !== "message" ? heard : (event) => {
-    const message = JSON.parse(event.data);
-    if (message.type === "state") [message.whole, message.state.controller] = [true, window.controller];
-    heard({ data: JSON.stringify(message) });
-  }, ...more);
-};
+WHOLE: Final = f"""{CHANGES}
+window.controller = {{ protocol: "elkapod-2025", alive: true, age_ms: 5 }};
+window.change = (message) => {{
+  if (message.type === "state") [message.whole, message.state.controller] = [true, window.controller];
+}};
 """
 """Each state is that of a robot of which only the whole starts; the gateway behind it takes whole starts as well."""
 robot = client_fixture("watcher")

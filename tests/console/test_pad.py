@@ -56,8 +56,7 @@ robot = client_fixture("watcher")
 
 def driving(visitor: Visitor) -> Opened:
     page = visitor.open(script=WISHES + browser.PHONE, **PHONE)
-    page["lease-acquire"].click()
-    expect(page["driver"]).to_have_text("you")
+    page.get_lease()
     return page
 
 
@@ -93,16 +92,6 @@ def test_a_phone_that_is_turned_while_it_walks_stands_still(visitor: Visitor) ->
     page.page.wait_for_function(STANDS_AGAIN)
     expect(page.said).to_have_text("It stands still: the page moved under the thumb.")
     expect(page["pad"]).to_have_attribute("data-held", "no")
-
-
-def test_a_thumb_that_lay_on_the_pad_while_the_page_was_hidden_counts_no_more(visitor: Visitor) -> None:
-    page = driving(visitor)
-    thumb = Thumb(page)
-    page.page.evaluate(HIDE)
-    page.page.evaluate(SHOW)
-    thumb.move(0, -30)
-    thumb.cancel()
-    assert page.page.evaluate("window.wishes") == []
 
 
 def throttle(devtools: CDPSession, bytes_a_second: int) -> None:

@@ -11,20 +11,12 @@ from playwright.sync_api import Browser, expect
 
 from schemas.robot import LEGS
 from tests.console.browser import Visitor
-from tests.support.child import Child, frozen
+from tests.support.child import Child
 from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.browser
 
-COUNT_ATTEMPTS: Final = """
-() => {
-  window.attempts = 0;
-  const real = window.fetch;
-  window.fetch = (...given) => { window.attempts += 1; return real(...given); };
-}
-"""
-"""To connect: a page asks for the console's proof first."""
 PHONE: Final = {"width": 360, "height": 740}
 HELD: Final = {"width": 390, "height": 844}
 
@@ -124,8 +116,7 @@ def test_axe_finds_nothing(visitor: Visitor, layout: dict[str, Any]) -> None:
                 found[what, scheme, each["id"]] = each["nodes"][0]["html"]
 
     look("watching")
-    page["lease-acquire"].click()
-    expect(page["driver"]).to_have_text("you")
+    page.get_lease()
     look("driving")
     page.show_rest()
     look("more")
@@ -176,19 +167,3 @@ def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_h
         assert console.run("--sign-out").returncode == 0
         expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
         expect(page["stop-known"]).to_contain_text("You are not signed in")
-
-
-def test_a_stop_that_was_asked_of_a_frozen_console_is_asked_again(
-    visitor: Visitor, console: Console, gateway: Gateway
-) -> None:
-    page = visitor.open()
-    page.page.evaluate(COUNT_ATTEMPTS)
-    with frozen(console.child.pid):
-        page.page.keyboard.press("Escape")
-        expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
-        expect(page["stop-known"]).to_contain_text("asked again once connected")
-        page.page.wait_for_function("() => window.attempts >= 1")  # the old connection is given up
-    expect(page["stop-known"]).to_contain_text("6 Stops written within")
-    assert any("no answer yet: use the switch" in line for line in visitor.lines)
-    with gateway.client() as robot:
-        assert robot.state().mode == "estopped"

@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import expect
 
 from gateway.people.client.dangers import UNCONFIRMED
-from tests.console.browser import Visitor
+from tests.console.browser import CHANGES, Visitor
 from tests.console.test_measured import expect_no_serious_violation
 from tests.support.fixtures import client_fixture
 
@@ -17,14 +17,9 @@ FED: Final = {"power": "18 fed", "unconfirmed": ""}
 NOT_CONFIRMED: Final = {"power": "off not confirmed, 18 fed", "unconfirmed": UNCONFIRMED}
 BOARD: Final = """
 window.board = %s;
-const listen = WebSocket.prototype.addEventListener;
-WebSocket.prototype.addEventListener = function (name, heard, ...more) {
-  listen.call(this, name, name !== "message" ? heard : (event) => {
-    const message = JSON.parse(event.data);
-    if (message.type === "state") Object.assign(message, window.board);
-    if (message.type === "stop" && message.answered) message.power = ", power confirmed off after 34 ms";
-    heard({ data: JSON.stringify(message) });
-  }, ...more);
+window.change = (message) => {
+  if (message.type === "state") Object.assign(message, window.board);
+  if (message.type === "stop" && message.answered) message.power = ", power confirmed off after 34 ms";
 };
 """
 """What the console says of a power board, while the gateway behind it has none."""
@@ -32,12 +27,8 @@ WebSocket.prototype.addEventListener = function (name, heard, ...more) {
 robot = client_fixture("watcher")
 
 
-def board(**said: str) -> str:
-    return BOARD % json.dumps(said)
-
-
 def test_a_stop_that_the_board_does_not_confirm_is_red_and_one_that_it_confirms_has_its_time(visitor: Visitor) -> None:
-    page = visitor.open(script=board(**FED))
+    page = visitor.open(script=CHANGES + BOARD % json.dumps(FED))
     page["stop-all"].click()
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
     expect(page["stop-known"]).to_contain_text("ms, power confirmed off after 34 ms")
@@ -53,8 +44,8 @@ def test_a_stop_that_the_board_does_not_confirm_is_red_and_one_that_it_confirms_
 
 
 def test_the_button_of_a_robot_whose_stop_is_not_confirmed_is_red(visitor: Visitor) -> None:
-    page = visitor.open(script=board(**FED))
-    page.page.goto(f"{page.page.url.rstrip('/')}/button")
+    page = visitor.open(script=CHANGES + BOARD % json.dumps(FED))
+    page.go_to_button()
     page["button"].click()
     expect(page["word"]).to_have_text("STOP")
     page.page.evaluate("(said) => (window.board = said)", NOT_CONFIRMED)

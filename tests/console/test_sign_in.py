@@ -1,7 +1,6 @@
 """How a browser gets in, stays in, and what a page of somebody else's gets of it."""
 
 import http.server
-import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,11 +8,9 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, ViewportSize, expect
-from websockets.exceptions import InvalidStatus
 
 from tests.console.browser import LATE_MS, WITHOUT_WEBGL
-from tests.support.console_process import Console, SignedIn
-from tests.support.console_process import Page as Thief
+from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
 
 pytestmark = pytest.mark.browser
@@ -53,20 +50,6 @@ def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> Non
     expect_live(second)
 
 
-def test_a_page_at_another_port_gets_the_cookie_and_nothing_by_it(victim: Page, console: Console) -> None:
-    """Of another user of this machine, opened by somebody who is signed in; see docs/certificates.md."""
-    with listening() as (port, requests):
-        there = victim.context.new_page()
-        there.goto(f"http://127.0.0.1:{port}/")
-        assert there.evaluate("localStorage.length") == 0
-        found = re.search(f"hexapod-console-{console.port}=[^;\r\n]+", requests[0])
-        assert found is not None, "a browser sends it to all ports"
-    for key in ("", "0" * 43):
-        thief = SignedIn(found[0], key)
-        with pytest.raises(InvalidStatus, match="403"):
-            Thief(console.url, thief)
-
-
 def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
     browser: Browser, gateway: Gateway, tmp_path: Path
 ) -> None:
@@ -75,7 +58,7 @@ def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
     with signed_in(browser, console) as page:
         key = page.evaluate("localStorage.getItem('hexapod-console-key')")
         console.close()
-        with listening(console.port) as (_, requests):
+        with listening(console.port) as requests:
             expect(page.locator("#stop-known")).to_contain_text("another program may listen here")
             assert len(requests) > 0
             assert not [each for each in requests if key in each]
@@ -85,8 +68,8 @@ def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
 
 
 @contextmanager
-def listening(at: int = 0) -> Iterator[tuple[int, list[str]]]:
-    """A web server of somebody else's, at another port or at that one; the requests that it got."""
+def listening(at: int) -> Iterator[list[str]]:
+    """A web server of somebody else's, at that port; the requests that it got."""
     requests: list[str] = []
 
     class Handler(http.server.BaseHTTPRequestHandler):
@@ -99,5 +82,5 @@ def listening(at: int = 0) -> Iterator[tuple[int, list[str]]]:
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", at), Handler) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield server.server_port, requests
+        yield requests
         server.shutdown()

@@ -233,15 +233,14 @@ def test_nothing_on_the_driving_page_shifts_is_covered_cut_off_or_out_of_a_thumb
 
 def faults(page: Opened) -> list[str]:
     """In sentences."""
-    source = "root"
     found, places = [], dict[str, tuple[str, str]]()
-    for name, told in situations(source).items():
+    for name, told in situations("root").items():
         seen = page.page.evaluate(SHOW, told)
         for element, box in seen["boxes"].items():
             since, before = places.setdefault(element, (name, box))
             if box != before:
                 found.append(f"{name}: {element} is at {box}, and {since}: at {before}")
-        found += [f"{name}: {element} is {how}" for how in ("cut",) for element in seen[how]]
+        found += [f"{name}: {element} is cut" for element in seen["cut"]]
         found += [f"{name}: {element}" for element in dict.fromkeys(seen["covered"])]
         found += [f"{name}: the page scrolls"] if seen["scrolls"] else []
     return found

@@ -1,8 +1,6 @@
 """Walking by the page: thumb, keys and gamepad on a real gateway, and what silences them."""
 
-import os
 import re
-import signal
 from collections import deque
 from functools import partial
 
@@ -11,6 +9,7 @@ from playwright.sync_api import expect
 
 from gateway.client import Client
 from tests.console.browser import GAMEPAD, HIDE, SHOW, WISHES, Opened, Visitor, walks
+from tests.support.child import frozen
 from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
 
@@ -21,11 +20,6 @@ gateway = gateway_fixture(patient())
 console = console_fixture()
 session = session_fixture()
 robot = client_fixture("watcher")
-
-
-def drive(page: Opened) -> None:
-    page["lease-acquire"].click()
-    expect(page["driver"]).to_have_text("you")
 
 
 def push(page: Opened) -> None:
@@ -54,7 +48,7 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     page.page.keyboard.down("w")
     expect(page.said).to_have_text("Nothing moves: this page does not have the lease.")
     page.page.keyboard.up("w")
-    drive(page)
+    page.get_lease()
     page["stand"].click()
     expect(page.said).to_have_text("It stands.")
     for key in ("w", "q"):
@@ -91,7 +85,7 @@ def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(
     visitor: Visitor,
 ) -> None:
     page = visitor.open(script=GAMEPAD + WISHES)
-    drive(page)
+    page.get_lease()
     walks(page, push_stick)
     page.page.evaluate("window.muted = true")
     expect(page.said).to_have_text("It stands still: the console received nothing of this page for a moment.")
@@ -109,7 +103,7 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
     """A browser shows the last values of one that is out of reach, for ever: its stick seems to be held."""
     page = visitor.open(script=GAMEPAD + WISHES)
     expect(page["gamepad-unusable"]).to_contain_text("Unknown stick")
-    drive(page)
+    page.get_lease()
     walks(page, push_stick)
     page.page.evaluate("window.frozen = true")
     expect(page.said).to_have_text(
@@ -129,7 +123,7 @@ def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pres
 ) -> None:
     """On a phone a reload is one pull with the thumb. A page of another browser gets nothing by it."""
     page = visitor.open(script=WISHES)
-    drive(page)
+    page.get_lease()
     walks(page, push)
     page.page.reload()
     expect(page["driver"]).to_have_text("you", timeout=2000)
@@ -145,7 +139,7 @@ def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pres
 
 def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor, robot: Client) -> None:
     page = visitor.open()
-    drive(page)
+    page.get_lease()
     walks(page, push)
     page.page.evaluate(HIDE)
     expect(page.said).to_contain_text("It stands still: this page is hidden")
@@ -162,16 +156,10 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_o
     visitor: Visitor, robot: Client
 ) -> None:
     page = visitor.open()
-    drive(page)
+    page.get_lease()
     walks(page, push)
-    renderers = visitor.renderers()
-    for renderer in renderers:
-        os.kill(renderer, signal.SIGSTOP)
-    try:
+    with frozen(*visitor.renderers()):
         wait_until_it_stands_still(robot)
-    finally:
-        for renderer in renderers:
-            os.kill(renderer, signal.SIGCONT)
     expect(page.said).to_contain_text(
         re.compile("It stands still: (this page was frozen|the console received nothing)")
     )

@@ -11,32 +11,9 @@ NAMES = ("op", "angle_deg", "servos", "legs", "source", "sent_ms", "1", "6", "7"
 
 
 PIECES = (
-    *(
-        b'"op"',
-        b'"stop"',
-        b'"start"',
-        b'"servos"',
-        b'"legs"',
-        b'"estop"',
-        b'"sent_ms"',
-        b'{"op":"stop"}',
-        b"{",
-        b"[",
-        b",",
-    ),
-    *(
-        b"null",
-        b"NaN",
-        b"-Infinity",
-        b"1e999",
-        b'"\\ud800"',
-        "\ufeff".encode(),
-        b"0x",
-        b"06 02",
-        b"0e01",
-        b"\0\x01",
-        b"\xff",
-    ),
+    *(b'"op"', b'"stop"', b'"start"', b'"servos"', b'"legs"', b'"estop"', b'"sent_ms"', b'{"op":"stop"}'),
+    *(b"{", b"[", b",", b"null", b"NaN", b"-Infinity", b"1e999", b'"\\ud800"', "\ufeff".encode()),
+    *(b"0x", b"06 02", b"0e01", b"\0\x01", b"\xff"),
 )
 
 

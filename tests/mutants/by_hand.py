@@ -41,11 +41,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand("a second host is never tried", "for host in hosts])\n", "for host in hosts[:1]])\n"),
         ByHand("a laptop listens, too", 'mode: "client",', 'mode: "peer",'),
-        ByHand(
-            "an IPv6 address cannot be dialled",
-            'tls/[{host}]:{port}" if ":" in host',
-            'tls/[{host}]:{port}" if ":" not in host',
-        ),
     ),
     "gateway/robot/zenoh_io/inbox.py": (
         ByHand(
@@ -193,7 +188,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand("the runs go on for ever", "        self._runs_left -= 1\n", ""),
     ),
     "gateway/robot/core/backlog.py": (
-        ByHand("a start does not wait", "leg.slots.wait_until(now_ns + self._rules.start_wait_ns)", "pass"),
         ByHand(
             "starts that wait are not dropped", "return self._legs.drop(waiting, Reason.STALE, _why(key))", "return []"
         ),

@@ -6,8 +6,8 @@ An operator has `mutation_positions(node)` and `mutate(node, index)` on parso's 
 
 import ast
 import re
-from collections.abc import Iterator
-from typing import Final, Protocol
+from collections.abc import Callable, Iterator
+from typing import Any, Final, NamedTuple, Protocol
 
 from cosmic_ray.operators.provider import OperatorProvider
 from parso.python.tree import Keyword, Newline, Number, String
@@ -30,88 +30,62 @@ class Operator(Protocol):
         """The node with this fault, which may be the same object."""
 
 
-class Forget:
-    """A statement whose effect is missing: a call, an assignment to what outlives the function, raise, del, return.
+class Ours(NamedTuple):
+    """An operator of our own."""
 
-    Its lines stay, so that all others keep their numbers.
-    """
-
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """All but docstrings, and assignments to names of the function's own."""
-        if isinstance(node, BaseNode) and node.type == "simple_stmt" and _has_effect(node.children[0]):
-            yield node.start_pos, node.end_pos
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """`pass`, and as many lines as there were."""
-        assert isinstance(node, BaseNode)
-        assert index == 0
-        lines = node.get_code(include_prefix=False).count("\n")
-        prefix = node.get_first_leaf().prefix
-        node.children = [Keyword("pass", node.start_pos, prefix), Newline("\n" * lines, node.end_pos, "")]
-        return node
-
-
-class IgnoreGuard:
-    """`case … if …:` without its condition; parso knows no `match`, so this one looks at the words."""
+    ways: Callable[[Any], int]
+    """In how many ways it can be made in a node."""
+    change: Callable[[Any, int], Any]
 
     def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Each `if` that has a `case` before it in its line."""
-        if isinstance(node, Keyword) and node.value == "if" and _in_a_case(node):
-            yield node.start_pos, node.end_pos
+        yield from [(node.start_pos, node.end_pos)] * self.ways(node)
 
     def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """`if True or …`."""
-        assert isinstance(node, Keyword)
-        assert index == 0
-        node.value = "if True or"
-        return node
+        changed: NodeOrLeaf = self.change(node, index)
+        return changed
 
 
-class CatchNothing:
+def _forget(node: Any, _: int) -> Any:
+    """`pass` for a statement, and as many lines as there were, so that all others keep their numbers."""
+    lines = node.get_code(include_prefix=False).count("\n")
+    prefix = node.get_first_leaf().prefix
+    node.children = [Keyword("pass", node.start_pos, prefix), Newline("\n" * lines, node.end_pos, "")]
+    return node
+
+
+def _ignore_guard(node: Any, _: int) -> Any:
+    """`case … if True or …`; parso knows no `match`, so this one looks at the words."""
+    node.value = "if True or"
+    return node
+
+
+def _catch_nothing(node: Any, _: int) -> Any:
     """`except ():`; cosmic-ray's operator for this knows no names with dots."""
-
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Each `except …`."""
-        if isinstance(node, BaseNode) and node.type == "except_clause":
-            yield node.start_pos, node.end_pos
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """The clause with no exception."""
-        assert isinstance(node, BaseNode)
-        assert index == 0
-        exception = node.children[1]
-        node.children = [node.children[0], Keyword("()", exception.start_pos, " "), *node.children[2:]]
-        return node
+    exception = node.children[1]
+    node.children = [node.children[0], Keyword("()", exception.start_pos, " "), *node.children[2:]]
+    return node
 
 
-class LeaveOut:
-    """A named argument that is not given, an element that is missing."""
-
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Each of a list, set, tuple or call that has several in brackets, and a call's only one."""
-        if isinstance(node, BaseNode):
-            yield from ((each.start_pos, each.end_pos) for each in _dispensable(node))
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """The rest, with the commas that stand between."""
-        assert isinstance(node, BaseNode)
-        gone = _dispensable(node)[index]
-        place = node.children.index(gone)
-        last = place + 1 == len(node.children) and place > 0
-        comma = node.children[1]
-        node.children = [*node.children[: place - last], *node.children[place + 2 - last - (node.type == "trailer") :]]
-        if node.type == "testlist_comp" and len(node.children) == 1:
-            node.children.append(comma)  # else a tuple of one would be none
-        return node
+def _leave_out(node: Any, index: int) -> Any:
+    """A named argument that is not given, an element that is missing: the rest, with the commas that stand between."""
+    gone = _dispensable(node)[index]
+    place = node.children.index(gone)
+    last = place + 1 == len(node.children) and place > 0
+    comma = node.children[1]
+    node.children = [*node.children[: place - last], *node.children[place + 2 - last - (node.type == "trailer") :]]
+    if node.type == "testlist_comp" and len(node.children) == 1:
+        node.children.append(comma)  # else a tuple of one would be none
+    return node
 
 
-def _dispensable(node: BaseNode) -> list[NodeOrLeaf]:
-    children: list[NodeOrLeaf] = node.children
+def _dispensable(node: Any) -> list[Any]:
+    """Of a list, set, tuple or call that has several in brackets, each; and a call's only named argument."""
+    if not isinstance(node, BaseNode):
+        return []
+    children: list[Any] = node.children
     if node.type in ("arglist", "trailer"):
         return [
-            each
-            for each in node.children
-            if each.type == "argument" and "=" in (leaf.get_code() for leaf in each.children)
+            each for each in children if each.type == "argument" and "=" in (leaf.get_code() for leaf in each.children)
         ]
     sign = children[1] if len(children) > 2 else node
     if node.type in ("testlist_comp", "dictorsetmaker") and sign.get_code() == ",":
@@ -119,65 +93,32 @@ def _dispensable(node: BaseNode) -> list[NodeOrLeaf]:
     return []
 
 
-class Step:
-    """A small number: one more, and one less, by cosmic-ray's operator."""
-
-    _theirs = OperatorProvider()["NumberReplacer"]()
-
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Twice for each number below `SCALED_FROM`."""
-        if isinstance(node, Number) and not _is_large(node):
-            yield from self._theirs.mutation_positions(node)
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """The other number."""
-        stepped: NodeOrLeaf = self._theirs.mutate(node, index)
-        return stepped
+def _scale(node: Any, index: int) -> Any:
+    """A large number twice, and half; in brackets, since it may stand beside an operator."""
+    node.value = f"({node.value} {('* 2', '// 2')[index]})"
+    return node
 
 
-class Scale:
-    """A large number: twice, and half."""
-
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Twice for each number from `SCALED_FROM` on."""
-        if isinstance(node, Number) and _is_large(node):
-            yield node.start_pos, node.end_pos
-            yield node.start_pos, node.end_pos
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """In brackets, since it may stand beside an operator."""
-        assert isinstance(node, Number)
-        node.value = f"({node.value} {('* 2', '// 2')[index]})"
-        return node
+def _flip(node: Any, index: int) -> Any:
+    """The other word for a `true` or a `false` in a text of several lines, such as the template of a configuration."""
+    flag = _flags(node)[index]
+    other = "false" if flag.group() == "true" else "true"
+    node.value = node.value[: flag.start()] + other + node.value[flag.end() :]
+    return node
 
 
-class Flip:
-    """A `true` or a `false` in a text of several lines, such as the template of a configuration."""
-
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
-        """Each of them, but not in docstrings."""
-        if isinstance(node, String) and node.parent is not None and node.parent.type != "simple_stmt":
-            yield from ((node.start_pos, node.end_pos) for _ in _flags(node))
-
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:
-        """The text with the other word."""
-        assert isinstance(node, String)
-        flag = _flags(node)[index]
-        other = "false" if flag.group() == "true" else "true"
-        node.value = node.value[: flag.start()] + other + node.value[flag.end() :]
-        return node
+def _flags(node: Any) -> list[re.Match[str]]:
+    """In a string, but not in docstrings."""
+    is_text = isinstance(node, String) and "\n" in node.value and node.parent.type != "simple_stmt"
+    return list(re.finditer(r"\b(true|false)\b", node.value)) if is_text else []
 
 
-def _flags(text: String) -> list[re.Match[str]]:
-    return list(re.finditer(r"\b(true|false)\b", text.value)) if "\n" in text.value else []
-
-
-def _is_large(number: Number) -> bool:
-    value: float = ast.literal_eval(number.value)
-    return value >= SCALED_FROM
+def _is_number(node: Any, *, large: bool) -> bool:
+    return isinstance(node, Number) and (ast.literal_eval(node.value) >= SCALED_FROM) is large
 
 
 def _has_effect(statement: NodeOrLeaf) -> bool:
+    """A call, an assignment to what outlives the function, raise, del, return; no docstring, no name of its own."""
     match statement.type:
         case "atom_expr" | "raise_stmt" | "del_stmt":
             return True
@@ -223,9 +164,22 @@ _NAMES: Final = (
 and say nothing else (whoever notices `-` for `+` notices `**`, too)."""
 
 
+_STEPS: Final = OperatorProvider()["NumberReplacer"]()
+_OURS: Final[dict[str, Operator]] = {
+    "CatchNothing": Ours(lambda node: node.type == "except_clause", _catch_nothing),
+    "Flip": Ours(lambda node: len(_flags(node)), _flip),
+    "Forget": Ours(lambda node: node.type == "simple_stmt" and _has_effect(node.children[0]), _forget),
+    "IgnoreGuard": Ours(
+        lambda node: isinstance(node, Keyword) and node.value == "if" and _in_a_case(node), _ignore_guard
+    ),
+    "LeaveOut": Ours(lambda node: len(_dispensable(node)), _leave_out),
+    "Scale": Ours(lambda node: 2 * _is_number(node, large=True), _scale),
+    # A small number: one more, and one less, by cosmic-ray's operator.
+    "Step": Ours(lambda node: 2 * _is_number(node, large=False), _STEPS.mutate),
+}
+
+
 def operators() -> dict[str, Operator]:
     """All of them by name."""
     provider = OperatorProvider()
-    theirs: dict[str, Operator] = {name: provider[name]() for name in _NAMES}
-    ours: tuple[Operator, ...] = (CatchNothing(), Flip(), Forget(), IgnoreGuard(), LeaveOut(), Scale(), Step())
-    return theirs | {type(operator).__name__: operator for operator in ours}
+    return {name: provider[name]() for name in _NAMES} | _OURS
