@@ -17,18 +17,13 @@ MOST_STATES = 60_000
 """Some minutes of search; the largest of these robots has a third of them."""
 
 
+@pytest.mark.parametrize("most_states", [400, pytest.param(2500, marks=pytest.mark.searches)])
 @pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
-def test_the_states_near_the_beginning_keep_every_promise(configuration: Configuration) -> None:
-    """What `make test` has of the search: in all, some three commands deep."""
-    assert check(configuration, most_states=400).states >= 400
-
-
-@pytest.mark.searches
-@pytest.mark.parametrize("configuration", CONFIGURATIONS, ids=lambda configuration: configuration.name)
-def test_the_states_behind_them_keep_every_promise(configuration: Configuration) -> None:
-    """What `make test-all` has of it: a third of these robots whole, ten seconds of each other."""
-    report = check(configuration, most_states=2500)
+def test_the_states_near_the_beginning_keep_every_promise(configuration: Configuration, most_states: int) -> None:
+    """In `make test` some three commands deep; in `make test-all` a third of these robots whole."""
+    report = check(configuration, most_states=most_states)
     print(f"{configuration.name}: {report.states} states, {report.steps} steps{', all' if report.whole else ''}")
+    assert report.states >= 400
 
 
 @pytest.mark.searches
