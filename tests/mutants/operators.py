@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Final, NamedTuple, Protocol
 
 from cosmic_ray.operators.provider import OperatorProvider
-from parso.python.tree import Keyword, Newline, Number, String
+from parso.python.tree import Keyword, Newline, Number
 from parso.tree import BaseNode, NodeOrLeaf
 
 Span = tuple[tuple[int, int], tuple[int, int]]
@@ -109,7 +109,7 @@ def _flip(node: Any, index: int) -> Any:
 
 def _flags(node: Any) -> list[re.Match[str]]:
     """In a string, but not in docstrings."""
-    is_text = isinstance(node, String) and "\n" in node.value and node.parent.type != "simple_stmt"
+    is_text = node.type == "string" and "\n" in node.value and node.parent.type != "simple_stmt"
     return list(re.finditer(r"\b(true|false)\b", node.value)) if is_text else []
 
 
