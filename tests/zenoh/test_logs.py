@@ -62,15 +62,9 @@ def read(terminal: int) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def written() -> list[str]:
+def lines() -> list[dict[str, Any]]:
     """SPEAKER's lines to a pipe, where the format is chosen for it."""
-    return spoken("-X", "dev")
-
-
-@pytest.fixture(scope="module")
-def lines(written: list[str]) -> list[dict[str, Any]]:
-    """The same, read."""
-    return [json.loads(line) for line in written]
+    return [json.loads(line) for line in spoken("-X", "dev")]
 
 
 def test_each_line_is_json_with_time_level_and_message(lines: list[dict[str, Any]]) -> None:
