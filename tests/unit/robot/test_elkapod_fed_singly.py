@@ -6,8 +6,7 @@ from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START
 from gateway.model.frames import STARTS, STOP, Frame, OneLeg, OneServo
 from gateway.robot.protocol.elkapod import Commanded
-from schemas.robot import SERVO_IDS
-from tests.unit.robot.test_elkapod_wire import MS, STOPS, Parts, starts
+from tests.unit.robot.test_elkapod_wire import Parts
 
 
 def start(servo_id: int, angle_cdeg: int = 80_00) -> Frame:
@@ -79,30 +78,6 @@ def test_a_servo_that_does_not_run_keeps_its_angle_in_a_frame_about_others(comma
     assert elkapod.angles_of(commanded.frame())[13] == 70.0
 
 
-# ---- the bus
-
-
-def said_for_a_stop_of_leg_1(parts: Parts) -> list[bytes]:
-    """What the UART says for it while all eighteen servos run."""
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    assert parts.bus.write(starts()).fault is None
-    parts.cycle()
-    parts.cycle()
-    assert parts.said[-1] == START
-    parts.said.clear()
-    (sent,) = parts.bus.write(STOPS[:1]).sent
-    assert sent.received
-    return parts.said
-
-
 def test_the_board_stops_one_leg_and_the_others_go_on() -> None:
-    parts = Parts(fed_singly=True)
-    assert said_for_a_stop_of_leg_1(parts) == []
-    assert len(parts.bus.ready_servos(dict.fromkeys(SERVO_IDS))) == 15
-
-
-def test_without_a_board_that_feeds_each_a_stop_of_one_leg_shuts_down_all() -> None:
-    parts = Parts()
-    assert said_for_a_stop_of_leg_1(parts) == [SHUTDOWN]
-    assert parts.bus.ready_servos(dict.fromkeys(SERVO_IDS)) == frozenset()
+    Parts(fed_singly=True).play("""
+        open; at 100; starts; cycle 2; stops 1 → shutdown start; received [True]; ready 15""")

@@ -1,19 +1,22 @@
 """elkapod-2025: what is said when, and whether the controller is alive."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
+from typing import Final
 
 import pytest
 
-from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
+from gateway.errors import SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START, Measured
 from gateway.model.frames import SETS, STARTS, Frame, OneLeg, OneServo, stop_leg
+from gateway.robot.protocol import BatchReport
 from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
+from tests.support.lines import play
 
 MS = 1_000_000
 SILENT_NS = 300 * MS
@@ -202,31 +205,38 @@ def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
 class Parts(DuplexDevice, Uart):
     """Both sides of a controller, which fail as the test sets them to."""
 
-    def __init__(self, **more: bool) -> None:
+    def __init__(self, *, fed_singly: bool = False) -> None:
         self.said: list[bytes] = []
         self.now_ns = 0
         self.opened = self.closed = 0
         self.write_takes_ns = 0
         self.answers: list[bytes] = []
-        self.spi_fails = self.uart_fails = self.write_fails = self.hangs_up = self.beats = False
+        self.frame: bytes | None = None
+        self.report = BatchReport()
+        self.error: Exception | None = None
+        self.failing: set[str] = set()
+        """What fails: `spi`, `uart` (also its opening), `writing`, `reading`."""
+        self.beats = False
         self.bus = CyclicBus(
             self._open,
             self._open_uart,
             silent_ns=SILENT_NS,
             before_frames_ns=70 * MS,
             clock=lambda: self.now_ns,
-            **more,
+            fed_singly=fed_singly,
         )
 
+    def _fail(self, what: str, sentence: str) -> None:
+        if what in self.failing:
+            raise SpiError(sentence)
+
     def _open(self) -> DuplexDevice:
-        if self.spi_fails:
-            raise SpiError("no SPI")
+        self._fail("spi", "no SPI")
         self.opened += 1
         return self
 
     def _open_uart(self) -> Uart:
-        if self.uart_fails:
-            raise SpiError("no UART")
+        self._fail("uart", "no UART")
         return self
 
     def stop_servos_at_work(self) -> bool:
@@ -236,172 +246,191 @@ class Parts(DuplexDevice, Uart):
         return "mode 0"
 
     def exchange(self, _data: bytes) -> bytes:
-        if self.spi_fails:
-            raise SpiError("timed out")
+        self._fail("spi", "timed out")
         if self.answers:
             return self.answers.pop()
         return elkapod.answer(AT_REST._replace(temperature_c=self.now_ns / 1e9))
 
     def write(self, data: bytes) -> None:
-        if self.uart_fails or self.write_fails:
-            raise SpiError("hung up")
+        self._fail("uart", "hung up")
+        self._fail("writing", "hung up")
         self.now_ns += self.write_takes_ns
         self.said.append(data)
 
     def read(self) -> bytes:
-        if self.hangs_up:
-            raise SpiError("disconnected")
+        self._fail("reading", "disconnected")
         return elkapod.heartbeat() if self.beats else b""
 
     def close(self) -> None:
         self.closed += 1
 
-    def wait(self, until_ms: int) -> ControllerSilentError | None:
-        """Ask in each cycle whether it is silent, until it is, while no frame is exchanged."""
-        while self.now_ns < until_ms * MS:
+    # ---- scenes
+
+    def play(self, scene: str) -> "Parts":
+        return play(self, scene, DONE, Parts._made, FACTS)
+
+    def _made(self) -> list[str]:
+        """What the UART said."""
+        said, self.said = self.said, []
+        return [{START: "start", SHUTDOWN: "shutdown"}[each] for each in said]
+
+    def try_to(self, do: Callable[[], object]) -> None:
+        try:
+            do()
+        except SpiError as error:
+            self.error = error
+
+    def begin(self) -> None:
+        self.frame = self.bus.begin_cycle(self.now_ns)
+
+    def end(self, took_ms: float = 1) -> None:
+        assert self.frame is not None
+        try:
+            answer = self.bus.exchange(self.frame)
+        except SpiError:
+            self.bus.failed_cycle()
+            raise
+        self.bus.end_cycle(answer, round(took_ms * MS), self.now_ns)
+
+    def cycles(self, number: int, *, watched: bool = False) -> None:
+        """So many, each 20 ms after the last; `watched`: it is asked whether the controller is silent."""
+        for _ in range(number):
             self.now_ns += 20 * MS
-            if (silent := self.bus.silent(self.now_ns)) is not None:
-                return silent
-        return None
+            self.begin()
+            if self.frame is not None:
+                self.end()
+            if watched:
+                self.error = self.error or self.bus.silent(self.now_ns)
 
-    def cycle(self) -> bytes | None:
-        """A cycle, 20 ms later; the frame."""
-        self.now_ns += 20 * MS
-        frame = self.bus.begin_cycle(self.now_ns)
-        if frame is not None:
-            try:
-                answer = self.bus.exchange(frame)
-            except SpiError:
-                self.bus.failed_cycle()
-                raise
-            self.bus.end_cycle(answer, MS, self.now_ns)
-        return frame
+    def wait(self, until_ms: float) -> None:
+        """Ask in each cycle whether it is silent, until it is, while no frame is exchanged."""
+        while self.now_ns < until_ms * MS and self.error is None:
+            self.now_ns += 20 * MS
+            self.error = self.bus.silent(self.now_ns)
 
-
-@pytest.fixture
-def parts() -> Parts:
-    return Parts()
+    @property
+    def fault(self) -> str | None:
+        """What was raised or reported since this was last asked."""
+        found, self.error = self.error or self.report.fault, None
+        self.report = BatchReport()
+        return found and f"{type(found).__name__}: {found}"
 
 
-def test_it_begins_with_shutdowns_and_only_then_with_frames(parts: Parts) -> None:
-    parts.bus.open()
-    assert parts.said == [SHUTDOWN]
-    assert [parts.cycle() for _ in range(3)] == [None] * 3
-    assert angles(parts.cycle()) == {90.0}
+DONE: Final[dict[str, Callable[[Parts, str], object]]] = {
+    "open": lambda parts, _: parts.try_to(parts.bus.open),
+    "release": lambda parts, _: parts.bus.release(),
+    "close": lambda parts, _: parts.bus.close(),
+    "at": lambda parts, ms: setattr(parts, "now_ns", round(float(ms) * MS)),
+    "starts": lambda parts, _: setattr(parts, "report", parts.bus.write(starts())),
+    "stops": lambda parts, legs: setattr(parts, "report", parts.bus.write(STOPS[: int(legs or 6)])),
+    "cycle": lambda parts, number: parts.try_to(lambda: parts.cycles(int(number or 1))),
+    "watched": lambda parts, number: parts.try_to(lambda: parts.cycles(int(number), watched=True)),
+    "begin": lambda parts, _: parts.begin(),
+    "end": lambda parts, ms: parts.try_to(lambda: parts.end(float(ms))),
+    "exchange": lambda parts, _: parts.try_to(lambda: parts.bus.exchange(b"")),
+    "failed": lambda parts, _: parts.bus.failed_cycle(),
+    "wait": lambda parts, until_ms: parts.wait(float(until_ms)),
+    "silent": lambda parts, _: setattr(parts, "error", parts.bus.silent(parts.now_ns)),
+    "fails": lambda parts, what: parts.failing.update(what.split()),
+    "works": lambda parts, _: parts.failing.clear(),
+    "beats": lambda parts, word: setattr(parts, "beats", word == "on"),
+    "answers": lambda parts, _: setattr(parts, "answers", [bytes(80)]),  # as a controller that has just begun
+}
+FACTS: Final[dict[str, Callable[[Parts], object]]] = {
+    "fault": lambda parts: parts.fault,
+    "frame": lambda parts: parts.frame and angles(parts.frame),
+    "alive": lambda parts: parts.bus.controller_alive,
+    "opened": lambda parts: parts.opened,
+    "closed": lambda parts: parts.closed,
+    "errors": lambda parts: parts.bus.errors,
+    "frames": lambda parts: parts.bus.frames,
+    "received": lambda parts: [sent.received for sent in parts.report.sent],
+    "longest": lambda parts: parts.bus.transfer_latency.max_us,
+    "found": lambda parts: parts.bus.put_right(),
+    "at-work": lambda parts: parts.bus.stop_servos_at_work(),
+    "ready": lambda parts: len(parts.bus.ready_servos(dict.fromkeys(SERVO_IDS))),
+}
+SCENES: Final = {
+    "it begins with shutdowns and only then with frames": """
+        open → shutdown
+        cycle 3 → nothing; frame None
+        cycle → nothing; frame {90.0}""",
+    "the first frame leaves when its time has come": """
+        open; at 69.999999; begin → shutdown; frame None
+        at 70; begin → nothing; frame {90.0}""",
+    "a transfer that hangs delays no stop and its start does not come": """
+        open; at 100; starts; cycle → shutdown
+        begin → nothing; found None  # the kernel would answer at the transfer's end
+        stops; end 300 → shutdown; found mode 0; frames 2""",
+    "a failed transfer shuts down at once and the device opens anew": """
+        open; at 100; starts; fails spi; cycle → shutdown shutdown; fault timed out
+        release → nothing; closed 1  # the UART stays open
+        open → shutdown; fault no SPI
+        works; open; cycle 10 → shutdown""",
+    "no device is closed in the middle of a transfer": """
+        open; at 100; begin; release → shutdown; frame {90.0}; closed 0
+        open → shutdown; fault has not ended
+        failed → nothing; closed 1
+        open → shutdown; opened 2""",
+    "a uart that fails opens anew and begins with a shutdown": """
+        open; fails uart; stops → shutdown; fault hung up
+        stops → nothing; fault closed
+        open → nothing; fault no UART
+        works; open → shutdown""",
+    "a silent controller is shut down and counts as back when both signs are": """
+        open; beats on; cycle 4 → shutdown; frame {90.0}; alive True
+        beats off; watched 14 → nothing
+        watched 1 → shutdown; fault no heartbeat
+        silent → nothing; alive False  # reported once
+        release → nothing; closed 0  # its signs of life would come there
+        open → shutdown; fault no heartbeat
+        beats on; cycle; open → shutdown; alive True""",
+    "a restart is shut down in its cycle and nothing that waited is started": """
+        open; beats on; at 100; cycle; starts; cycle → shutdown
+        answers; cycle → shutdown; fault ControllerRestartedError: the controller; alive False
+        release → nothing; closed 0
+        open → shutdown; fault it goes from 00 to 00
+        cycle; open → shutdown; alive True
+        cycle 4 → nothing; frame {80.0}; errors 1  # counted once""",
+    "a uart that hangs up is found by the cycle": """
+        open; at 100; begin; fails reading; end 1 → shutdown; fault disconnected; closed 1; errors 1; longest 1000.0
+        works; open → shutdown""",
+    "a shutdown that cannot be said opens the uart anew": """
+        open; at 100; fails spi uart; cycle → shutdown; fault timed out; closed 1
+        works; fails spi; cycle → nothing; fault timed out  # nothing is left to say it with""",
+    "an opening that cannot shut down fails": "open; fails writing; open → shutdown; fault hung up; closed 1",
+    "the end releases both": """
+        open; close → shutdown; closed 2
+        close → nothing; closed 2
+        exchange → nothing; fault closed""",
+    "other programs are seen on the device": """
+        at 0 → nothing; found None; at-work None
+        open → shutdown; found mode 0; at-work True""",
+    "each fault is counted once": """
+        fails uart; open → nothing; fault no UART; errors 1
+        works; fails spi; open → shutdown; fault no SPI; errors 2
+        works; open; fails uart; stops → shutdown; fault hung up; errors 3
+        works; open; at 100; fails spi; cycle → shutdown shutdown; fault timed out; errors 4
+        release; works; open; wait 1000 → shutdown shutdown; fault ControllerSilentError; errors 5""",
+    "a device that came back has its time to answer": """
+        open; at 100; fails spi; cycle → shutdown shutdown; fault timed out
+        release; works; at 5000; open; wait 5360 → shutdown
+        at 5369; silent → nothing
+        at 5370; silent → shutdown; fault (the last one: none has come)
+        release → nothing; closed 1  # its signs of life would come there""",
+    "a device that fails while the controller is silent opens anew": """
+        open; wait 400 → shutdown shutdown; fault ControllerSilentError
+        fails spi; cycle → shutdown; fault timed out
+        release → nothing; closed 1
+        works; open → shutdown; fault no well-formed answer; opened 2""",
+    "a stop of one leg shuts down all": """
+        open; at 100; starts; cycle 2; stops 1 → shutdown start shutdown; received [True]; ready 0""",
+}
 
 
-def test_a_transfer_that_hangs_delays_no_stop_and_its_start_does_not_come(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    parts.bus.write(starts())
-    parts.cycle()
-    frame = parts.bus.begin_cycle(parts.now_ns)
-    assert frame is not None
-    before = len(parts.said)
-    assert parts.bus.put_right() is None, "the kernel would answer at the transfer's end"
-    parts.bus.write(STOPS)  # while the second transfer is under way
-    parts.bus.end_cycle(parts.bus.exchange(frame), 300 * MS, parts.now_ns)
-    assert parts.said[before:] == [SHUTDOWN]
-    assert parts.bus.put_right() == "mode 0"
-    assert parts.bus.frames == 2
-
-
-def test_a_failed_transfer_shuts_down_at_once_and_the_device_opens_anew(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    parts.bus.write(starts())
-    parts.spi_fails = True
-    before = len(parts.said)
-    with pytest.raises(SpiError, match="timed out"):
-        parts.cycle()
-    assert parts.said[before:] == [SHUTDOWN]
-    parts.bus.release()
-    assert parts.closed == 1, "the UART stays open"
-    with pytest.raises(SpiError, match="no SPI"):
-        parts.bus.open()
-    assert parts.said[before:] == [SHUTDOWN] * 2, "each attempt begins with one"
-    parts.spi_fails = False
-    parts.bus.open()
-    for _ in range(10):
-        parts.cycle()
-    assert START not in parts.said
-
-
-def test_no_device_is_closed_in_the_middle_of_a_transfer(parts: Parts) -> None:
-    parts.bus.open()
-    assert parts.bus.begin_cycle(100 * MS) is not None
-    parts.bus.release()
-    assert parts.closed == 0
-    with pytest.raises(SpiError, match="has not ended"):
-        parts.bus.open()
-    assert not parts.bus.failed_cycle(), "its failure is no news"
-    assert parts.closed == 1
-    parts.bus.open()
-    assert parts.opened == 2
-
-
-def test_a_uart_that_fails_opens_anew_and_begins_with_a_shutdown(parts: Parts) -> None:
-    parts.bus.open()
-    parts.uart_fails = True
-    assert "hung up" in str(parts.bus.write(STOPS).fault)
-    assert parts.bus.write(STOPS).fault is not None
-    with pytest.raises(SpiError, match="no UART"):
-        parts.bus.open()
-    parts.uart_fails = False
-    before = len(parts.said)
-    parts.bus.open()
-    assert parts.said[before:] == [SHUTDOWN]
-
-
-def test_a_silent_controller_is_shut_down_and_counts_as_back_when_both_signs_are(parts: Parts) -> None:
-    parts.bus.open()
-    parts.beats = True
-    while parts.cycle() is None:
-        pass
-    assert parts.bus.controller_alive is True
-    parts.beats = False
-    for _ in range(14):
-        parts.cycle()
-        assert parts.bus.silent(parts.now_ns) is None
-    parts.cycle()
-    before = len(parts.said)
-    silent = parts.bus.silent(parts.now_ns)
-    assert "no heartbeat" in str(silent)
-    assert parts.said[before:] == [SHUTDOWN]
-    assert parts.bus.silent(parts.now_ns) is None, "reported once"
-    assert parts.bus.controller_alive is False
-    parts.bus.release()
-    assert parts.closed == 0, "its signs of life would come there"
-    with pytest.raises(SpiError, match="no heartbeat"):
-        parts.bus.open()
-    parts.beats = True
-    parts.cycle()
-    parts.bus.open()
-    assert parts.bus.controller_alive is True
-
-
-def test_a_restart_is_shut_down_in_its_cycle_and_nothing_that_waited_is_started(parts: Parts) -> None:
-    parts.bus.open()
-    parts.beats, parts.now_ns = True, 100 * MS
-    parts.cycle()
-    parts.bus.write(starts())
-    parts.cycle()
-    before = len(parts.said)
-    parts.answers = [bytes(80)]
-    with pytest.raises(ControllerRestartedError, match="it goes from 00 to 00"):
-        parts.cycle()  # behind which START would follow
-    assert parts.said[before:] == [SHUTDOWN]
-    assert parts.bus.controller_alive is False
-    parts.bus.release()
-    assert parts.closed == 0
-    with pytest.raises(ControllerRestartedError):
-        parts.bus.open()
-    parts.cycle()
-    parts.bus.open()
-    assert parts.bus.controller_alive is True
-    assert [parts.cycle() for _ in range(4)]
-    assert START not in parts.said
-    assert parts.bus.errors == 1, "it is counted once"
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_a_scene(scene: str) -> None:
+    Parts().play(scene)
 
 
 def test_without_a_device_only_stops_are_written() -> None:
@@ -413,12 +442,11 @@ def test_without_a_device_only_stops_are_written() -> None:
     assert parts.said == [SHUTDOWN] * 2
     assert "closed" in str(bus.write(starts()).fault)
     bus.close()
-    assert len(SERVO_IDS) == 18
 
 
-def test_when_it_left_and_how_long_it_took(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns, parts.write_takes_ns = 100 * MS, 50_000
+def test_when_it_left_and_how_long_it_took() -> None:
+    parts = Parts().play("open; at 100")
+    parts.write_takes_ns = 50_000
     stops = parts.bus.write(STOPS).sent[0]
     assert (stops.ns, stops.call_ns) == (100 * MS + 50_000 + 95_486, 50_000), "ten bytes, 1 152 000 baud"
     assert parts.bus.ended_ns == 100 * MS + 50_000
@@ -427,130 +455,7 @@ def test_when_it_left_and_how_long_it_took(parts: Parts) -> None:
     assert [sent.data for sent in parts.bus.write(STOPS).sent] == [each.data for each in STOPS]
 
 
-def test_a_uart_that_hangs_up_is_found_by_the_cycle(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    frame = parts.bus.begin_cycle(parts.now_ns)
-    assert frame is not None
-    parts.hangs_up = True
-    with pytest.raises(SpiError, match="disconnected"):
-        parts.bus.end_cycle(parts.bus.exchange(frame), MS, parts.now_ns)
-    assert parts.closed == 1
-    assert parts.bus.errors == 1
-    assert parts.bus.transfer_latency.max_us == 1000
-    parts.hangs_up = False
-    before = len(parts.said)
-    parts.bus.open()
-    assert parts.said[before:] == [SHUTDOWN]
-
-
-def test_a_shutdown_that_cannot_be_said_opens_the_uart_anew(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    parts.spi_fails = parts.uart_fails = True
-    with pytest.raises(SpiError, match="timed out"):
-        parts.cycle()
-    assert parts.closed == 1
-    parts.uart_fails = False
-    before = len(parts.said)
-    with pytest.raises(SpiError, match="timed out"):
-        parts.cycle()
-    assert parts.said[before:] == [], "nothing is left to say it with"
-
-
-def test_an_opening_that_cannot_shut_down_fails(parts: Parts) -> None:
-    parts.bus.open()
-    parts.write_fails = True
-    with pytest.raises(SpiError, match="hung up"):
-        parts.bus.open()
-    assert parts.closed == 1
-
-
-def test_the_end_releases_both(parts: Parts) -> None:
-    parts.bus.open()
-    parts.bus.close()
-    assert parts.closed == 2
-    parts.bus.close()
-    assert parts.closed == 2
-    with pytest.raises(SpiError, match="closed"):
-        parts.bus.exchange(b"")
-
-
-def test_a_frame_that_the_encoder_should_not_have_made_does_not_leave(
-    parts: Parts, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    parts.bus.open()
+def test_a_frame_that_the_encoder_should_not_have_made_does_not_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(elkapod, "frame", lambda _angles: b"\x7e" + b"\xff" * 78 + b"\x0f")
     with pytest.raises(IllegalTransferError, match="servo 11 at nan"):
-        parts.bus.begin_cycle(100 * MS)
-
-
-def test_other_programs_are_seen_on_the_device(parts: Parts) -> None:
-    assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (None, None)
-    parts.bus.open()
-    assert (parts.bus.stop_servos_at_work(), parts.bus.put_right()) == (True, "mode 0")
-
-
-def test_the_first_frame_leaves_when_its_time_has_come(parts: Parts) -> None:
-    parts.bus.open()
-    assert parts.bus.begin_cycle(70 * MS - 1) is None
-    assert parts.bus.begin_cycle(70 * MS) is not None
-
-
-def test_each_fault_is_counted_once(parts: Parts) -> None:
-    counts = [parts.bus.errors]
-    parts.uart_fails = True
-    with pytest.raises(SpiError):
-        parts.bus.open()
-    counts += [parts.bus.errors]
-    parts.uart_fails, parts.spi_fails = False, True
-    with pytest.raises(SpiError):
-        parts.bus.open()
-    counts += [parts.bus.errors]
-    parts.spi_fails = False
-    parts.bus.open()
-    parts.uart_fails = True
-    parts.bus.write(STOPS)
-    counts += [parts.bus.errors]
-    parts.uart_fails = False
-    parts.bus.open()
-    parts.now_ns, parts.spi_fails = 100 * MS, True
-    with pytest.raises(SpiError):
-        parts.cycle()
-    counts += [parts.bus.errors]
-    parts.bus.release()
-    parts.spi_fails = False
-    parts.bus.open()
-    assert parts.wait(1000) is not None
-    counts += [parts.bus.errors]
-    assert counts == [0, 1, 2, 3, 4, 5]
-
-
-def test_a_device_that_came_back_has_its_time_to_answer(parts: Parts) -> None:
-    parts.bus.open()
-    parts.now_ns = 100 * MS
-    parts.spi_fails = True
-    with pytest.raises(SpiError):
-        parts.cycle()
-    parts.bus.release()
-    parts.spi_fails, parts.now_ns = False, 5000 * MS
-    parts.bus.open()
-    assert parts.wait(5360) is None
-    assert parts.bus.silent(5369 * MS) is None
-    assert "(the last one: none has come)" in str(parts.bus.silent(5370 * MS))
-    parts.bus.release()
-    assert parts.closed == 1, "its signs of life would come there"
-
-
-def test_a_device_that_fails_while_the_controller_is_silent_opens_anew(parts: Parts) -> None:
-    parts.bus.open()
-    assert parts.wait(400) is not None
-    parts.spi_fails = True
-    with pytest.raises(SpiError):
-        parts.cycle()
-    parts.bus.release()
-    assert parts.closed == 1
-    parts.spi_fails = False
-    with pytest.raises(SpiError, match="no well-formed answer"):
-        parts.bus.open()
-    assert parts.opened == 2
+        Parts().play("open; at 100; begin")
