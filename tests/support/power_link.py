@@ -42,6 +42,8 @@ class Link:
         self.cable = True
         self.deaf = False
         """The board answers questions, and gets no mask."""
+        self.second: SimulatedBoard | None = None
+        """Another one on the bus."""
         self.held: list[CanFrame] | None = None
         """A list: the link to us pauses, and keeps the board's frames."""
         self.sent: list[tuple[int, CanFrame]] = []

@@ -205,7 +205,7 @@ def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
 class Parts(DuplexDevice, Uart):
     """Both sides of a controller, which fail as the test sets them to."""
 
-    def __init__(self, *, fed_singly: bool = False) -> None:
+    def __init__(self, **more: bool) -> None:
         self.said: list[bytes] = []
         self.now_ns = 0
         self.opened = self.closed = 0
@@ -214,6 +214,8 @@ class Parts(DuplexDevice, Uart):
         self.frame: bytes | None = None
         self.report = BatchReport()
         self.error: Exception | None = None
+        self.news: bool | None = None
+        """Whether the last cycle that failed is to be reported."""
         self.failing: set[str] = set()
         """What fails: `spi`, `uart` (also its opening), `writing`, `reading`."""
         self.beats = False
@@ -223,7 +225,7 @@ class Parts(DuplexDevice, Uart):
             silent_ns=SILENT_NS,
             before_frames_ns=70 * MS,
             clock=lambda: self.now_ns,
-            fed_singly=fed_singly,
+            **more,
         )
 
     def _fail(self, what: str, sentence: str) -> None:
@@ -288,7 +290,7 @@ class Parts(DuplexDevice, Uart):
         try:
             answer = self.bus.exchange(self.frame)
         except SpiError:
-            self.bus.failed_cycle()
+            self.news = self.bus.failed_cycle()
             raise
         self.bus.end_cycle(answer, round(took_ms * MS), self.now_ns)
 
@@ -328,7 +330,7 @@ DONE: Final[dict[str, Callable[[Parts, str], object]]] = {
     "begin": lambda parts, _: parts.begin(),
     "end": lambda parts, ms: parts.try_to(lambda: parts.end(float(ms))),
     "exchange": lambda parts, _: parts.try_to(lambda: parts.bus.exchange(b"")),
-    "failed": lambda parts, _: parts.bus.failed_cycle(),
+    "failed": lambda parts, _: setattr(parts, "news", parts.bus.failed_cycle()),
     "wait": lambda parts, until_ms: parts.wait(float(until_ms)),
     "silent": lambda parts, _: setattr(parts, "error", parts.bus.silent(parts.now_ns)),
     "fails": lambda parts, what: parts.failing.update(what.split()),
@@ -345,6 +347,7 @@ FACTS: Final[dict[str, Callable[[Parts], object]]] = {
     "errors": lambda parts: parts.bus.errors,
     "frames": lambda parts: parts.bus.frames,
     "received": lambda parts: [sent.received for sent in parts.report.sent],
+    "news": lambda parts: parts.news,
     "longest": lambda parts: parts.bus.transfer_latency.max_us,
     "found": lambda parts: parts.bus.put_right(),
     "at-work": lambda parts: parts.bus.stop_servos_at_work(),
@@ -363,14 +366,14 @@ SCENES: Final = {
         begin → nothing; found None  # the kernel would answer at the transfer's end
         stops; end 300 → shutdown; found mode 0; frames 2""",
     "a failed transfer shuts down at once and the device opens anew": """
-        open; at 100; starts; fails spi; cycle → shutdown shutdown; fault timed out
+        open; at 100; starts; fails spi; cycle → shutdown shutdown; fault timed out; news True
         release → nothing; closed 1  # the UART stays open
         open → shutdown; fault no SPI
         works; open; cycle 10 → shutdown""",
     "no device is closed in the middle of a transfer": """
         open; at 100; begin; release → shutdown; frame {90.0}; closed 0
         open → shutdown; fault has not ended
-        failed → nothing; closed 1
+        failed → nothing; closed 1; news False
         open → shutdown; opened 2""",
     "a uart that fails opens anew and begins with a shutdown": """
         open; fails uart; stops → shutdown; fault hung up
@@ -412,6 +415,9 @@ SCENES: Final = {
         works; open; fails uart; stops → shutdown; fault hung up; errors 3
         works; open; at 100; fails spi; cycle → shutdown shutdown; fault timed out; errors 4
         release; works; open; wait 1000 → shutdown shutdown; fault ControllerSilentError; errors 5""",
+    "a process that was delayed takes no controller for silent": """
+        open; at 100; silent; at 400; silent → shutdown
+        at 699.999; silent → shutdown; fault no well-formed answer""",
     "a device that came back has its time to answer": """
         open; at 100; fails spi; cycle → shutdown shutdown; fault timed out
         release; works; at 5000; open; wait 5360 → shutdown

@@ -4,15 +4,10 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import ASK_CURRENTS, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
-from gateway.robot.power.board import News, PowerBoard
-from gateway.robot.power.offs import Confirmed
-from gateway.simulation.board import SimulatedBoard
+from gateway.robot.power.board import PowerBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, FLIGHT_NS, NONE, Link, fed
-
-# ---- off
-
 
 # ---- on
 
@@ -53,18 +48,7 @@ def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, 
     assert link.fed() == ALL_SERVOS - {61, 62, 63}
 
 
-# ---- answers that are late, lost or others'
-
-
 # ---- silence
-
-
-def test_an_interface_that_is_gone_is_reported_at_once_and_once() -> None:
-    link = fed()
-    link.ours.closed("unplugged", link.now_ns)
-    link.ours.closed("unplugged", link.now_ns)
-    assert [item.detail for item in link.ours.news() if isinstance(item, News)] == ["unplugged"]
-    assert not link.ours.alive
 
 
 def test_lost_answers_to_questions_are_no_silence_and_all_is_measured() -> None:
@@ -146,66 +130,6 @@ def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() 
     assert not ours.confirmed
 
 
-def test_what_servos_drew_before_a_silence_is_not_known_any_more() -> None:
-    link = fed()
-    assert len(link.ours.status.currents_ma) == len(ALL_SERVOS)
-    link.cable = False
-    link.run(300)
-    assert link.ours.status.currents_ma == {}
-
-
-def test_what_is_wanted_again_counts_as_fed_once_the_board_says_so_anew() -> None:
-    link = fed()
-    assert link.ours.status.fed == ALL_SERVOS
-    link.want(ALL_SERVOS - {11})
-    assert link.ours.status.fed == ALL_SERVOS - {11}
-    link.want(ALL_SERVOS)
-    assert link.ours.status.fed == ALL_SERVOS - {11}
-    link.run_until(lambda: 11 in link.ours.status.fed)
-    assert link.fed() == ALL_SERVOS
-
-
-def test_an_old_answer_that_shows_it_on_does_not_count_as_fed() -> None:
-    link = fed()
-    link.want(ALL_SERVOS - {11})
-    link.run(1)
-    link.want(ALL_SERVOS)
-    link.ours.receive(CanFrame(0x6B, bytes.fromhex("03ffff")), link.now_ns)
-    assert 11 not in link.ours.status.fed
-
-
-def test_what_a_servo_drew_before_it_was_fed_is_forgotten_once_it_is() -> None:
-    link = fed()
-    link.want_anew(ALL_SERVOS - {11})
-    link.run(1500)
-    assert link.ours.status.currents_ma[11] == 0
-    link.board.draws_ma[0] = 200.0
-    link.want(ALL_SERVOS)
-    link.run_until(lambda: 11 in link.ours.status.fed)
-    assert link.ours.status.currents_ma.get(11) is None
-    link.run(200)
-    assert link.ours.status.currents_ma[11] == 200
-
-
-# ---- Others that switch through the power board, and its own faults: against the simulated one, in virtual time
-
-
-# ---- others that switch
-
-
-def test_a_node_that_floods_masks_is_answered_at_a_pace_and_reported_once_a_second() -> None:
-    link = fed()
-    at_ns = link.now_ns
-    for _ in range(8000):
-        link.other_node(0)
-        link.run(0.125)
-    assert len(link.masks(at_ns)) <= 250
-    assert len(link.events(Kind.POWER_FAULT)) <= 2
-
-
-# ---- the board's own faults
-
-
 # ---- another node, and a second board
 
 
@@ -224,45 +148,6 @@ def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
     board.receive(answer, 4)
     board.receive(CanFrame(0x6B, bytes(3)), 5)
     assert board.confirmed, "the second answer is ours"
-
-
-def test_two_boards_on_one_bus_are_a_fault_and_confirm_nothing_until_a_reset() -> None:
-    link = fed()
-    second = SimulatedBoard(link.now_ns)
-    take, advance = link.board.take, link.board.advance
-    link.board.take = lambda frame, now_ns: [*take(frame, now_ns), *second.take(frame, now_ns)]  # type: ignore[method-assign]
-    link.board.advance = lambda now_ns: [*advance(now_ns), *second.advance(now_ns)]  # type: ignore[method-assign]
-    link.run(1000)
-    [(_, news)] = link.events(Kind.POWER_FAULT)
-    assert (news.servos, "two power boards" in news.detail) == (ALL_SERVOS, True)
-    assert set(link.ours.status.refused) == ALL_SERVOS
-    # The real one is unplugged, and feeds what it fed.
-    link.board = second
-    link.cut()
-    link.when_off(ALL_SERVOS, token=1)
-    link.run(1000)
-    assert not link.ours.confirmed
-    assert list(link.confirmations()) == [Confirmed(1, False, None)]
-    link.want(NONE)
-    link.ours.clear_errors(link.now_ns)
-    link.run(1000)
-    assert link.ours.confirmed
-    assert link.ours.status.refused == {}
-
-
-@pytest.mark.parametrize("frame", ["69", "67", "6508", "650420"])
-def test_a_frame_that_is_repeated_4000_times_a_second_is_one_announcement(frame: str) -> None:
-    link = fed()
-    data = bytes.fromhex(frame)
-    for _ in range(4000):
-        link.ours.receive(CanFrame(data[0], data[1:]), link.now_ns)
-        link.run(0.25)
-    kinds = [item.kind for _, item in link.news if isinstance(item, News)]
-    assert len(kinds) == 1
-    link.run(1000)
-    link.ours.receive(CanFrame(data[0], data[1:]), link.now_ns)
-    link.run(100)
-    assert len([item for _, item in link.news if isinstance(item, News)]) == 2, "it had ended"
 
 
 def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:

@@ -8,6 +8,7 @@ import pytest
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import SUPPLIED, SUPPLY_LOW, CanFrame, set_supply
 from gateway.robot.power.board import PowerBoard
+from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, Link, fed
@@ -40,12 +41,30 @@ def _start_anew(link: Link) -> None:
     link.ours = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
 
 
+def _second(link: Link) -> None:
+    """A second board on the bus answers what the first one does."""
+    link.second = SimulatedBoard(link.now_ns)
+    take, advance, second = link.board.take, link.board.advance, link.second
+    link.board.take = lambda frame, now_ns: [*take(frame, now_ns), *second.take(frame, now_ns)]  # type: ignore[method-assign]
+    link.board.advance = lambda now_ns: [*advance(now_ns), *second.advance(now_ns)]  # type: ignore[method-assign]
+
+
+def _repeat(link: Link, words: str) -> None:
+    """`4000 0.25 hears 69`: so often, with so many milliseconds behind each."""
+    times, pause_ms, word, rest = words.split(" ", 3)
+    for _ in range(int(times)):
+        DONE[word](link, rest)
+        link.run(float(pause_ms))
+
+
 def _sleep(link: Link, ms: str) -> None:
     link.now_ns += int(ms) * NS_PER_MS
 
 
 DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "run": lambda link, ms: link.run(float(ms)),
+    "until-fed": lambda link, servo: link.run_until(lambda: int(servo) in link.ours.status.fed),
+    "repeat": _repeat,
     # the gateway
     "want": lambda link, who: link.want(servos(who)),
     "anew": lambda link, who: link.want_anew(servos(who)),
@@ -53,6 +72,7 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "ask": lambda link, who: link.when_off(servos(who), token=1),
     "reset": lambda link, _: link.ours.clear_errors(link.now_ns),
     "opened": lambda link, _: link.ours.opened(link.now_ns),
+    "gone": lambda link, why: link.ours.closed(why, link.now_ns),
     "gateway": lambda link, _: _start_anew(link),
     "sleep": _sleep,
     "hangs": lambda link, _: setattr(link, "hangs", True),
@@ -68,6 +88,9 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "blocks": lambda link, who: link.board.fail(2, mask(who)),
     "low": lambda link, _: link.board.fail(SUPPLY_LOW),
     "degrees": lambda link, celsius: link.board.temperatures_c.__setitem__(0, int(celsius)),
+    "draws": lambda link, ma: link.board.draws_ma.__setitem__(0, float(ma)),
+    "second": lambda link, _: _second(link),
+    "first-goes": lambda link, _: setattr(link, "board", link.second),
     "by-hand": lambda link, _: link.board.clear_by_hand(),
     "press": lambda link, _: link.board.press_button(link.now_ns),
     "restart": lambda link, _: link.board.restart(),
@@ -82,6 +105,11 @@ SO: Final[dict[str, Callable[[Link, str, int], tuple[object, object]]]] = {
     # what is, and what is to be; masks are those since the line began, at this time
     "fed": lambda link, who, _: (link.fed(), servos(who)),
     "off": lambda link, who, _: (link.fed() & servos(who), frozenset()),
+    "counts-fed": lambda link, who, _: (link.ours.status.fed, servos(who)),
+    "currents": lambda link, count, _: (len(link.ours.status.currents_ma), int(count)),
+    "draw-of-11": lambda link, ma, _: (str(link.ours.status.currents_ma.get(11)), ma),
+    "few-masks": lambda link, most, at_ns: (len(link.masks(at_ns)) <= int(most), True),
+    "few-faults": lambda link, most, _: (len(link.events(Kind.POWER_FAULT)) <= int(most), True),
     "lost": lambda link, who, _: (link.ours.status.lost, servos(who)),
     "refused": lambda link, who, _: (frozenset(link.ours.status.refused), servos(who)),
     "confirmed": lambda link, word, _: (link.ours.confirmed, word == "yes"),
@@ -106,7 +134,7 @@ SO: Final[dict[str, Callable[[Link, str, int], tuple[object, object]]]] = {
 def play(link: Link, scene: str) -> None:
     """Lines of `what is done; … → what is then so; …`."""
     for line in scene.strip().splitlines():
-        done, _, facts = line.partition("→")
+        done, _, facts = line.partition("  #")[0].partition("→")
         at_ns = link.now_ns
         for each in done.split(";"):
             word, _, rest = each.strip().partition(" ")
@@ -157,7 +185,27 @@ WITH_ALL_FED: Final = {
     "on a new interface what is not confirmed leaves at once": """
         cable off; cut; run 3500 → confirmed no
         opened; run 1 → first none; masks none""",
+    "an interface that is gone is reported at once and once": """
+        gone unplugged; gone unplugged → alive no
+        run 1 → unconfirmed 1; told unplugged""",
+    "what servos drew before a silence is not known any more": "run 0 → currents 18\n cable off; run 300 → currents 0",
+    "what is wanted again counts as fed once the board says so anew": """
+        want all-11 → counts-fed all-11
+        want all → counts-fed all-11
+        until-fed 11 → fed all""",
+    "an old answer that shows it on does not count as fed": """
+        want all-11; run 1; want all; hears 6b03ffff → counts-fed all-11""",
+    "what a servo drew before it was fed is forgotten once it is": """
+        anew all-11; run 1500 → draw-of-11 0
+        draws 200; want all; until-fed 11 → draw-of-11 None
+        run 200 → draw-of-11 200""",
     # ---- others that switch
+    "a node that floods masks is answered at a pace and reported once a second": """
+        repeat 8000 0.125 other none → few-masks 250; few-faults 2""",
+    "two boards on one bus are a fault and confirm nothing until a reset": """
+        second; run 1000 → faults 1; fault-of all; told two power boards; refused all
+        first-goes; cut; ask all; run 1000 → confirmed no; answers no  # it feeds what it fed
+        want none; reset; run 1000 → confirmed yes; refused none""",
     "what another node switches on goes off again": """
         want none; run 500 → fed none
         other all; run 500 → first none; fed none; confirmed yes; faults 1""",
@@ -184,6 +232,12 @@ WITH_ALL_FED: Final = {
         degrees 69; by-hand; run 1000 → fed none""",
     "an error that cannot be read takes all": "hears 651001; run 20 → fed none; fault-of all; told cannot be read",
     "a low supply is reported and takes nothing": "low; run 1000 → faults 1; told too low; fed all; refused none",
+    **{
+        f"{frame}, 4000 times a second, is one announcement until it ended": f"""
+        repeat 4000 0.25 hears {frame} → news 1
+        run 1000; hears {frame}; run 100 → news 2"""
+        for frame in ("69", "67", "6508", "650420")
+    },
     "the off button is an emergency stop again behind a reset": """
         press; run 10 → presses 1
         run 90; reset; press; run 100; reset → presses 2""",
