@@ -103,7 +103,7 @@ JUDGES: Final = {
     "gateway/robot/power/questions.py": (*_robot("power_parts"), *_POWER),
     "gateway/robot/power/currents.py": _robot("power_parts"),
     "gateway/robot/power/last_cut.py": _robot("last_cut"),
-    "gateway/robot/runtime/supply.py": _robot("power_conductor supply_rules conductor supply"),
+    "gateway/robot/runtime/supply.py": _robot("power_conductor conductor supply"),
     "gateway/robot/core/body_limits.py": _robot("body_limits"),
     "gateway/nonces.py": _people("lease_checker"),
     "gateway/robot/zenoh_io/proofs.py": _people("lease_checker"),

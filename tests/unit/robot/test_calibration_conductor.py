@@ -19,7 +19,7 @@ from schemas.telemetry import Ack, Kind, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
-START, SET, STOP = leg("start", 90, 90, 90), leg("set", 45, 45, 45), leg("stop")
+START, STOP = leg("start", 90, 90, 90), leg("stop")
 OWN = {"servos": {"31": {"trim_deg": 7.5}, "32": {"inverted": True, "trim_deg": -10}, "33": {"max_deg": 140}}}
 pytestmark = pytest.mark.virtual_time
 

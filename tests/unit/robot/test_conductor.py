@@ -236,10 +236,6 @@ async def test_at_the_end_the_stops_and_their_repeats_leave(monkeypatch: pytest.
 # ---- The preamble in the pauses of a stream, from the conductor to the controller, in virtual time
 
 
-LEG_1 = keys.leg_command(1)
-
-
-SET = leg("set", 91, 91, 91)
 SIX_STOPS = on_wire(Framing.LENGTH_PREFIXED, *map(stop_leg, LEGS))
 
 

@@ -15,7 +15,7 @@ from schemas.telemetry import ButtonsReport, Cause, Kind, Mode, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
-START, SET, STOP = leg("start", 90, 90, 90), leg("set", 45, 45, 45), leg("stop")
+START, SET = leg("start", 90, 90, 90), leg("set", 45, 45, 45)
 pytestmark = pytest.mark.virtual_time
 
 

@@ -159,6 +159,22 @@ async def test_the_end_takes_the_supply() -> None:
     assert robot.line.fed == frozenset()
 
 
+@pytest.mark.parametrize("whole", [False, True])
+async def test_a_bus_at_fault_takes_the_supply(whole: bool) -> None:
+    patient: dict[str, object] = {"timeout_ms": 10_000}
+    robot = FedElkapod(watchdog=patient) if whole else FedRobot(watchdog=patient)
+    await asyncio.sleep(UP_S)
+    await starts(robot, keys.LEGS_COMMAND, all_legs("start", 90), within_s=1.4)
+    assert robot.line.fed == set(SERVO_IDS)
+    if isinstance(robot, FedElkapod):
+        robot.elkapod.spi_fails = True
+    else:
+        robot.controller.fail_where(lambda _: True)
+        robot.put(LEG_3, leg("set", 91, 91, 91))
+    await asyncio.sleep(0.021)
+    assert robot.line.fed == frozenset()
+
+
 async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_published() -> None:
     robot = await runs()
     robot.line.deaf = True
@@ -231,9 +247,6 @@ async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
 
 
 # ---- elkapod-2025: a servo's supply is its start and its Stop
-
-
-# ---- what currents show
 
 
 async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -> None:

@@ -19,7 +19,7 @@ from gateway.robot.zenoh_io.questions import (
     WokenRing,
 )
 
-DRIVER, KITCHEN, STRANGER = "d" * 32, "b" * 32, "0" * 32
+DRIVER, KITCHEN = "d" * 32, "b" * 32
 CHALLENGE = {"do": "challenge"}
 
 

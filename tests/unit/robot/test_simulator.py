@@ -64,11 +64,6 @@ def prefixed() -> Bench:
     return Bench(Framing.LENGTH_PREFIXED)
 
 
-@pytest.fixture(params=list(Framing))
-def bench(request: pytest.FixtureRequest) -> Bench:
-    return Bench(request.param)
-
-
 # ---- one stream of bytes, in and out of sync
 
 

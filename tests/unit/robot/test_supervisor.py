@@ -17,9 +17,6 @@ def test_a_set_is_rejected_where_nothing_was_started(servo_id: int) -> None:
     assert robot.running == []
 
 
-JOINTS = pytest.mark.parametrize("joint", [1, 2, 3])
-
-
 def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -> None:
     robot = Steps()
     first = robot.supervisor.legs.by_number[1]
