@@ -1,9 +1,7 @@
 """From bytes to what somebody wants, or why not: each rule by its own sentence, and any bytes at all."""
 
 import json
-from collections import deque
-from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from hypothesis import example, given
@@ -13,14 +11,11 @@ from pydantic_core import SchemaValidator
 
 from gateway.model.frames import STOP as STOP_OP
 from gateway.model.frames import Op, ServoOp
-from gateway.robot.core import intake, targets
-from gateway.robot.core.events import Command
+from gateway.robot.core import intake
 from gateway.robot.core.flat import into_dicts
 from gateway.robot.core.intake import Rejection, deleted, echo_of, explain, read, words_of_stop
-from gateway.robot.core.losses import Losses
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.targets import TARGETS, follows, servos_of, stops_of
-from gateway.robot.zenoh_io.rings import Rings
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES, LegCommand, LegsCommand
 from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, Target, leg_command, servo_command
@@ -278,12 +273,6 @@ def test_what_may_be_a_stop_keeps_its_place(expression: str, verb: Verb, payload
 # ---- The table of targets: every target has its row, and an invented one behaves as its row says
 
 
-BODY = "hexapod/body/cmd"
-BODY_KEY = CommandKey(cast("Target", "body"))
-"""A key that somebody adds: it moves all servos."""
-BODY_ROW = targets.TargetRules(lambda _: SERVO_IDS, lambda _: SERVO_IDS, lambda _number, _payload: Command(), True, 9)
-
-
 def may_stop(key: str, payload: bytes, size: int | None = None) -> bool:
     size = len(payload) if size is None else size
     return words_of_stop(Received(key, key, COMMAND_KEYS[key], Verb.PUT, payload, size, "", None, 0)) is not None
@@ -337,47 +326,6 @@ def test_a_wildcard_may_mean_any_key_but_a_reset(key: str, verb: Verb) -> None:
     assert wild != exact or key != keys.RESET
 
 
-def read_twice(first: str, second: str) -> list[str]:
-    """Whose messages one `read` finds, where the message on `second` arrives when `first` has been read."""
-    waiting = {key: deque[str]() for key in COMMAND_KEYS}
-    waiting[first].append("stop")
-
-    def receive(key: str) -> str | None:
-        if not waiting[key]:
-            return None
-        if key == first:
-            waiting[second].append("start")
-        return waiting[key].popleft()
-
-    each = Rings[str, str](
-        {key: (partial(receive, key), lambda: None) for key in COMMAND_KEYS},
-        lambda _, item: item,
-        lambda item: b"" if item == "stop" else None,
-    )
-    return [key for key, _ in each.read((first,))]
-
-
-@pytest.mark.parametrize("other", [keys.LEGS_COMMAND, leg_command(3), servo_command(32)])
-def test_an_invented_key_overtakes_no_stop_and_its_delete_stops_what_it_names(
-    other: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(COMMAND_KEYS, BODY, BODY_KEY)
-    with pytest.raises(KeyError, match="body"):  # without its row, no gateway starts
-        read_twice(BODY, other)
-    monkeypatch.setitem(TARGETS, BODY_KEY.target, BODY_ROW)
-    assert set(read_twice(BODY, other)) == set(read_twice(other, BODY)) == {BODY, other}
-    assert meant(deleted(BODY_KEY)) == Intent(tuple((servo_id, STOP_OP) for servo_id in SERVO_IDS))
-    losses = Losses()
-    losses.note(BODY)
-    assert dict(losses.take()[1]).keys() == set(SERVO_IDS)
-
-
-def test_keys_that_share_no_servo_are_not_read_for_each_other() -> None:
-    assert read_twice(servo_command(32), servo_command(33)) == [servo_command(32)]
-    assert read_twice(leg_command(3), servo_command(42)) == [leg_command(3)]
-    assert read_twice(leg_command(3), keys.RESET) == [leg_command(3)]
-
-
 # ---- A payload read into dicts is what the model reads: the same values, and the same errors in the same places
 
 
@@ -419,19 +367,6 @@ def outcome(read: Any, payload: bytes) -> object:
 )
 def test_the_model_says_the_same_of_any_payload(model: type[BaseModel], payload: bytes) -> None:
     assert outcome(READERS[model].validate_json, payload) == outcome(model.model_validate_json, payload)
-
-
-@pytest.mark.parametrize("model", READERS)
-def test_the_model_says_the_same_of_what_is_wrong(model: type[BaseModel]) -> None:
-    for _key, payload, _sentence in FAULTS:
-        data = (
-            payload
-            if isinstance(payload, bytes)
-            else payload.encode()
-            if isinstance(payload, str)
-            else as_json(payload)
-        )
-        assert outcome(READERS[model].validate_json, data) == outcome(model.model_validate_json, data)
 
 
 class Checked(LegCommand):

@@ -271,20 +271,6 @@ def test_each_that_is_not_confirmed_in_time_is_late(offs: OutputsOff) -> None:
     assert offs.late(ns(CONFIRM_MS))[0] == BOTH
 
 
-def test_an_output_is_late_to_the_nanosecond(offs: OutputsOff) -> None:
-    offs.take(ONE, 1, ns(10))
-    assert offs.late(ns(10 + CONFIRM_MS) - 1)[0] == 0
-    assert offs.late(ns(10 + CONFIRM_MS))[0] == ONE
-    offs.take(ONE, 2, ns(100))
-    assert offs.late(ns(10 + CONFIRM_MS))[0] == ONE, "taken once more, it is due since the first time"
-    offs.answered(0, 1, ns(200))
-    assert offs.unconfirmed == ONE, "and is confirmed by the newer mask only"
-    offs.answered(0, 2, ns(200))
-    offs.take(ONE, 3, ns(300))
-    assert offs.late(ns(300 + CONFIRM_MS) - 1)[0] == 0, "after a confirmation the time begins anew"
-    assert offs.late(ns(300 + CONFIRM_MS))[0] == ONE
-
-
 def test_who_waits_hears_of_the_confirmation_once(offs: OutputsOff) -> None:
     offs.take(ONE, 4, ns(0))
     offs.take(TOP, 5, ns(0))
