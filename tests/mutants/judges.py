@@ -55,13 +55,13 @@ _BUS: Final = (
     *_robot("slow_failures"),
 )
 _POWER: Final = _robot("power_scenes power_board power_conductor")
-_CYCLIC: Final = _robot("elkapod_wire elkapod_fed_singly elkapod_conductor power_conductor")
+_CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
     "gateway/model/frames.py": (*_model("frames"), *_tests("unit", "decode")),
     "gateway/model/framing.py": _model("framing"),
     "gateway/model/elkapod.py": (*_model("elkapod_bytes"), *_robot("elkapod_wire")),
-    "gateway/robot/protocol/elkapod.py": _robot("elkapod_fed_singly elkapod_wire"),
+    "gateway/robot/protocol/elkapod.py": _robot("elkapod_wire"),
     "gateway/robot/spi/cyclic.py": _CYCLIC,
     "gateway/robot/spi/guard.py": _robot("guard bus_device"),
     "gateway/robot/spi/awaited.py": _BUS,
