@@ -315,7 +315,7 @@ class Parts(DuplexDevice, Uart):
         """What was raised or reported since this was last asked."""
         found, self.error = self.error or self.report.fault, None
         self.report = BatchReport()
-        return found and f"{type(found).__name__}: {found}"
+        return None if found is None else f"{type(found).__name__}: {found}"
 
 
 DONE: Final[dict[str, Callable[[Parts, str], object]]] = {
