@@ -1,6 +1,5 @@
 """Settings from a file and the environment: defaults, what overrides what, ranges, and what is said of faults."""
 
-import json
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -37,22 +36,6 @@ def faults(path: Path | None = None) -> list[str]:
     lines = str(raised.value).split("\n")
     assert all(line.isprintable() for line in lines), lines
     return [line.replace(str(path), "file") for line in lines]
-
-
-def in_toml(made: Settings) -> str:
-    """A file that has each setting, as it is."""
-    sections = json.loads(json.dumps(asdict(made)))
-    del sections["wire"]["options"]
-    return "".join(
-        f"{section}.{name} = {_toml(value)}\n" for section in sections for name, value in sections[section].items()
-    )
-
-
-def test_the_defaults_may_be_written_down(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which they are is in docs/interface.md (tests/unit/test_interface.py)."""
-    file.write_text(in_toml(Settings()))
-    monkeypatch.setenv("HEXAPOD_CONNECT", "tcp/192.0.2.7:7447")  # for client commands, and no setting
-    assert load(file) == load() == Settings()
 
 
 # ---- values out of range, or anything
@@ -125,8 +108,9 @@ def _toml(value: Any) -> str:
     return f"[{', '.join(map(_toml, value))}]" if isinstance(value, list) else repr(value)
 
 
-def test_gateway_toml_says_the_defaults(tmp_path: Path) -> None:
+def test_gateway_toml_says_the_defaults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The configuration that is installed changes nothing; each default in it is the true one, and none is left out."""
+    monkeypatch.setenv("HEXAPOD_CONNECT", "tcp/192.0.2.7:7447")  # for client commands, and no setting
     installed = Path(__file__).parents[3] / "deploy/gateway.toml"
     assert settings.load(installed, simulated=True) == Settings()
     lines = [line for line in installed.read_text().splitlines() if "json5" not in line]  # the example of another

@@ -2,21 +2,26 @@
 
 import asyncio
 import json
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.registry import Collector
 
 from gateway.model.black_box import format as form
 from gateway.model.elkapod import Measured
-from gateway.robot.runtime.prometheus import Numbers
+from gateway.robot.runtime.prometheus import Numbers, powered
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Telemetry
+from schemas.telemetry import Kind, PowerReport, ServoTelemetry, Supply, Telemetry
 from tests.support.measured import MEASURED
 from tests.support.metrics_page import described, documented
+from tests.support.published import WALL
 from tests.support.robot import Robot, started
 from tests.unit.people.test_recorder import contents, recorded
 
@@ -71,10 +76,14 @@ async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> 
 # ---- the metrics page
 
 
-def page(robot: Robot) -> str:
+def page_of(collector: Collector) -> str:
     registry = CollectorRegistry()
-    registry.register(Numbers(robot.conductor))
+    registry.register(collector)
     return generate_latest(registry).decode()
+
+
+def page(robot: Robot) -> str:
+    return page_of(Numbers(robot.conductor))
 
 
 def samples(robot: Robot) -> dict[str, float]:
@@ -103,6 +112,31 @@ async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeyp
     assert found["hexapod_controller_alive"] == 0
     assert found["hexapod_controller_answer_age_seconds"] == pytest.approx(0.5)
     assert found["hexapod_controller_changes_total controller_silent"] == found["hexapod_falls_total"] == 0
+
+
+BOARD = PowerReport(interface="slcan", alive=True, supplied=(11, 63), confirmed=False, age_ms=40.0)
+DRAWN = Telemetry(
+    time=WALL,
+    age_ms=3.0,
+    servos={"11": ServoTelemetry(supplied=True, current_a=0.25), "12": ServoTelemetry(supplied=False)},
+    supply=Supply(voltage_v=7.3, current_a=0.25),
+)
+
+
+class Board(Collector):
+    """The metrics of one board."""
+
+    def __init__(self, power: PowerReport, measured: Telemetry | None, *events: Kind) -> None:
+        self._found = power, measured, Counter(events)
+
+    def collect(self) -> Iterator[Metric]:
+        yield from powered(*self._found)
+
+
+async def test_the_page_of_a_robot_with_a_power_board_is_the_list_in_the_docs() -> None:
+    assert described(page_of(Board(BOARD, DRAWN))) == documented("with a power board")
+    before = described(page_of(Board(PowerReport(interface="slcan", alive=False), None)))
+    assert {name for name, _, _ in before} == {name for name, _, _ in documented("with a power board")}
 
 
 # ---- the black box
