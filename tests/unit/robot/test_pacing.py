@@ -8,31 +8,14 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.model.frames import STOP, Op, ServoOp
+from gateway.model.frames import Op, ServoOp
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import Servo
-from gateway.robot.core.pacing import RateSlots, StartQueue, merged
+from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.speed import step
 
 START_90, START_45 = ServoOp(Op.START, 90_00), ServoOp(Op.START, 45_00)
 SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)
-
-
-@pytest.mark.parametrize(
-    ("older", "newer", "expected"),
-    [
-        (SET_90, SET_45, SET_45),
-        (START_90, START_45, START_45),
-        (START_90, SET_45, START_45),
-        (SET_90, START_45, START_45),
-        (START_90, STOP, STOP),
-        (STOP, START_45, START_45),
-    ],
-)
-def test_the_newest_target_counts_and_a_waiting_start_stays_a_start(
-    older: ServoOp, newer: ServoOp, expected: ServoOp
-) -> None:
-    assert merged(older, newer) == expected
 
 
 def sent(period_ns: int, arrivals_ns: list[int]) -> list[tuple[int, int]]:
@@ -79,17 +62,6 @@ def test_slots_that_nobody_used_are_skipped() -> None:
     """After ten periods there are three slots, not ten."""
     arrivals_ns = [1000, *range(2020, 2500, 5)]
     assert sent_at(100, arrivals_ns) == [1000, 2020, 2045, 2070, 2120, 2220, 2320, 2420, 2520]
-
-
-def test_slots_come_on_their_grid_while_the_bucket_is_empty() -> None:
-    """Who looks late does not push the later ones back."""
-    slots = RateSlots(100)
-    for now_ns in (1000, 1025, 1050):
-        slots.take(now_ns)
-    slots.take(1190)
-    assert slots.next_ns == 1215
-    slots.take(1215)
-    assert slots.next_ns == 1300
 
 
 PERIODS_NS = st.sampled_from([1, 3, 40, 50, 101])
@@ -170,17 +142,6 @@ def test_who_has_arrived_has_no_time_left_over() -> None:
     assert step(0, 1_00, 100_00, 0, 10 * NS_PER_MS + 1, LONG_NS) == (1_00, 10 * NS_PER_MS + 1)
 
 
-@pytest.mark.parametrize("stall_ms", [21, 600, 100_000])
-@pytest.mark.parametrize("way", [1, -1])
-def test_after_a_stall_a_step_is_no_longer_than_one_in_time(stall_ms: int, way: int) -> None:
-    """60 degrees a second, 50 frames a second: 1.2 degrees with each."""
-    now_ns = stall_ms * NS_PER_MS
-    first = step(90_00, 90_00 + way * 80_00, 60_00, 0, now_ns, 20 * NS_PER_MS)
-    assert first == (90_00 + way * 1_20, now_ns), "what was lost is not made up for"
-    soon = step(first.angle_cdeg, 90_00 + way * 80_00, 60_00, first.since_ns, now_ns + 5 * NS_PER_MS, 20 * NS_PER_MS)
-    assert soon.angle_cdeg == first.angle_cdeg + way * 30
-
-
 # ---- The way down: a straight line, its ends never left, in time
 
 
@@ -200,15 +161,6 @@ def said_at(way: Landing, times_ms: Iterable[float]) -> list[int]:
         part_ns = way.next_part_ns(part_ns, round(at_ms * NS_PER_MS))
         said.append(way.angle_cdeg(32, part_ns))
     return said
-
-
-@given(angles, angles, st.integers(0, 5000), st.lists(st.integers(0, 6000), min_size=2))
-def test_it_never_turns_round_and_never_leaves_its_ends(
-    first: int, last: int, length_ms: int, times_ms: list[int]
-) -> None:
-    said = said_at(one(first, last, length_ms), sorted(times_ms))
-    assert said == sorted(said, reverse=last < first)
-    assert all(min(first, last) <= angle <= max(first, last) for angle in said)
 
 
 @given(angles, angles, st.integers(0, 5000), st.integers(0, 4000), st.lists(st.integers(0, 5000)))

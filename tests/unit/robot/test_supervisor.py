@@ -61,20 +61,6 @@ SCENES: Final = {
         30 servo 12 set 160 → command 12 set 160; completed 4
         60 servo 11 set 180 → command 11 set 180; completed 5
         61 leg 1 stop → command 1 stop; completed 6  # a stop has no angle""",
-    "stops come first in a command for several legs": """
-        100 leg 2 start 90
-        130 leg 1 start 90 + leg 2 stop (key legs) → command 2 stop; command 1 start 90; completed 2""",
-    "a stop wins over another channels move in the same instant": """
-        100 leg 1 start 90
-        130 leg 1 stop (key legs)
-        130 servo 11 start 90 (key servo/11) → rejected 3 servo_stopped
-        130 servo 12 set 90 (key servo/12) → rejected 4 servo_stopped
-        130 leg 2 start 90 (key leg/2) → command 2 start 90; …""",
-    "a single pending joint is sent in its rate slot": """
-        100 leg 1 start 90
-        101 servo 12 set 80 → nothing
-        due 105
-        105 time → command 12 set 80; completed 2""",
     "a single joint waits to be energised like a leg": """
         rules start_pause_ms=50
         100 leg 1 start 90
@@ -87,12 +73,6 @@ SCENES: Final = {
         101 leg 1 stop | set 80 | set 80 → command 11 stop
         102 leg 1 stop | set 70 | set 70 → completed 2 coalesced
         121 time → …; repeat 11 stop; …""",
-    "a start energises and a set moves": """
-        1 leg 1 start 90 → command 1 start 90; completed 1
-        mode active
-        running 11 12 13
-        30 leg 1 set 45.5 → command 1 set 45.5; completed 2
-        60 servo 12 set 1 → command 12 set 1; completed 3""",
     "one set to a stopped servo rejects the whole command": """
         1 servo 11 start 90
         30 leg 1 set 80 | start 80 | set 80 → rejected 2 servo_stopped
@@ -104,17 +84,6 @@ SCENES: Final = {
         2 servo 12 start 90 → nothing
         3 servo 12 set 45 → completed 2 coalesced
         21 time → command 12 start 45; completed 3""",
-    "what comes sooner waits and only the newest is sent": """
-        100 leg 1 start 90
-        105 leg 1 set 90
-        110 leg 1 set 90
-        112 leg 1 set 80 → nothing
-        due 120
-        115 leg 1 set 70 → completed 4 coalesced
-        117 leg 1 set 60 → completed 5 coalesced
-        119 time → nothing
-        120 time → command 1 set 60; completed 6
-        140 time → nothing""",
     "a command comes just when another legs slot does": """
         100 leg 1 start 90
         105 leg 1 set 90
@@ -127,17 +96,6 @@ SCENES: Final = {
         101 leg 1 set 10 | set 20 | set 30 → nothing
         102 servo 12 set 25 → nothing
         120 time → command 1 set 10 | set 25 | set 30; completed 3; completed 2 coalesced""",
-    "servos without a new target repeat their operation": """
-        100 leg 1 start 90 | stop | stop
-        101 servo 12 start 20 (key servo/12)
-        102 servo 13 start 30 (key servo/13)
-        120 time → command 1 set 90 | start 20 | start 30; completed 2; completed 3""",
-    "each leg has rate slots of its own": """
-        100 leg 1 start 90
-        101 leg 2 start 90 → command 2 start 90; completed 2
-        102 legs 123 start 80 → command 3 start 80
-        105 time → command 1 start 80
-        106 time → command 2 start 80; completed 3""",
     # Nobody woke the supervisor in time: the newer target goes out, not first the older one.
     "a command that finds a rate slot is sent with what waited": """
         100 leg 1 start 90
@@ -149,36 +107,15 @@ SCENES: Final = {
         102 leg 1 stop → command 1 stop; completed 2 coalesced; completed 3
         120 time → nothing
         mode idle""",
-    "a stop among moves does not wait for them": """
-        100 leg 1 start 90
-        101 leg 1 set 80 | stop | set 70 → command 12 stop
-        running 11 13
-        120 time → command 1 set 80 | stop | set 70; completed 2""",
     # Its Stop may have been lost on the wire, which acknowledges nothing.
     "a stop among moves reaches a servo that seems to be stopped": """
         100 leg 1 start 90 | stop | start 90
         101 leg 1 set 80 | stop | set 80 → command 12 stop""",
-    "stops for two servos of a leg are two frames": """
-        100 leg 1 start 90
-        101 servo 11 stop + servo 13 stop → command 11 stop; command 13 stop; completed 2
-        running 12""",
-    "a stop to a leg that does not run is sent": """
-        1 leg 4 stop → command 4 stop; completed 1
-        2 servo 42 stop → command 42 stop; completed 2""",
-    "the other way round it wins as well": """
-        130 servo 11 start 90 (key servo/11) → command 11 start 90; completed 1
-        130 leg 1 stop (key legs) → command 1 stop; completed 2
-        running none""",
     "one channels own order is known and no others however long an instant takes": """
         instant 130
         130.5 leg 1 stop (key put leg/1)
         131 leg 1 start 90 (key get leg/1) → rejected 2 servo_stopped
         131.5 leg 1 start 90 (key put leg/1) → command 1 start 90; completed 3""",
-    "all who stop in an instant count": """
-        130 servo 11 stop (key servo/11)
-        130 leg 1 stop (key leg/1)
-        130 leg 1 start 90 (key leg/1) → rejected 3 servo_stopped
-        130.001 leg 1 start 90 (key leg/1) → command 1 start 90; completed 4""",
     "a stop among moves wins too": """
         130 leg 1 start 90 | stop | start 90 (key leg/1)
         130 servo 12 start 90 (key servo/12) → rejected 2 servo_stopped
@@ -206,12 +143,6 @@ SCENES: Final = {
         104 leg 2 start 90 → nothing
         105 time → command 1 start 80; completed 3
         106 time → command 2 start 90; completed 4""",
-    "a stop that comes with moves is repeated like any other": """
-        rules repeats=2
-        100 leg 1 start 90
-        130 leg 1 stop | set 80 | set 80 → …; command 1 stop | set 80 | set 80; completed 2
-        150 time → …; repeat 11 stop; …
-        170 time → …; repeat 11 stop; …""",
     "a start does not overtake a stop of its instant that comes with moves": """
         99 leg 1 start 90
         instant 100
@@ -223,13 +154,6 @@ SCENES: Final = {
         instant 349
         351 leg 1 start 90 (key put leg/1) → watchdog 1 stop; announce watchdog_expired; rejected 2 servo_stopped
         352 leg 1 start 90 (key put leg/1) → rejected 3 servo_stopped""",
-    "a stop of all legs is seen on those that the command before it did not move": """
-        100 legs 12 start 90
-        130 servo 11 set 91
-        140 estop
-        141 reset
-        mode idle
-        due never""",
 }
 
 

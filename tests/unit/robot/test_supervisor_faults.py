@@ -88,36 +88,16 @@ SCENES: Final = {
         205 leg 1 stop → rejected 5 bus_fault
         206 reset → rejected 6 bus_fault
         10000 time → nothing""",
-    "a fault is announced once": """
-        100 fail → announce bus_fault
-        200 fail → nothing""",
-    "also one before the bus was ever open": """
-        unopened
-        100 fail → announce bus_fault
-        200 fail → nothing""",
     "an emergency stop during a fault latches": """
         100 fail
         110 estop → announce estop_engaged
         mentions follow as soon as it does
         200 open → startup 1-6 stop; …
         mode estopped""",
-    "a leg that waits and is heard is energised in its turn": """
-        rules start_pause_ms=400
-        100 legs 12 start 90
-        200 legs 12 start 80
-        300 legs 12 start 80
-        400 legs 12 start 80
-        500 time → command 2 start 80; completed 4""",
     "a stop of a leg that waits ends the queue": """
         rules start_pause_ms=50
         100 legs 123 start 90
         110 leg 2 stop → command 2 stop; completed 2; rejected 1 servo_stopped
-        150 time → nothing
-        200 time → nothing""",
-    "so does one of a leg that rests": """
-        rules start_pause_ms=50
-        100 legs 123 start 90
-        110 leg 6 stop → command 6 stop; completed 2; rejected 1 servo_stopped
         150 time → nothing
         200 time → nothing""",
     "a set keeps the start that waits although a stop for another leg comes with it": """
@@ -147,12 +127,6 @@ SCENES: Final = {
         mode idle
         running none
         1000 time → nothing""",
-    "the latch stays through a fault": """
-        100 estop
-        110 fail
-        200 open → startup 1-6 stop; …
-        mode estopped
-        210 leg 1 start 90 → rejected 1 estopped""",
     "an emergency stop before the bus was ever open latches": """
         unopened
         0 estop → announce estop_engaged
@@ -176,11 +150,6 @@ SCENES: Final = {
         100 leg 1 start 90
         200 leg 2 start 90
         350 time → watchdog 1 stop; rejected 2 servo_stopped; announce watchdog_expired
-        500 time → nothing""",
-    "a leg that waits and is not heard is rejected": """
-        rules start_pause_ms=400
-        100 legs 12 start 90 (key legs)
-        350 time → watchdog 1 stop; watchdog 2 stop; rejected 1 stale; …
         500 time → nothing""",
     "a command that starts one leg and stops another does not reject itself": """
         rules start_pause_ms=50

@@ -4,7 +4,6 @@ from typing import Final
 
 import pytest
 
-from gateway.model.calibration import CalibrationChange
 from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from schemas.telemetry import Mode, WatchdogState
@@ -97,14 +96,6 @@ def test_a_pose_outside_the_joint_limits_is_not_approached() -> None:
     assert {angle for _, angle in told.get(31, [])} <= {90_00}
 
 
-def test_a_landing_that_was_due_before_a_new_pose_was_kept_goes_to_the_old_one() -> None:
-    steps = play(LANDS)
-    steps.calibrate(20, CalibrationChange({}, {31: 170_00, 42: 10_00}))
-    assert steps.kept(10 + TIMEOUT_MS) == ["announce landing", "announce calibrated", "completed 2"]
-    told = until(steps, ENDS_MS - 1)
-    assert (told[31][-1][1], told[42][-1][1]) == (30_00, 100_00)
-
-
 def test_a_limited_speed_holds_in_a_landing() -> None:
     steps = play(SLOW)
     told = until(steps, ENDS_MS)[31]
@@ -112,19 +103,10 @@ def test_a_limited_speed_holds_in_a_landing() -> None:
 
 
 SCENES: Final = {
-    "the announcement says why and how long": f"""{LANDS}
-        260 time → announce landing
-        announces no command for leg 3 in 250 ms; the robot lands, and is stopped 1000 ms later
-        legs 123456""",
     "a leg whose slot comes later keeps no other from going on": f"""{LANDS.replace("10000", "9024")}
         260 time
         296 time → watchdog 31 set 88.75
         300 time → watchdog 42 set 90.01""",
-    "a second landing begins where the servos are": f"""{LANDS}
-        1260 pass
-        2000 legs 34 start 90
-        2250 time
-        2750 time → watchdog 31 set 88.75; …  # and leaps no further after a stall""",
     "a leg that is still commanded lands too and its commands are rejected": f"""{LANDS}
         200 leg 4 set 91
         260 time

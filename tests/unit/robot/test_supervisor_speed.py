@@ -39,31 +39,17 @@ def test_the_newest_target_counts() -> None:
 
 
 SCENES: Final = {
-    "a near target is reached at once": f"""{RUNS}
-        51 servo 31 set 91.9 → command 31 set 91.9; …
-        200 pass → nothing""",
     "a start of a servo that runs is no way round it": f"""{RUNS}
         51 servo 31 start 180 → command 31 start 92; …""",
     "a start of one that does not run goes where it says": """
         rules max_speed_cdeg_s={31: 100}
         1 servo 31 start 180 → command 31 start 180; …""",
-    "other servos are as quick as ever": f"""{RUNS}
-        51 leg 3 set 180 → command 3 set 92 | set 180 | set 180; …""",
     "a legs frame that tells it its angle again counts as its last": f"""{RUNS}
         41 servo 32 set 80 + servo 33 set 80
         51 servo 31 set 180 → command 31 set 91; …""",
     "another servos frame does not": f"""{RUNS}
         41 servo 32 set 80
         51 servo 31 set 180 → command 31 set 92; …""",
-    "its start counts as its last frame too": f"""{RUNS}
-        6 servo 31 set 180 → command 31 set 90.5; …""",
-    "under a new holder of the lease nothing goes on to where somebody else sent it": """
-        rules max_speed_cdeg_s={11: 10000}
-        10 servo 11 start 0
-        100 servo 11 set 90 → command 11 set 2; completed 2
-        101 lease acquire anna (fresh anna) → announce lease_acquired; granted
-        249 time → nothing
-        350 time → watchdog 1 stop; announce watchdog_expired""",
 }
 
 

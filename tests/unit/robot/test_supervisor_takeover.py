@@ -40,21 +40,6 @@ def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
     assert 140 / 180 * 1000 - 40 < 20 * said.index(160) < 140 / 180 * 1000 + 60
 
 
-def test_two_programs_that_take_a_servo_from_each_other_in_turn_move_it_no_faster() -> None:
-    steps = play(ANNAS)
-    said = [20.0]
-    for at_ms in range(220, 1000, 20):
-        source, target = (("anna", "set 20"), ("bert", "set 160"))[at_ms // 20 % 2]
-        said += angles_sent(steps.command(at_ms, servo_to(31, target), source=source))
-    assert max(abs(later - earlier) for earlier, later in pairwise(said)) <= SLOT_DEG + 0.001
-
-
-def test_a_servo_whose_own_speed_is_lower_keeps_it() -> None:
-    steps = play(ANNAS.replace("rules", "rules max_speed_cdeg_s={31: 5000},"))
-    said = streamed(steps, "set 160", "bert", range(220, 400, 20))
-    assert max(later - earlier for earlier, later in pairwise(said)) <= 1.01
-
-
 SCENES: Final = {
     "its first step counts from the frame before": f"""{ANNAS}
         205 servo 31 set 160 (source bert) → command 31 set 20.9; …""",
@@ -69,9 +54,6 @@ SCENES: Final = {
         240 servo 31 set 90 (source bert) → command 31 set 90; …""",
     "the same source leaps as ever": f"""{ANNAS}
         220 servo 31 set 160 (source anna) → command 31 set 160; …""",
-    "each servo has a source of its own": f"""{ANNAS}
-        220 servo 32 set 120 (source bert)
-        240 leg 3 set 100 (source anna) → command 3 set 100 | set 27.2 | set 100; …""",
     "a start soon behind a stop begins where the servo stands": f"""{ANNAS}
         220 leg 3 stop (source anna)
         270 leg 3 start 35 (source anna) → command 3 start 20; …
@@ -93,8 +75,6 @@ SCENES: Final = {
         1 servo 32 start 20 (source anna)
         40 servo 32 stop (source anna)
         80 leg 3 start 35 (source anna) → command 3 start 35 | start 20 | start 35; …""",
-    "a servo that never ran starts at its target": f"""{RULES}
-        1 servo 31 start 160 (source anna) → command 31 start 160; …""",
     "behind another calibration an angle means another place": f"""{ANNAS}
         220 leg 3 stop (source anna)
         230 calibrate 31 trim 10
@@ -110,28 +90,11 @@ SCENES: Final = {
         220 servo 31 set 160 (source bert) → command 31 set 160; …
         240 leg 3 stop (source bert)
         280 leg 3 start 35 (source bert) → command 3 start 35; …""",
-    "a stop ends it": f"""{ANNAS}
-        220 servo 31 set 160 (source bert)
-        230 leg 3 stop (source anna) → command 3 stop; …
-        700 pass → nothing""",
-    "its own steps feed no watchdog": f"""{ANNAS}
-        220 servo 31 set 160 (source bert)
-        469 pass
-        running 31 32 33
-        470 time → watchdog 3 stop; …
-        700 pass → nothing""",
     "a landing keeps a pace of its own": f"""
         rules takeover_cdeg_s=1000, landing_ms=500, landing_cdeg={{31: 9000}}
         {HELD}
         220 servo 31 set 160 (source bert)
         960 pass → …; watchdog 31 set 90; …""",
-    "starts wait for each other and an emergency stop for nothing": """
-        rules start_pause_ms=15
-        1 legs 123456 start 90 → command 1 start 90
-        16 time → command 2 start 90
-        31 time → command 3 start 90
-        32 estop → estop 1-6 stop; rejected 1 estopped; announce estop_engaged
-        100 time → nothing""",
 }
 
 
