@@ -111,8 +111,6 @@ SCENES: Final = {
         1 leg 3 start 90
         2 leg 3 set 95 → nothing  # it waits for its rate slot
         3 lease acquire anna (fresh anna) → rejected 2 not_holder; …""",
-    "a takeover stops all legs also where nobody holds it": """
-        1 lease take bert (fresh bert) → command 1-6 stop; announce lease_acquired; granted""",
     "a command that comes after its ttl does not save it": f"""{SLOW}
         1001 leg 1 set 45 (lease anna) → announce lease_expired; rejected 2 not_holder
         1002 lease release (token anna) → not_holder""",
@@ -178,20 +176,6 @@ ANNA_HOLDS_IT: Final = {
         251 time
         1003 time → announce lease_expired
         1004 leg 1 start 90 → command 1 start 90; completed 2""",
-    "a former holders queue moves nothing once the lease is free again": """
-        2 lease take bert (fresh bert)
-        3 lease release (token bert)
-        30 leg 1 start 90 (lease anna) → rejected 2 not_holder
-        31 leg 1 start 90 (lease bert) → rejected 3 not_holder""",
-    "a takeover stops all legs also where it is handed over": """
-        2 lease ask bert
-        3 lease release to bert (token anna)
-        4 lease take carl (fresh carl) → command 1-6 stop; announce lease_taken; granted
-        5 lease acquire bert (fresh bert) → lease_held""",
-    "a renewal just when a leg is to be stopped delays no stop": """
-        251 lease renew (token anna) → watchdog 1 stop; announce watchdog_expired; granted""",
-    "a takeover just when a leg is to be stopped doubles no stop": """
-        251 lease take bert (fresh bert) → command 1-6 stop; announce lease_taken; granted""",
     "the end of the service ends it": """
         2 end
         holder nobody

@@ -1,7 +1,5 @@
 """Stops to legs at rest (*Legs at rest*): a servo that nobody started does not stay on."""
 
-import asyncio
-from itertools import pairwise
 from typing import Final
 
 import pytest
@@ -11,10 +9,10 @@ from gateway.model.framing import Framing
 from gateway.robot.core.leg import Rules
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from tests.support.robot import MS, leg, started_and_quiet
+from tests.support.robot import leg, started_and_quiet
 from tests.support.scenes import Scenes, play
 from tests.support.steps import leg_to
-from tests.support.transfers import on_wire, preamble_of
+from tests.support.transfers import on_wire
 
 # ---- when, and to whom
 
@@ -54,20 +52,6 @@ SCENES: Final = {
         due 1300
         300 end
         due never""",
-    "the rounds go on at their time however many commands come": """
-        10 leg 1 start 90
-        200 leg 1 set 80
-        400 leg 1 set 80
-        600 leg 1 set 80
-        790 leg 1 set 80 → command 1 set 80; completed 5
-        810 leg 1 set 80 → repeat 2 stop; repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop; …""",
-    "a start in the step of a round is not undone": """
-        10 leg 1 start 90
-        200 leg 1 set 90
-        400 leg 1 set 90
-        600 leg 1 set 90
-        810 leg 2 start 90
-            → repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop; command 2 start 90; completed 5""",
     "where all legs run there is no round": """
         rules timeout_ms=10000, rest_runs=3
         10 legs 123456 start 90
@@ -84,11 +68,6 @@ SCENES: Final = {
         due 220  # where it was, and the others go with it: one run, with one preamble
         220 time → repeat 1-6 stop
         due never""",
-    "a leg that waits to be started gets none": """
-        rules start_pause_ms=50
-        100 legs 12 start 90
-        110 leg 1 stop + leg 3 start 90
-        joined 2456  # leg 2's start is dropped, and leg 3's waits""",
     "a leg that waits to be started gets no further run": """
         rules start_pause_ms=50, period_ms=400, rest_runs=3
         800 leg 1 start 90
@@ -97,14 +76,6 @@ SCENES: Final = {
         850 leg 1 start 90
         860 leg 1 stop
         1900 leg 1 start 90 → command 1 start 90; completed 5""",
-    "a start that waits is not stopped by a run": """
-        rules period_ms=1000, timeout_ms=10000, rest_runs=3
-        100 leg 1 start 90
-        350 leg 1 set 90
-        600 leg 1 set 90  # the bucket's other slots
-        610 leg 1 stop
-        1000 leg 1 start 80 → nothing
-        1100 time → command 1 start 80; completed 5""",
 }
 
 
@@ -182,11 +153,6 @@ def test_repeats_that_take_long_are_over_before_the_first_of_them() -> None:
     assert runs_of(robot) == [1000, 2000, 3100, 4200, 5300, 6400]
 
 
-def test_a_run_that_is_late_moves_the_next_one_and_none_is_lost() -> None:
-    robot = at_rest().play(f"{ESTOP} 6500 time → repeat 1-6 stop")
-    assert runs_of(robot) == [7600, 8700, 9800], "at least a second apart"
-
-
 def test_a_stop_while_they_are_owed_moves_none_and_three_more_are_far_enough_behind_it() -> None:
     robot = at_rest().play(f"{ESTOP} 6150 estop")
     assert runs_of(robot) == [6170, 6190, 6210, 7310, 8410, 9510, 10_610], "6160 is among its repeats"
@@ -240,21 +206,6 @@ def test_a_repeat_comes_in_its_time_however_often_others_are_stopped(every_ms: i
     assert at_ms - since_ms <= 20 + every_ms
 
 
-def test_stops_that_keep_coming_postpone_no_repeat_and_no_run() -> None:
-    robot = at_rest()
-    robot.play("5000 legs 123456 stop")
-    repeats: list[float] = []
-    runs: list[float] = []
-    for at_ms in range(5010, 12_000, 10):
-        words = robot.command(at_ms, leg_to(1, "stop")) if at_ms % 30 == 10 else robot.time(at_ms)
-        repeats += [at_ms] * ("repeat 1 stop" in words)
-        runs += [at_ms] * ("repeat 6 stop" in words)
-    assert runs[:3] == [5020, 5040, 5060]
-    assert len(runs) == 3 + 6
-    assert max(later - earlier for earlier, later in pairwise(runs)) <= RUN_MS + 60
-    assert max(later - earlier for earlier, later in pairwise(repeats)) <= 20
-
-
 # ---- on the wire
 
 LEG_3 = keys.leg_command(3)
@@ -271,22 +222,3 @@ async def test_they_leave_with_the_first_stop_and_no_preamble_between() -> None:
     others = [stop_leg(number) for number in LEGS if number != 3]
     assert [data for _, data in robot.controller.transfers] == on_wire(PREFIXED, stop_leg(3), *others)
     assert sum(robot.conductor.bus.transfer_latency.buckets) == calls + 1
-
-
-@pytest.mark.virtual_time
-async def test_a_round_finds_its_preamble_written_and_is_the_streams_only_one() -> None:
-    robot = await started_and_quiet(spi={"framing": PREFIXED})
-    await asyncio.sleep(1)
-    robot.put(LEG_3, leg("start", 10, 10, 10))
-    robot.controller.transfers.clear()
-    begun_ns = robot.now_ns()
-    for _ in range(125):  # setpoints at 50 Hz
-        await asyncio.sleep(0.02)
-        robot.put(LEG_3, leg("set", 10, 10, 10))
-    data = [data for _, data in robot.controller.transfers]
-    stops = on_wire(PREFIXED, *(stop_leg(number) for number in LEGS if number != 3))
-    found = [index for index in range(len(data)) if data[index : index + len(stops)] == stops]
-    assert [round((robot.controller.transfers[index][0] - begun_ns) / MS) for index in found] == [800, 1600, 2400]
-    for index in found:
-        assert data[index - 16 : index] == preamble_of(PREFIXED)
-    assert data.count(b"\0") == 3 * 16
