@@ -108,15 +108,6 @@ SCENES: Final = {
         104 leg 1 start 90 → completed 4 coalesced
         105 leg 1 start 90 → completed 5 coalesced
         106 leg 1 start 90 → …; rejected 7 stale; …""",
-    "a burst of one key drops no start with a time of another": f"""{RULES}
-        100 leg 1 start 90
-        115 time
-        116 leg 1 stop
-        117 timed leg 1 start 80
-        117 leg 2 set 90
-        118 leg 2 set 90
-        119 leg 2 set 90
-        135 pass → …; command 1 start 80; …""",
     "sets are of the burst too and a start before them is dropped": f"""{RULES}
         100 leg 1 start 90
         101 leg 1 set 90
