@@ -7,12 +7,8 @@ from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
-from gateway.model.frames import SETS, STARTS
-from gateway.robot.core.events import BusOpened, Command, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.power_rule import PowerRule
-from gateway.robot.core.supervisor import Supervisor
 from tests.support.scenes import play
 
 BOARD: Final = "rules power=True\n 5 board\n"
@@ -68,23 +64,6 @@ def test_doubt_stops_all_legs_and_ends_a_landing() -> None:
         1020 time → nothing""")
 
 
-def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the_wire() -> None:
-    robot = Supervisor(Rules(repeats=0, power=True, angles_first=True, max_speed_cdeg_s={31: 100_00}))
-    robot.step(BusOpened(), 0)
-    robot.step(PowerSeen(alive=True), 0)
-    robot.step(Command(((31, STARTS[90_00]),), number=1), 10 * NS_PER_MS)
-    assert robot.to_feed() == {31: 90_00}
-    robot.step(Command(((31, SETS[45_00]),), number=2), 100 * NS_PER_MS)
-    assert robot.to_feed() == {31: 90_00}, "as long as the start waits"
-    (start,) = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
-    assert isinstance(start, Transmit)
-    ((_, op),) = start.frame.servos
-    assert op == STARTS[90_00], "no jump to 45"
-    robot.step(TimePassed(), 220 * NS_PER_MS)
-    assert robot.legs.servos[31].angle_cdeg == 88_00, "a step of its speed"
-    assert robot.to_feed() == {31: None}
-
-
 def test_the_supply_stands_in_the_way_of_moves_only_while_it_has_a_reason() -> None:
     without, supply = PowerRule(Rules()), PowerRule(Rules(power=True))
     assert (without.alive, without.closed) == (True, False)
@@ -99,8 +78,6 @@ SCENES: Final = {
         20 board → nothing
         30 leg 3 start 90 → nothing
         40 board → command 3 start 90; completed 2""",
-    "without a board nothing waits for one": """
-        10 leg 3 start 90 → command 3 start 90; completed 1""",
     "where the robot stops as one a servo that is lost stops all": """
         rules power=True, whole_robot=True
         5 board
@@ -125,14 +102,6 @@ SCENES: Final = {
         40 servo 41 start 90
         1830 board silent
             → watchdog 3 stop; watchdog 1-6 stop; rejected 2 no_power; rejected 3 no_power""",
-    # Its leg is not what the robot lands for, and stands on nothing.
-    "a start that is not fed is stopped ahead of a landing": """
-        rules power=True, landing_ms=500, feed_ms=240
-        5 board
-        10 leg 3 start 90
-        10 board
-        20 leg 1 start 90
-        261 time → watchdog 1 stop; …; announce landing; …""",
 }
 
 
@@ -169,11 +138,6 @@ WITH_A_BOARD: Final = {
         20 leg 3 stop → command 3 stop; …
         30 board → nothing
         running none""",
-    "so does an emergency stop": """
-        10 leg 3 start 90
-        20 estop → estop 1-6 stop; …
-        30 board → nothing
-        running none""",
 }
 
 
@@ -204,12 +168,6 @@ WITH_LEG_3_FED: Final = {
         40 reset → announce estop_reset; completed 3
         50 leg 3 stop → command 3 stop; …
         60 leg 3 start 90 → rejected 5 no_power""",
-    "a servo that does not run is no news": """
-        20 board (lost 11, refused 11) → nothing
-        running 31 32 33""",
-    "news that comes with the watchdog keeps no leg running": """
-        260 board → …; watchdog 3 stop; …
-        running none""",
     "the last servo of the last leg is stopped like any": """
         15 leg 6 start 90
         16 board
@@ -222,12 +180,6 @@ WITH_LEG_3_FED: Final = {
         60 end
         70 board (doubt servo 11 is not off) → nothing
         mode stopping""",
-    "an emergency stop of the same instant comes as ever": """
-        instant 20
-        20 board (lost 31)
-        21 estop → estop 1-6 stop; announce estop_engaged""",
-    "doubt that comes with the watchdog stops each leg once": """
-        300 board (doubt servo 11 is not off) → watchdog 1-6 stop""",
 }
 
 
