@@ -95,9 +95,6 @@ def test_a_mask_within_a_pass_behind_an_answer_waits_230_passes_longer(fed: Benc
     assert {0: 256, 9: 490}[more] == passes
 
 
-# ---- questions
-
-
 # ---- errors
 
 
@@ -189,6 +186,3 @@ def test_66_takes_all_supply_after_1000_passes(fed: Bench) -> None:
     fed.passes(2)
     assert fed.board.fed == 0
     assert fed.take(CanFrame(0x70)) == []
-
-
-# ---- faults, time
