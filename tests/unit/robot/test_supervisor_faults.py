@@ -151,6 +151,11 @@ SCENES: Final = {
         200 leg 2 start 90
         350 time → watchdog 1 stop; rejected 2 servo_stopped; announce watchdog_expired
         500 time → nothing""",
+    "a leg that waits and is not heard is rejected": """
+        rules start_pause_ms=400
+        100 legs 12 start 90 (key legs)
+        350 time → watchdog 1 stop; watchdog 2 stop; rejected 1 stale; …
+        500 time → nothing""",
     "a command that starts one leg and stops another does not reject itself": """
         rules start_pause_ms=50
         100 leg 1 start 90

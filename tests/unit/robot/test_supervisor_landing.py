@@ -103,6 +103,10 @@ def test_a_limited_speed_holds_in_a_landing() -> None:
 
 
 SCENES: Final = {
+    "the announcement says why and how long": f"""{LANDS}
+        260 time → announce landing
+        announces no command for leg 3 in 250 ms; the robot lands, and is stopped 1000 ms later
+        legs 123456""",
     "a leg whose slot comes later keeps no other from going on": f"""{LANDS.replace("10000", "9024")}
         260 time
         296 time → watchdog 31 set 88.75
