@@ -7,8 +7,11 @@ from typing import Final
 
 import pytest
 
+from gateway.allowance import NS_PER_MS
+from gateway.model.frames import SETS, STARTS
+from gateway.robot.core.events import BusOpened, Command, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.power_rule import PowerRule
+from gateway.robot.core.supervisor import Supervisor
 from tests.support.scenes import play
 
 BOARD: Final = "rules power=True\n 5 board\n"
@@ -64,10 +67,21 @@ def test_doubt_stops_all_legs_and_ends_a_landing() -> None:
         1020 time → nothing""")
 
 
-def test_the_supply_stands_in_the_way_of_moves_only_while_it_has_a_reason() -> None:
-    without, supply = PowerRule(Rules()), PowerRule(Rules(power=True))
-    assert (without.alive, without.closed) == (True, False)
-    assert (supply.alive, supply.closed) == (False, True)
+def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the_wire() -> None:
+    robot = Supervisor(Rules(repeats=0, power=True, angles_first=True, max_speed_cdeg_s={31: 100_00}))
+    robot.step(BusOpened(), 0)
+    robot.step(PowerSeen(alive=True), 0)
+    robot.step(Command(((31, STARTS[90_00]),), number=1), 10 * NS_PER_MS)
+    assert robot.to_feed() == {31: 90_00}
+    robot.step(Command(((31, SETS[45_00]),), number=2), 100 * NS_PER_MS)
+    assert robot.to_feed() == {31: 90_00}, "as long as the start waits"
+    (start,) = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
+    assert isinstance(start, Transmit)
+    ((_, op),) = start.frame.servos
+    assert op == STARTS[90_00], "no jump to 45"
+    robot.step(TimePassed(), 220 * NS_PER_MS)
+    assert robot.legs.servos[31].angle_cdeg == 88_00, "a step of its speed"
+    assert robot.to_feed() == {31: None}
 
 
 SCENES: Final = {

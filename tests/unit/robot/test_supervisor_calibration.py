@@ -78,15 +78,6 @@ def test_a_change_is_in_force_once_it_is_kept() -> None:
     steps.play("51 servo 32 start 90 → command 32 start 85; completed 2")
 
 
-def test_a_change_that_the_disk_does_not_take_changes_nothing() -> None:
-    steps = Scenes(calibration=MIRRORED).play(f"""
-        0 {TURN_32}
-        50 kept the disk is full; the old calibration stays → rejected 1 invalid
-        says the disk is full; the old calibration stays
-        51 servo 32 start 90 → command 32 start 97; completed 2""")
-    assert steps.supervisor.calibrating.in_force == MIRRORED
-
-
 SCENES: Final = {
     "a servo that runs or waits to be started is not changed": """
         rules start_pause_ms=100
