@@ -64,6 +64,22 @@ def test_of_256_ids_these_five_kill_and_no_other() -> None:
     assert plain.dead is None
 
 
+@pytest.mark.parametrize("length", [69, 90, 255])
+def test_lengths_of_69_to_255_leave_it_deaf_for_good_once_68_bytes_have_come(length: int) -> None:
+    """Two bare frames announce 90 bytes, which its timeout still ends; fifteen are too many."""
+    said: list[str] = []
+    controller = Controller(Framing.LENGTH_PREFIXED, clock=lambda: 5_000_000 * MS, on_change=said.append)
+    for data in (b"\6", bytes.fromhex("06 02 0b 01 5a 00"), bytes((length,)), bytes(68)):
+        controller.take(data)
+    assert controller.dead is None
+    controller.take(b"\0")
+    assert controller.dead == "69 bytes in a buffer of 64 overwrote its SPI handle"
+    for data in (b"\6", bytes.fromhex("06 02 0b 02 00 00")):
+        controller.take(data)
+    assert controller.energised == {11}
+    assert said, "it tells of its servo and of its end"
+
+
 # ---- The simulated CAN adapter: slcan byte by byte, and the faults between it and the board
 
 
@@ -138,13 +154,14 @@ def any_frame(angles_deg: dict[int, float]) -> bytes:
 
 
 def test_a_start_before_any_frame_waits_for_one_and_is_counted() -> None:
-    page = ServoPage()
-    controller = Elkapod(clock=lambda: 0, page=page)
+    page, said = ServoPage(), list[str]()
+    controller = Elkapod(clock=lambda: 0, on_change=said.append, page=page)
     controller.uart_write(START)
     assert controller.corruptions == {"started before any frame": 1}
     assert set(page.read().values()) == {None}
     controller.exchange(any_frame({}))
     assert page.read() == TARGETS
+    assert said
 
 
 def test_angles_that_no_servo_has_are_driven_to_its_end_and_counted() -> None:
