@@ -27,7 +27,8 @@ def test_only_its_holder_moves_and_resets_and_everybody_stops(other: str) -> Non
         32 leg 1 stop | set 1 | set 1{other} → command 11 stop; rejected 5 not_holder stopped
         33 estop → estop 1-6 stop; announce estop_engaged
         34 reset{other} → rejected 6 not_holder
-        35 reset (lease anna) → announce estop_reset; completed 7""")
+        35 reset (lease anna) → announce estop_reset; completed 7
+        36 calibrate 32 trim 1{other} → rejected 8 not_holder""")
 
 
 def test_a_takeover_stops_all_six_legs_first() -> None:
@@ -65,6 +66,7 @@ def test_few_askers_are_remembered_the_latest() -> None:
 
 @pytest.mark.parametrize("verified", [False, True])
 def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
+    assert not Scenes().supervisor.lease.verified
     robot = play(HELD)
     lease = robot.supervisor.lease
     robot.take(2, LeaseRequest(Do.ASK, "bert", verified))

@@ -107,6 +107,12 @@ SCENES: Final = {
         260 time → announce landing
         announces no command for leg 3 in 250 ms; the robot lands, and is stopped 1000 ms later
         legs 123456""",
+    "what waits for its slot when the landing begins is rejected": f"""{LANDS}
+        250 leg 4 set 91
+        251 leg 4 set 92
+        252 leg 4 set 93
+        253 leg 4 set 94 → completed 4 coalesced
+        260 time → rejected 5 landing; announce landing""",
     "a leg whose slot comes later keeps no other from going on": f"""{LANDS.replace("10000", "9024")}
         260 time
         296 time → watchdog 31 set 88.75
