@@ -185,6 +185,19 @@ def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardEr
     assert errors.shown(FIRST, 70 * NS_PER_MS)[2], "what comes again is news again"
 
 
+def test_a_board_without_errors_blocks_nothing_and_two_boards_are_no_error_of_one(errors: BoardErrors) -> None:
+    two = BoardError(TWO_BOARDS, 0)
+    errors.shown(FIRST, 0)
+    errors.shown(two, 0)
+    errors.none_left()
+    assert errors.two_boards
+    assert not errors.shown(two, 1)[2]
+    errors.delete(2)
+    assert (errors.two_boards, errors.mask) == (False, 0)
+    assert errors.shown(two, 3)[2]
+    assert errors.shown(FIRST, 3)[2]
+
+
 def test_without_an_answer_it_asks_again_every_50_ms_for_two_seconds(errors: BoardErrors) -> None:
     errors.delete(0)
     assert frames(errors, range(1950)) == [(ms, ASK_ERROR) for ms in range(0, 1950, 50)]
