@@ -123,11 +123,12 @@ def locked(path: Path) -> Iterator[None]:
     """
     with os.fdopen(os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | _CLOEXEC, 0o600)) as file:
         like_the_folder(path, file.fileno())
-        if os.name == "nt":
+        try:
+            fcntl: Any = importlib.import_module("fcntl")
+        except ImportError:
             windows: Any = importlib.import_module("msvcrt")
             windows.locking(file.fileno(), windows.LK_LOCK, 1)
         else:
-            fcntl: Any = importlib.import_module("fcntl")
             fcntl.flock(file.fileno(), fcntl.LOCK_EX)
         yield
 
