@@ -103,15 +103,15 @@ def board(tmp_path: Path, *, gateway_runs: bool = False) -> Result:
 def test_a_board_that_is_the_gateways_or_not_for_this_user_is_not_opened(
     adapter: Adapter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert "whether the board answers" in board(tmp_path).sentence
-    adapter.received.clear()
     assert board(tmp_path, gateway_runs=True).verdict == "ok"
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "can", None)
         assert "python-can is not installed" in board(tmp_path).sentence
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    assert "may not open" in board(tmp_path).sentence
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "access", lambda *_: False)
+        assert "may not open" in board(tmp_path).sentence
     assert adapter.received == []
+    assert "whether the board answers" in board(tmp_path).sentence, "and is opened"
 
 
 # ---- currents
