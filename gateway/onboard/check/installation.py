@@ -202,7 +202,7 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
             failure(emptied, f"{path} empties ExecStopPost=: {_NO_STOP}", aside),
             warning("HEXAPOD_" in environment, f"{path} has settings that override gateway.toml: {environment}",
                     f"move them to gateway.toml, {aside}"),
-            warning(depends, f"{path} changes what Stops depend on: {depends}", f"if nobody knows why, {aside}"),
+            warning(depends, f"{path} changes what Stops depend on: {depends}", f"if it is not needed, {aside}"),
             well(f"{path} sets {', '.join(sorted(keys))}"))
     environment = robot.shown("--property=Environment").get("Environment", "")  # systemd gives it to all services
     process = robot.text(f"/proc/{robot.unit.get('MainPID', 0)}/environ").replace("\0", " ")
