@@ -20,8 +20,9 @@ def mount_of(path: Path, mounts: str | None = None) -> tuple[str, str]:
     """
     lines = (line.split() for line in (_MOUNTS.read_text() if mounts is None else mounts).splitlines())
     found = [(words[4].replace("\\040", " "), words[words.index("-") + 1]) for words in lines]
-    # Of two at one place, the later one hides the earlier one.
-    return max(reversed(found), key=lambda each: len(each[0]) if path.is_relative_to(each[0]) else -1)
+    # Of two at one place, the later one hides the earlier one. The root of a chroot need not be a mount point.
+    over = [mount for mount in [("/", "unknown"), *found] if path.is_relative_to(mount[0])]
+    return max(reversed(over), key=lambda each: len(each[0]))
 
 
 def forgets(folder: Path) -> str:

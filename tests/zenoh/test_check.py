@@ -87,7 +87,7 @@ TAKEN, FREE, RUNS = "is taken by another program", "is free", "by the running ga
     [
         *((f"{each}:TAKEN", TAKEN) for each in ("tcp/127.0.0.1", "tls/127.0.0.1", "quic/127.0.0.1")),
         *((f"{each}:FREE", FREE) for each in ("tcp/127.0.0.1", "tls/127.0.0.1", "quic/127.0.0.1")),
-        ("tcp/localhost:TAKEN#iface=lo", TAKEN),
+        ("tcp/127.0.0.1:TAKEN#iface=lo", TAKEN),
         ("tcp/192.0.2.1:7447", "is not there yet (Cannot assign requested address)"),
         ("tcp/127.0.0.1:99999", "cannot be listened on: ports end at 65535"),
         ("tcp/no-such-host.invalid:7447", "is not there yet ("),

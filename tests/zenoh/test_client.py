@@ -224,7 +224,7 @@ def test_wait_ready_says_at_once_who_engaged_the_emergency_stop_and_its_command_
 
 def test_the_help_of_a_client_fits_a_screen_and_shows_nothing_private() -> None:
     shown = pydoc.plain(pydoc.render_doc(Client)).splitlines()
-    assert len(shown) <= 52
+    assert len(shown) <= (52 if sys.version_info < (3, 13) else 72), "from 3.13 on, each argument has a line of its own"
     assert not [line for line in shown if "@private" in line or re.search(r"\b_\w+\(", line)]
     public = {name for name, member in vars(Client).items() if name[0] != "_" and "@private" not in str(member.__doc__)}
     assert {name for name in public if not re.search(rf"\b{name}\b", "\n".join(shown))} <= {"close"}

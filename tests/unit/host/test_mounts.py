@@ -35,3 +35,7 @@ def test_this_machines_memory_forgets() -> None:
     assert forgets(Path("/dev/shm")) == "tmpfs"  # noqa: S108 (the point of it)
     assert forgets(Path("/proc")) == ""
     assert "ext4" not in FORGETS
+
+
+def test_the_root_of_a_chroot_need_not_be_a_mount_point() -> None:
+    assert mount_of(Path("/var/lib"), "24 22 0:31 / /run rw,nosuid - tmpfs tmpfs rw") == ("/", "unknown")
