@@ -95,7 +95,7 @@ def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception |
         try:
             if not opened:
                 bus.open()
-                opened = True
+                opened = True  # mutants accepted (TrueWithFalse): after a mistake of ours, one opening more
             report = bus.write([stop_leg(leg) for leg in legs], preamble=True)
         except Exception as error:
             fault = error

@@ -19,6 +19,7 @@ from gateway.model.elkapod import (
     frame,
     heartbeat,
     measured,
+    values_of,
 )
 
 
@@ -142,6 +143,10 @@ def test_whatever_comes_is_measured_or_rejected(data: bytes) -> None:
     assert all(map(math.isfinite, numbers))
     assert values.tilt_deg is None or 0 <= values.tilt_deg <= 180
     assert answer(values)[:77] == data[:77]
+
+
+def test_an_answer_has_nineteen_values() -> None:
+    assert values_of(ANSWER) == struct.unpack_from("<19f", ANSWER, 1)
 
 
 # ---- the tilt

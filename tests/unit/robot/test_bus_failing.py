@@ -51,6 +51,7 @@ def test_what_may_have_been_lost_is_each_transfer_and_those_behind_it() -> None:
     assert after_failure(frozenset({0, 14}), transfers_of(LEG_STOPS[0])) == {0, 13, 14}
     assert after_failure(ANYTHING, [ZERO]) == ANYTHING
     assert after(ANYTHING, [ZERO] * 14) == NOTHING
+    assert after(ANYTHING, [ZERO] * 13) == {0, 1}, "all 14 bytes of a leg's frame may be missing"
 
 
 def test_a_controller_that_gave_up_within_a_frame_may_await_the_last_byte_of_another() -> None:

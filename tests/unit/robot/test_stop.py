@@ -15,7 +15,7 @@ from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
 from gateway.robot.spi import ByteDevice, stop_all
 from gateway.robot.spi.bus import Bus
-from gateway.robot.spi.stop_all import stop_once, stop_servos
+from gateway.robot.spi.stop_all import stop_before_service, stop_once, stop_servos
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS
 
@@ -98,6 +98,8 @@ class Rounds:
     failing: set[int]
     failing_rounds: int
     gateway_runs: bool = False
+    exclusive: bool = False
+    """Whether it is opened for nobody else, as by a gateway."""
     log: list[str] = field(default_factory=list)
     sleeps_ms: list[float] = field(default_factory=list)
 
@@ -112,11 +114,11 @@ class Rounds:
         self.sleeps_ms.append(pause_s * 1000)
 
     def device(self, path: str, speed_hz: int, *, exclusive: bool = True) -> "OfRounds":
-        assert (path, speed_hz, exclusive) == ("/dev/spidev0.0", 2_500_000, False)
+        assert (path, speed_hz, exclusive) == ("/dev/spidev0.0", 2_500_000, self.exclusive)
         return OfRounds(self)
 
     def uart(self, path: str, *, exclusive: bool = True) -> "OfRounds":
-        assert (path, exclusive) == ("/dev/ttyAMA1", False), "a gateway may hold it"
+        assert (path, exclusive) == ("/dev/ttyAMA1", self.exclusive)
         return OfRounds(self)
 
     def notice(self, path: str) -> "Rounds":
@@ -164,7 +166,11 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
         replaced = {"KernelDevice": rounds.device, "SerialUart": rounds.uart, "Notice": rounds.notice, "time": rounds}
         for name, instead in replaced.items():
             monkeypatch.setattr(stop_all, name, instead)
-        return stop_servos(wire, SpiSettings(speed_hz=2_500_000), ControllerSettings(), rounds.written)
+        settings = wire, SpiSettings(speed_hz=2_500_000), ControllerSettings()
+        if not rounds.exclusive:
+            return stop_servos(*settings, rounds.written)
+        stop_before_service(*settings)
+        return None
 
     return run
 
@@ -222,3 +228,12 @@ def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_r
     assert scene.log.count("stop") == 2 * (4 - failing_rounds), "opening it is one, too"
     assert scene.sleeps_ms == [20] * 3
     assert scene.log[-2:] == ["closed", "ended"]
+
+
+@pytest.mark.parametrize(("protocol", "stops_written"), [(SpiProtocol.HEXAPOD_1_0, 6), (SpiProtocol.ELKAPOD_2025, 2)])
+def test_a_gateways_first_stops_are_one_round_on_a_device_of_its_own(
+    protocol: SpiProtocol, stops_written: int, stops: Stops
+) -> None:
+    scene = Rounds(set(), 0, exclusive=True)
+    stops(scene, WireSettings(protocol))
+    assert scene.log == ["stop"] * stops_written + ["closed"]
