@@ -102,7 +102,7 @@ def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway)
     with gateway.client() as client:
         heard = frames(client)
         with gateway.begin("check", "--stops", "--only", "estop", "--only", "command") as child:
-            child.wait_for_output("estop: engages", timeout_s=20)
+            child.wait_for_output("estop: Engage", timeout_s=20)
             heard.wait(lambda record: record.bytes == STARTED)
             with client.lease(take=True):
                 assert child.wait() == 1, str(child)

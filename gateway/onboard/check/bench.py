@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 from gateway.errors import GatewayError, UnansweredError
 from gateway.model.calibration import RobotCalibration, calibration_of
@@ -24,11 +24,11 @@ STREAM_S: Final = 0.3  # setpoints stream for this time before the step acts
 _QUIET_S: Final = 0.15  # after this time all pending frames are sent: a leg's rate slot comes every 20 ms
 
 
-class FailedError(Exception):
+class FailedError(GatewayError):
     """A step failed; the message states what happened instead."""
 
 
-class Skipped(Exception):  # noqa: N818  (it is no error)
+class Skipped(GatewayError):  # noqa: N818  (it is no error)
     """A step cannot be done here; the message states why."""
 
 
@@ -45,6 +45,11 @@ class CheckStep(NamedTuple):
     does: str
     run: Callable[[Any], dict[str, Any] | str | None]
 
+    @classmethod
+    def of(cls, run: Callable[[Any], dict[str, Any]]) -> Self:
+        """Return the step of a function: its name and docstring are the step's."""
+        return cls(run.__name__.replace("_", "-"), str(run.__doc__).rstrip("."), run)
+
     def outcome(self, means: object, held: AbstractContextManager[None], *, quiet: bool = False) -> dict[str, object]:
         """Run it while `held`, and print the result unless `quiet`. Return it as `--json` prints it."""
         result, figures = "PASS", dict[str, Any]()
@@ -54,10 +59,8 @@ class CheckStep(NamedTuple):
             figures = found if isinstance(found, dict) else figures
             each = {name: f"{value:.1f}" if isinstance(value, float) else value for name, value in figures.items()}
             detail = ", ".join(f"{name} {value}" for name, value in each.items()) or str(found or self.does)
-        except (FailedError, Skipped) as ended:
-            result, detail = "FAIL" if isinstance(ended, FailedError) else "SKIPPED", str(ended)
         except GatewayError as error:
-            result, detail = "FAIL", f"the check could not go on: {error}"
+            result, detail = "SKIPPED" if isinstance(error, Skipped) else "FAIL", str(error)
         except Exception as error:  # of a plug-in, which is somebody else's code
             result, detail = "FAIL", f"{type(error).__name__}: {error}"
         if not quiet:

@@ -14,6 +14,7 @@ from gateway.host import effective
 from gateway.host.settings_table import WireSettings
 from gateway.onboard.check.bench import CheckStep, Skipped, demand, ms_since
 from gateway.onboard.check.table import conclude
+from gateway.people.commands.moving import NOTHING_MOVED
 from gateway.people.terminal import ask
 from gateway.robot import settings as settings_file
 from gateway.robot.spi.bus import STALLED_NS
@@ -78,7 +79,7 @@ def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
     tried = Tried(wire, unplug)
     question = f"All servos go to {_MIDDLE_DEG:g}° and move by {_BY_DEG:g}°. Are all legs free? yes or no: "
     if not agreed and ask(question) != "yes":
-        raise ConfigError("nothing was moved; --yes agrees")
+        raise ConfigError(NOTHING_MOVED)
     try:
         broken = [step.outcome(tried, nullcontext())["result"] for step in STEPS].count("FAIL")
     finally:

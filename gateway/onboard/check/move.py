@@ -14,9 +14,9 @@ from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.model.protocols import BUILT_IN
-from gateway.onboard.check.bench import Bench, FailedError
+from gateway.onboard.check.bench import Bench
 from gateway.own_command import command
-from gateway.people.commands.moving import ServoMotion, consents, lying, ready, stopped_after
+from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
 from gateway.people.terminal import ask, say
 from gateway.robot.spi.machine import SELECT_BY_GPIO
@@ -43,10 +43,6 @@ _WHOLE_HOLDS: Final = (
     "The shutdown does not reach the controller: AN EMERGENCY STOP WOULD STOP NOTHING. Switch the servos' power off, "
     "and see that the Pi's TX leads to the controller's RX (controller.uart names the UART)."
 )
-_SILENT: Final = (
-    "The controller does not answer, so nothing is moved: {status} names what is missing. A controller "
-    "that never answers needs another wire.name."
-)
 # fmt: off
 _BOARD, _ALL, _LEGS, _WHOLE = "board", "all", "legs", "whole"
 _CAUSES: Final = (
@@ -67,21 +63,21 @@ _CAUSES: Final = (
 
 
 def move(connect: Connection, *, agreed: bool) -> int:
-    """Ask, move, stop, and ask what was seen. Return 0 if a person saw it move, else 1. Raises ZenohError.
+    """Ask, move, stop, and ask what was seen. Return 0 if a person saw it move, else 1.
 
-    `agreed`: ask nothing; 0 then means only that all commands were accepted.
+    Raises ConfigError if nothing may be moved, FailedError if a command is rejected. `agreed`: ask nothing; 0 then
+    means only that all commands were accepted.
     """
     with connect() as client:
         state = ready(client)
         show_differences()
         whole, measured, at_rest = state.wire.whole_robot, list[Telemetry](), 0
         if whole and not state.controller.alive:
-            say(_SILENT.format(status=command("status")))
-            return 1
+            raise ConfigError(
+                f"the controller does not answer, so nothing is moved: {command('status')} names the reason"
+            )
         motion = _motion(lying(client, state) if whole else {}, agreed=agreed)
-        if not consents(motion, state, agreed=agreed):
-            say("Nothing was moved.")
-            return 1
+        consent(motion, state, agreed=agreed)
         state = ready(client)  # the questions took their time
         # If supply is what starts a servo, the one at that output moves, whichever it is.
         shows_output = state.power is not None and not state.wire.supply_starts
@@ -96,12 +92,7 @@ def move(connect: Connection, *, agreed: bool) -> int:
             return f"{which} stopped." if ack.accepted else f"{which} not stopped: {ack.reason}: {ack.detail}"
 
         with drives(client, _HOLD_S, moves=True), stopped_after("all servos are" if whole else "it is", stop):
-            try:
-                _move(Bench(client, motion), state.watchdog.timeout_ms)
-            except FailedError as error:
-                say(f"{error}. If the watchdog stopped it, the way to the robot is slow, or this machine is: try again "
-                    "on the robot itself, or nearer to its Wi-Fi.")  # fmt: skip
-                return 1
+            _move(Bench(client, motion), state.watchdog.timeout_ms)
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
             say(f"All six legs were stopped at once, {motion.which} with them.")

@@ -24,6 +24,7 @@ from schemas.telemetry import GatewayState
 
 STEP_DEG: Final = 5.0
 """How far one servo moves: enough to be seen, too little to do harm."""
+NOTHING_MOVED: Final = "nothing was moved; --yes agrees"
 
 
 class ServoMotion(NamedTuple):
@@ -84,8 +85,8 @@ def ready(client: Client) -> GatewayState:
     return state
 
 
-def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
-    """Announce the motion. Returns whether a person agrees, now or beforehand (`agreed`)."""
+def consent(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> None:
+    """Announce the motion. Raises ConfigError unless a person agrees, now or beforehand (`agreed`)."""
     if motion.holding:
         hint(
             "This robot starts and stops as a whole: all 18 servos will go at once to its lying pose, wherever they "
@@ -99,7 +100,8 @@ def consents(motion: ServoMotion, state: GatewayState, *, agreed: bool) -> bool:
     )
     if state.watchdog.landing_ms:
         hint(f"If commands stop, the servo goes to its landing angle in {state.watchdog.landing_ms:g} ms.")
-    return agreed or ask("Type yes to move it: ") == "yes"
+    if not agreed and ask("Type yes to move it: ") != "yes":
+        raise ConfigError(NOTHING_MOVED)
 
 
 @contextmanager
