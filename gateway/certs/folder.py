@@ -20,7 +20,16 @@ from cryptography.hazmat.primitives import serialization
 from gateway import nesting
 from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, revocation, zenoh_files
 from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
-from gateway.certs.files import PUBLIC, mode_of, publish, read_certificate, read_file, read_key, replace
+from gateway.certs.files import (
+    PUBLIC,
+    mode_of,
+    publish,
+    read_certificate,
+    read_certificates,
+    read_file,
+    read_key,
+    replace,
+)
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
@@ -265,6 +274,21 @@ def port_of(config: Path) -> int:
     if found is None:
         raise ConfigError(f"{config} listens on no tls endpoint with a port: fix listen.endpoints (tls/[::]:7447)")
     return int(found[1])
+
+
+def mismatch(ca: Path, certificate: Path, key: Path, *, of_robot: bool = True) -> str:
+    """Return why these files do not belong together, or are no robot's; "": they are right. Raises ConfigError."""
+    own = read_certificate(certificate)
+    role = authority.holder_of(own).role
+    faults = (
+        (
+            not any(is_issued(own, each) for each in read_certificates(ca)),
+            f"{certificate.name} is of another authority than {ca.name}",
+        ),
+        (read_key(key).public_key() != own.public_key(), f"{key.name} is not the key of {certificate.name}"),
+        (of_robot and role != GATEWAY, f"{certificate.name} is of {role}, not of a robot"),
+    )
+    return next((f"in {certificate.parent}, {sentence}" for wrong, sentence in faults if wrong), "")
 
 
 def load_ca(directory: Path, now: dt.datetime, name: str = CA) -> KeyPair:

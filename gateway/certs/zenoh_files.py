@@ -115,12 +115,6 @@ def marked(text: bytes) -> bytes:
     return text + _MARK + hashlib.sha256(text).hexdigest().encode() + b"\n"
 
 
-def command_for_new_rules(file: str, port: int, program: str = "hexapod-gateway") -> str:
-    """Return a shell command that rewrites gateway.json5 with this release's rules; certificates and keys stay."""
-    made = f"d=$(mktemp -d) && {program} certs init --dir $d --host $(hostname) --port {port}"
-    return f"{made} && sudo cp $d/gateway.json5 {file} && rm -r $d"
-
-
 def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, file: str) -> bytes:
     """Return a laptop's Zenoh configuration, with the name `file` and an endpoint for each of the robot's hosts."""
     endpoints = json.dumps([endpoint(host, port) for host in hosts])

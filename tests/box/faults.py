@@ -53,10 +53,10 @@ TAKE_A_STOP = (
     Fault(
         "a unit without Stops",
         "sed -i /^ExecStopPost.*stop-servos/d $unit; systemctl daemon-reload",
-        f"{NAME}.service differs from this release's",
+        f"/usr/lib/systemd/system/{NAME}.service is not this release's",
     ),
     Fault("a drop-in without Stops", "drop_in ExecStopPost=", "empties ExecStopPost="),
-    Fault("a state directory of root's", "chown -R root:root $state", "the service may not write"),
+    Fault("a state directory of root's", "chown -R root:root $state", "may not read and write /var/lib"),
 )
 """After these a crash leaves the servos on: `make test` shows them, `make test-all` the others."""
 
@@ -86,21 +86,25 @@ FAULTS = (
     Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
     Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
     # units
-    Fault("a unit that is missing", "rm $unit; systemctl daemon-reload", f"{NAME}.service differs from this release"),
-    Fault("an emptied unit", ": >$unit; systemctl daemon-reload", f"{NAME} is masked, or its unit is empty"),
+    Fault(
+        "a unit that is missing",
+        "rm $unit; systemctl daemon-reload",
+        f"/usr/lib/systemd/system/{NAME}.service is not this",
+    ),
+    Fault("an emptied unit", ": >$unit; systemctl daemon-reload", "is not this release's unit"),
     Fault(
         "a unit of somebody's own",
         "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
-        "replaces the package's unit",
+        f"/etc/systemd/system/{NAME}.service is not this",
     ),
     Fault("a unit that was edited only", "echo '# edited' >>$unit", f"{NAME} was edited, but systemd still", more=1),
     Fault(
         "a masked unit",
         "systemctl stop $service; systemctl mask $service",
-        f"{NAME} is masked, or its unit is empty",
+        f"/etc/systemd/system/{NAME}.service is not this",
     ),
-    Fault("a disabled unit", "systemctl disable $service", "is active, but does not start with the machine"),
-    Fault("a stopped service", "systemctl stop $service", "is enabled, but inactive"),
+    Fault("a disabled unit", "systemctl disable $service", "is disabled and active"),
+    Fault("a stopped service", "systemctl stop $service", "is enabled and inactive"),
     Fault(
         "a failed service",
         "echo x >>$toml; systemctl restart $service || true; cp /root/gateway.toml $toml",
@@ -115,10 +119,10 @@ FAULTS = (
     Fault(
         "a framing in a drop-in",
         "drop_in Environment=HEXAPOD_SPI__FRAMING=plain; systemctl restart $service",
-        "has settings that override gateway.toml",
+        "depend on: HEXAPOD_SPI__FRAMING",
     ),
-    Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "changes what Stops depend on: WatchdogSec"),
-    Fault("too few descriptors", "drop_in LimitNOFILE=64", "changes what Stops depend on: LimitNOFILE"),
+    Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "what Stops depend on: WatchdogSec"),
+    Fault("too few descriptors", "drop_in LimitNOFILE=64", "what Stops depend on: LimitNOFILE"),
     Fault(
         "a variable for all services",
         "systemctl set-environment HEXAPOD_LIMITS__LEG_RATE_HZ=20; systemctl restart $service",
@@ -139,7 +143,7 @@ FAULTS = (
         more=1,
     ),
     # the state directory
-    Fault("a state directory to read only", "chmod 500 $state", "the service may not write"),
+    Fault("a state directory to read only", "chmod 500 $state", "may not read and write /var/lib"),
     Fault(
         "a state directory on a read-only file system",
         "mount --bind $state $state; mount -o remount,bind,ro $state",
@@ -155,7 +159,7 @@ FAULTS = (
     Fault(
         "a file of root's in it",
         "install -m 600 /dev/null $state/notes",
-        "read and write: notes",
+        "read and write /var/lib/hexapod-gateway/notes",
         then="rm $state/notes",
     ),
     Fault(
@@ -174,14 +178,18 @@ FAULTS = (
     Fault(
         "a device that another program has locked",
         "systemctl stop $service; setsid flock $(readlink -f /dev/spidev0.0) sleep 999 >/dev/null 2>&1 & sleep 1",
-        "is locked by",
+        "is held by",
         by_hand="pkill sleep; systemctl reset-failed $service; systemctl start $service",
     ),
-    Fault("a node for root only", "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0", "may not open /dev/spidev0.0"),
+    Fault(
+        "a node for root only",
+        "chgrp root /dev/spidev0.0; chmod 600 /dev/spidev0.0",
+        "/dev/spidev0.0 may not be opened",
+    ),
     Fault(
         "a device that does not exist",
         "sed -i '1i spi.device = \"/dev/spidev9.9\"' $toml",
-        "/dev/spidev9.9 does not exist → set spi.device; this machine has /dev/spidev0.0",
+        "/dev/spidev9.9: No such file or directory → set spi.device; this machine has /dev/spidev0.0",
         by_hand="sed -i 's/spidev9.9/spidev0.0/' $toml",
         then="cp /root/gateway.toml $toml",
     ),

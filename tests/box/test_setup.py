@@ -40,7 +40,7 @@ def test_from_the_package_to_a_robot_with_certificates_and_back(box: Box, tmp_pa
     done = setup(box, "--framing", "plain", check=True)
     assert done[:-1] == promised[:-1]
     assert done[-1] == "Next: sudo reboot; then: sudo hexapod-gateway check"
-    assert box.read(CONFIG_TXT) == "dtparam=spi=on\n"
+    assert box.read(CONFIG_TXT).startswith("#dtparam=spi=on\n[all]\ndtoverlay=\ndtparam=spi=on\n")
     assert unit.properties("UnitFileState", "ActiveState") == ["enabled", "inactive"]
     assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
 

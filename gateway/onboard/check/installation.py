@@ -11,7 +11,6 @@ import os
 import platform
 import re
 import shlex
-import shutil
 import socket
 import stat
 import sys
@@ -43,7 +42,6 @@ _ASK_POWER_SAVE, _DISABLED_BYTE = 0x8B2D, 21  # SIOCGIWPOWER; a struct iwreq beg
 
 _INSTALL: Final = f"sudo apt install ./{SERVICE}_VERSION_ARCH.deb"
 _RELOAD: Final = "sudo systemctl daemon-reload"
-_AFTER: Final = f"{_RELOAD} && sudo systemctl enable {SERVICE} && {RESTART}"
 _CANNOT_START: Final = "the service cannot start, nor stop the servos after its end"
 _NO_STOP: Final = "nothing stops the servos if the gateway dies"
 _NOT_KEPT: Final = "no calibration, emergency stop or list is kept"
@@ -141,18 +139,14 @@ def release(robot: CheckedRobot) -> Iterator[Result | None]:
 def unit_files(robot: CheckedRobot) -> Iterator[Result | None]:
     """The unit in force, compared with the release's. systemd does not notice a drop-in in a new folder."""
     place, source = f"/usr/lib/systemd/system/{SERVICE}.service", f"{whole.CURRENT}/units/{SERVICE}.service"
-    wanted, found = robot.text(source), robot.unit.get("FragmentPath", "")
-    masked = robot.unit.get("LoadState") == "masked" or (found and not robot.text(found))
-    other = found and robot.path(found).resolve() != robot.path(place).resolve()
-    rights, anew = "(changes belong into a drop-in: systemctl edit)", f"sudo install -m 644 {source} {place}"
+    others = [f"/{root}/systemd/system/{SERVICE}.service" for root in ("etc", "run")]
+    other = next((each for each in others if os.path.lexists(robot.path(each))), "")  # a masked unit is a link there
+    wanted, aside = robot.text(source), f"sudo mv {other} {other}.off && " if other else ""
     yield first("unit file",
-        failure(wanted and masked, f"{SERVICE} is masked, or its unit is empty: it cannot start",
-                f"sudo rm -f /etc/systemd/system/{SERVICE}.service && {anew} && {_AFTER}"),
-        failure(wanted and other, f"{found} replaces the package's unit {rights}",
-                f"stop the robot, then: sudo mv {found} {found}.off && {_AFTER}"),
-        failure(wanted and wanted != robot.text(place), f"{place} differs from this release's {rights}",
-                f"stop the robot, then: {anew} && {_AFTER}"))
-    folders = (robot.path(f"/{root}/systemd/system/{SERVICE}.service.d") for root in ("etc", "run"))
+        failure(wanted and (other or robot.text(place) != wanted), f"{other or place} is not this release's unit "
+                "(changes belong into a drop-in: systemctl edit)", f"stop the robot, then: {aside}sudo install -m 644 "
+                f"{source} {place} && {_RELOAD} && sudo systemctl enable {SERVICE} && {RESTART}"))
+    folders = (robot.path(f"{each}.d") for each in others)
     there = {f"/{path.relative_to(robot.root)}" for folder in folders for path in folder.glob("*.conf")}
     unread = there - set(robot.unit.get("DropInPaths", "").split()) or robot.unit.get("NeedDaemonReload") == "yes"
     yield first("systemd unit",
@@ -168,11 +162,8 @@ def unit(robot: CheckedRobot) -> Iterator[Result | None]:
     cannot_run = next((each for each in needs if not os.access(robot.path(each), os.X_OK)), "")
     if load != "masked":
         yield first("systemd unit",
-            warning(not (robot.path("/run/systemd/system").is_dir() and shutil.which("systemctl")),
-                    "none: this machine does not run systemd",
-                    "each time the gateway ends, run `hexapod-gateway stop-servos`, then start it again"),
-            warning(not load, "systemctl shows nothing about it", f"try: systemctl status {SERVICE}"),
-            warning(load == "not-found", f"is not installed: {_NO_STOP}", _INSTALL),
+            warning(load in ("", "not-found"), f"is not installed, or systemd does not run here: {_NO_STOP}",
+                    f"{_INSTALL}; without systemd, run `hexapod-gateway stop-servos` each time the gateway ends"),
             failure(load != "loaded", f"cannot be loaded ({load})", f"systemctl status {SERVICE} shows why"),
             failure(cannot_run, f"{cannot_run} cannot be run: {_CANNOT_START}",
                     f"install the package again, with what it depends on: {_INSTALL}"),
@@ -180,9 +171,9 @@ def unit(robot: CheckedRobot) -> Iterator[Result | None]:
                     f"journalctl -u {SERVICE} shows why; then: {RESTART}"),
             failure("stop-servos" not in shows.get("ExecStopPost", ""), f"runs no stop-servos after its end: "
                     f"{_NO_STOP}", f"see the drop-ins: systemctl cat {SERVICE}"),
-            warning(not shows.get("UnitFileState", "").startswith("enabled"),
-                    f"is {active}, but does not start with the machine", f"sudo systemctl enable --now {SERVICE}"),
-            warning(active != "active", f"is enabled, but {active}", f"sudo systemctl start {SERVICE}"),
+            warning(not shows.get("UnitFileState", "").startswith("enabled") or active != "active",
+                    f"is {shows.get('UnitFileState') or 'not enabled'} and {active}; it should be enabled and active",
+                    f"sudo systemctl enable --now {SERVICE}"),
             well("is enabled and active"))
 
 
@@ -194,15 +185,14 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
         environment = " ".join(value for key, value in assigned if key == "Environment")
         after, keys = [value for key, value in assigned if key == "ExecStopPost"], {key for key, _ in assigned}
         emptied = "" in after and not any("stop-servos" in each for each in after[after.index("") :])
-        depends = ", ".join(sorted(keys - _HARMLESS | set(re.findall(r"\bPYTHON\w+", environment))))
+        depends = ", ".join(sorted(keys - _HARMLESS | set(re.findall(r"\b(?:PYTHON|HEXAPOD_)\w+", environment))))
         aside = f"stop the robot, then put it aside: sudo mv {path} {path}.off && {_RELOAD} && {RESTART}"
         yield first("drop-in",
             warning("--sim" in environment, f"{path} makes the controller a simulated one: the service moves no "
                     "robot, and stops none after its end", f"before the robot is to move, {aside}"),
             failure(emptied, f"{path} empties ExecStopPost=: {_NO_STOP}", aside),
-            warning("HEXAPOD_" in environment, f"{path} has settings that override gateway.toml: {environment}",
-                    f"move them to gateway.toml, {aside}"),
-            warning(depends, f"{path} changes what Stops depend on: {depends}", f"if it is not needed, {aside}"),
+            warning(depends, f"{path} changes settings, or what Stops depend on: {depends}",
+                    f"move settings (HEXAPOD_…) to gateway.toml; if the rest is not needed, {aside}"),
             well(f"{path} sets {', '.join(sorted(keys))}"))
     environment = robot.shown("--property=Environment").get("Environment", "")  # systemd gives it to all services
     process = robot.text(f"/proc/{robot.unit.get('MainPID', 0)}/environ").replace("\0", " ")
@@ -229,33 +219,29 @@ def users(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def state(robot: CheckedRobot) -> Iterator[Result | None]:
     """The state directory (the service's first start makes it), files in it that the service may not use, and disks."""
-    folder, others = robot.path(_STATE), list[Path]()
+    folder = robot.path(_STATE)
     if robot.service is not None and folder.exists():
-        kind, own = mount_of(folder)[1], folder.is_dir() and _is_own(folder.resolve(), robot)
-        anew = f"sudo chown -R {SERVICE}:{SERVICE} {_STATE} && sudo chmod -R u+rwX {_STATE} && {RESTART}"
+        kind, not_own = mount_of(folder)[1], list[Path]()
+        for path in (folder, *folder.rglob("*")):
+            with suppress(OSError):
+                not_own += [] if _is_own(path, robot) else [Path("/") / path.relative_to(robot.root)]
+        some, _ = _named(not_own)
         yield first("state",
             failure(not folder.is_dir(), f"{_STATE} is no folder: {_CANNOT_START}",
                     f"sudo mv {_STATE} {_STATE}.old && {RESTART}"),
-            failure(not own, f"the service may not write {_STATE}: it may not start, nor stop the servos after its "
-                    "end", anew),
+            failure(some, f"the service may not read and write {some}: it may not start, nor stop the servos after its "
+                    "end", f"sudo chown -R {SERVICE}: {_STATE} && sudo chmod -R u+rwX {_STATE} && {RESTART}"),
             warning(kind in FORGETS, f"{_STATE} is on {kind}, which a boot empties: calibration, revocations and the "
                     "emergency stop are lost then", "keep the folder on a partition of its own (docs/robot.md)"))
-        for path in folder.rglob("*") if own else ():
-            with suppress(OSError):
-                others += [] if _is_own(path, robot) else [path.relative_to(folder)]
-        some, _ = _named(others)
-        yield first("state", failure(some, f"in {_STATE}, the service may not read and write: {some}", anew))
     for mount in dict.fromkeys(mount_of(each)[0] for each in (folder, robot.root)):
         disk = os.statvfs(mount)
         free_mb, inodes = disk.f_bavail * disk.f_frsize >> 20, disk.f_favail if disk.f_files else _LEAST_INODES
         yield first("disk",
             failure(disk.f_flag & os.ST_RDONLY, f"{mount} is mounted read-only: {_NOT_KEPT}",
                     f"see why (dmesg), then: sudo mount -o remount,rw {mount}"),
-            failure(free_mb < _LEAST_FREE_MB, f"{mount} has {free_mb} MB free: {_NOT_KEPT}",
-                    f"find what fills it (sudo du -xh {mount} | sort -h | tail); to shorten the journal: "
-                    "sudo journalctl --vacuum-size=50M"),
-            failure(inodes < _LEAST_INODES, f"{mount} has room for {inodes} files: {_NOT_KEPT}",
-                    f"find the folder with most files, and empty it: sudo du -x --inodes {mount} | sort -n | tail"))
+            failure(free_mb < _LEAST_FREE_MB or inodes < _LEAST_INODES, f"{mount} has {free_mb} MB free, and room for "
+                    f"{inodes} files: {_NOT_KEPT}", f"find what fills it (sudo du -xh {mount} | sort -h | tail; with "
+                    "--inodes: most files); to shorten the journal: sudo journalctl --vacuum-size=50M"))
 
 
 def _is_own(path: Path, robot: CheckedRobot) -> bool:

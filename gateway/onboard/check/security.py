@@ -5,7 +5,6 @@ import errno
 import json
 import logging
 import os
-import re
 import socket
 from collections.abc import Iterator
 from contextlib import suppress
@@ -16,13 +15,11 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import access, revocation
-from gateway.certs.zenoh_files import command_for_new_rules
 from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.directories import state_to_read
 from gateway.host.kernel_tables import listening
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
-from gateway.own_command import this_command
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.late_addresses import bind_fault, is_late
 from gateway.robot.zenoh_io.session import service_config
@@ -73,16 +70,11 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
     for names, side in pairs.items():
         with suppress(ConfigError, TypeError):  # none is named, or the key is of another kind
             ca, certificate, key = map(Path, (get(config, _CA), *names))
-            own, role = certs.files.read_certificate(certificate), certs.folder.describe(certificate).role
-            issued = any(certs.authority.is_issued(own, each) for each in certs.files.read_certificates(ca))
-            again = (f"copy gateway.json5 and {ca.name}, {certificate.name}, {key.name} from one folder of "
-                     "certificates (where ca.key is) to FOLDER here, then: sudo hexapod-gateway setup --certs FOLDER")
+            fault = certs.folder.mismatch(ca, certificate, key, of_robot=side == "listen")
             yield first("certificates",
-                failure(not issued, f"{certificate} is of another authority than {ca}: nobody can connect", again),
-                failure(certs.files.read_key(key).public_key() != own.public_key(),
-                        f"{key} is not the key of {certificate}: nobody can connect", again),
-                failure(side == "listen" and role != certs.authority.GATEWAY,
-                        f"{certificate} is of {role}, not of a robot: laptops reject it", again))
+                failure(fault, f"{fault}: nobody can connect", f"copy gateway.json5 and {ca.name}, {certificate.name}, "
+                        f"{key.name} from one folder of certificates (where ca.key is) to FOLDER here, then: "
+                        "sudo hexapod-gateway setup --certs FOLDER"))
 
 
 def revoked(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -125,11 +117,9 @@ def network(robot: CheckedRobot) -> Iterator[Result | None]:
         listed = {rule for each in control.get("policies") or [] for rule in each["rules"]}
         wanted = json.loads(json.dumps([access.rule(each, namespace) for each in access.TRAFFIC]))
         lost = ", ".join(each["id"] for each in wanted if each != rules.get(each["id"]) or each["id"] not in listed)
-        ports = (re.search(r":(\d+)$", each) for each in listen_endpoints(config))
-        number = next((int(found[1]) for found in ports if found), 7447)
-        anew = command_for_new_rules(settings.config, number, this_command())
         yield first("access control",
-            warning(lost, f"{settings.config} silently drops messages: {lost}", f"make it anew: {anew} && {RESTART}"),
+            warning(lost, f"{settings.config} silently drops messages: {lost}", "sudo hexapod-gateway setup; an edited "
+                    "file: compare it with one of hexapod-gateway certs init --host HOST --dir NEW"),
             well("lets all of this gateway's keys through"))
     yield from (port(robot, each) for each in listen_endpoints(config))
     if not listen_endpoints(config):

@@ -8,14 +8,12 @@ they belong to the gateway, which reports whether controller and board answer.
 import errno
 import grp
 import os
-import pwd
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final
 
-from gateway.errors import GatewayError, SpiError
 from gateway.host import effective
 from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN
@@ -25,7 +23,7 @@ from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import load, path_to_read
 from gateway.robot.power.interface import BITRATE, open_bus
-from gateway.robot.spi import SpiDevice, ioctls, machine, outside
+from gateway.robot.spi import ioctls, machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.plugin import PluginDevice
@@ -36,7 +34,6 @@ _SLOW_MS: Final = 20.0
 """Six Stops should not take longer than the shortest watchdog timeout, nor an 80-byte frame than its cycle."""
 _ALLOWED: Final = "ttyAMA"
 """The unit's DeviceAllow=: the kernel's name of a Raspberry Pi's PL011 UARTs."""
-_PI_5: Final = ("Raspberry Pi 5", "Raspberry Pi Compute Module 5")
 _CAN: Final = "280"
 """ARPHRD_CAN, in /sys/class/net/…/type."""
 
@@ -44,40 +41,43 @@ _CAN: Final = "280"
 # fmt: off
 def _node_faults(robot: CheckedRobot, path: str, group: str, absent: str) -> list[Row]:
     """Return the faults of a device node that belongs to `group` with the package. `absent`: the remedy without it."""
-    user = _name(pwd.getpwuid, os.geteuid())
     try:
         status = os.stat(path)
     except OSError as error:
-        lack = "does not exist" if isinstance(error, FileNotFoundError) else f"cannot be read ({error.strerror})"
-        return [failure(lack, f"{path} {lack}", absent)]
-    owner, denied = _name(grp.getgrgid, status.st_gid), not os.access(path, os.R_OK | os.W_OK)
-    by_group = denied and status.st_gid and status.st_mode & 0o060 == 0o060
-    may_not = f"{user} may not open {path} ({stat.filemode(status.st_mode)}, group {owner})"
+        return [failure(error, f"{path}: {error.strerror}", absent)]
+    denied, groups = not os.access(path, os.R_OK | os.W_OK), {each.gr_gid: each.gr_name for each in grp.getgrall()}
+    owner = groups.get(status.st_gid, "") if status.st_gid and status.st_mode & 0o060 == 0o060 else ""
+    may_not = f"{path} may not be opened by this user ({stat.filemode(status.st_mode)})"
     return [
         failure(not stat.S_ISCHR(status.st_mode), f"{path} is no device node", absent),
         failure(denied and robot.service, may_not, f"sudo chgrp {group} {path} && sudo chmod 660 {path} && {RESTART}"),
-        failure(by_group, may_not, f"sudo usermod -aG {owner} {user} # then log in again"),
-        failure(denied, may_not, f"until the next boot: sudo chown {user} {path}"),
+        failure(denied and owner, may_not, f"sudo usermod -aG {owner} $USER # then log in again"),
+        failure(denied, may_not, f"until the next boot: sudo chown $USER {path}"),
     ]
 
 
-def _name(find: Callable[[int], tuple[object, ...]], number: int) -> str:
-    """Return the name of a user or group; the number if it has no name."""
-    with suppress(KeyError):
-        return str(find(number)[0])
-    return str(number)
+def _fault(attempt: Callable[[], None]) -> Exception | None:
+    """Open and close a device, as the service does. Return the error."""
+    try:
+        attempt()
+    except Exception as error:  # also of any of python-can's interfaces
+        return error
+    return None
+
+
+def _is_held(error: Exception | None) -> bool:
+    return isinstance(cause := error and error.__cause__, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
+
+
+def _open_faults(path: str, error: Exception | None, what: str) -> list[Row]:
+    return [
+        failure(_is_held(error), f"{path} is held by another program", f"find and end that program (sudo fuser -v "
+                f"{path}), then: {RESTART}"),
+        failure(error, str(error), f"is {path} a {what}? see dmesg"),
+    ]
 
 
 # ---- SPI, or a plug-in
-
-
-def _fault(opened: Callable[[], SpiDevice | SerialUart]) -> SpiError | None:
-    """Open and close it, as the service does. Return the error."""
-    try:
-        opened().close()
-    except SpiError as error:
-        return error
-    return None
 
 
 def plugin(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -86,7 +86,8 @@ def plugin(robot: CheckedRobot) -> Iterator[Result | None]:
     if wire.built_in is None:
         robot.gateway_runs = used is not None and used.runs
         can = [name.replace("_", " ") for name, has in wire.capabilities._asdict().items() if has]
-        error = None if robot.gateway_runs else _fault(lambda: PluginDevice(wire.name, wire.plugin, exclusive=False))
+        open_it = partial(PluginDevice, wire.name, wire.plugin, exclusive=False)
+        error = None if robot.gateway_runs else _fault(lambda: open_it().close())
         yield first("wire",
             failure(error, str(error), "read what the plug-in needs, and fix [wire] of the configuration"),
             well(f"{wire.name} opens: {type(wire.plugin).__name__}, {', '.join(can) or 'servos one by one'}"))
@@ -100,21 +101,19 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     others = ", ".join(sorted(map(str, Path(spi.device).parent.glob("spidev*"))))
     absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
     rows = _node_faults(robot, spi.device, "spi", f"set spi.device; this machine has {others}" if others else absent)
-    error = None if any(rows) else _fault(lambda: KernelDevice(spi.device, spi.speed_hz, mode=protocol.spi_mode))
-    held = error is not None and isinstance(error.__cause__, BlockingIOError)
-    robot.gateway_runs = held and outside.is_gateways(spi.device)
-    opens = f"opens, as {_name(pwd.getpwuid, os.geteuid())}" + (f"; {ioctls.USED}" if ioctls.are_used() else "")
+    device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode)
+    error = None if any(rows) else _fault(lambda: device().close())
+    robot.gateway_runs = _is_held(error) and outside.is_gateways(spi.device)
     yield first("SPI device",
         *rows,
-        failure(held and not robot.gateway_runs, f"{spi.device} is locked by another program, not by a gateway",
-                f"find and end that program (sudo fuser -v {spi.device}), then: {RESTART}"),
-        failure(error and not held, str(error), f"is {spi.device} a SPI device? see dmesg"),
-        well(f"{spi.device} {'is held by a running gateway; a second one would be rejected' if held else opens}"))
+        well(f"{spi.device} is held by a running gateway") if robot.gateway_runs else None,
+        *_open_faults(spi.device, error, "SPI device"),
+        well(f"{spi.device} opens" + (f"; {ioctls.USED}" if ioctls.are_used() else "")))
     release, built = machine.kernel(root)
-    selects = {True: ", chip select is a GPIO", False: ", the controller drives chip select", None: ""}
-    found = f"{machine.computer(root) or 'a computer without a device tree'}, Linux {release or 'of unknown release'}"
-    found += f", driver {machine.driver_of(spi.device, root) or 'unknown'}"
-    found += selects[machine.gpio_selects(spi.device, root)]
+    selects = {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}
+    named = (machine.computer(root), release and f"Linux {release}", machine.driver_of(spi.device, root),
+             selects[machine.gpio_selects(spi.device, root)])
+    found = ", ".join(filter(None, named)) or "nothing is known of it"
     loses = machine.on_rp1(spi.device, root) and (built is None or built < machine.RP1_FIXED)
     when = f"of {built}" if built else "that was built at an unknown time"
     yield first("SPI controller",
@@ -185,30 +184,26 @@ def uart(robot: CheckedRobot) -> Iterator[Result | None]:
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
     setup = f"sudo hexapod-gateway setup --wire {robot.settings.wire.name}"
     absent = f"switch it on and reboot: {setup}; or set controller.uart"
-    if not machine.computer(robot.root).startswith(_PI_5):
+    if not machine.is_pi_5(robot.root):
         absent = ("switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in "
                   f"config.txt), reboot, and set controller.uart to its node; here there is {here}")
-    free = f"free it, and reboot: {setup}"
     console = name in robot.text("/sys/class/tty/console/active").split()
     login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
     rows = [
         *_node_faults(robot, path, "dialout", absent),
-        failure(console, f"{path} is the Linux console: the kernel's messages go to the controller", free),
-        failure(login, f"{path} has a login terminal, which takes the controller's bytes", free),
+        failure(console or login, f"{path} has Linux's console or a login, which write to the controller, and read "
+                "from it", f"free it, and reboot: {setup}"),
     ]
     runs = robot.gateway_runs
-    error = None if any(rows) or runs else _fault(lambda: SerialUart(path))
-    cause = error and error.__cause__
-    held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
+    error = None if any(rows) or runs else _fault(lambda: SerialUart(path).close())
     yield first("UART",
         *rows,
         well(f"{path} is the running gateway's, which reports whether the controller answers") if runs else None,
-        failure(held, f"{path} is held by another program", f"find and end that program: sudo fuser -v {path}"),
-        failure(error, str(error), f"is {path} a UART? see dmesg"),
+        *_open_faults(path, error, "UART"),
         warning(robot.service and not name.startswith(_ALLOWED), f"{path} opens, but the unit lets the service open "
                 f"{_ALLOWED}… only", "sudo systemctl edit hexapod-gateway, with [Service] "
                 f"DeviceAllow=char-{name.rstrip('0123456789')} rw"),
-        well(f"{path} opens, as {_name(pwd.getpwuid, os.geteuid())}"))
+        well(f"{path} opens"))
 
 
 # ---- the power board
@@ -226,7 +221,6 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
     elif settings.interface == "socketcan":  # everybody may use it, but only root can switch it on
         kind, flags = (robot.text(f"/sys/class/net/{path}/{each}") for each in ("type", "flags"))
         rows = [
-            failure(not kind, f"{path} is no network interface", absent),
             failure(kind != _CAN, f"{path} is no CAN interface", absent),
             failure(not int(flags or "0", 16) & 1, f"{path} is switched off",  # now and at each boot
                     f"printf '[Match]\\nName={path}\\n[CAN]\\nBitRate={BITRATE}\\nRestartSec=100ms\\n' | sudo tee "
@@ -235,16 +229,10 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
         ]
     elif settings.interface == "sim":
         rows = [warning(path, "is simulated: no servo loses its supply", 'set power.interface; "" is none')]
-    if robot.gateway_runs:
-        rows.append(well(f"{where} is the running gateway's; `status` shows whether the board answers"))
-    error = ""
-    if not any(rows):
-        try:
-            open_bus(settings).shutdown()
-        except Exception as why:  # also of any of python-can's interfaces
-            error = str(why) if isinstance(why, GatewayError) else f"{where}: {why}"
-    yield first("power board", *rows, failure(error, error, "see dmesg, and the settings of [power]"),
-                well(f"{where} opens; once the gateway runs, `status` shows whether the board answers"))
+    error = None if any(rows) or robot.gateway_runs else _fault(lambda: open_bus(settings).shutdown())
+    opens = "is the running gateway's" if robot.gateway_runs else "opens"
+    yield first("power board", *rows, failure(error, f"{where}: {error}", "see dmesg, and the settings of [power]"),
+                well(f"{where} {opens}; a gateway's `status` shows whether the board answers"))
 
 
 # fmt: on

@@ -4,7 +4,7 @@ import shutil
 import zipfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from gateway import certs
 from gateway.certs import zenoh_files
@@ -13,9 +13,6 @@ from gateway.onboard.setup import configuration
 from gateway.onboard.setup.configuration import Configuration
 from gateway.onboard.setup.machine import ETC, Machine, scratch
 from gateway.people.terminal import say
-
-if TYPE_CHECKING:
-    from gateway.certs.folder import Certificate
 
 FOLDER: Final = f"{ETC}/zenoh"
 CONFIG: Final = f"{FOLDER}/gateway.json5"
@@ -40,7 +37,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
         if (folder / _LIST).is_file():
             _put(machine, folder, _LIST)
         present = machine.read(CONFIG)
-        if present is None or _is_unedited(present):
+        if present is None or zenoh_files.is_unedited(present):
             _put(machine, folder, "gateway.json5")
         else:
             say(f"keep {CONFIG}, which somebody has edited")
@@ -59,7 +56,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
 def refresh(machine: Machine) -> None:
     """Write this release's access rules to gateway.json5, if nobody has edited that file."""
     present = machine.read(CONFIG)
-    if present is None or not _is_unedited(present):
+    if present is None or not zenoh_files.is_unedited(present):
         return
     hosts = certs.folder.hosts_of(machine.path(f"{FOLDER}/gateway.pem"))
     made = zenoh_files.gateway_json5(hosts, certs.folder.port_of(machine.path(CONFIG)))
@@ -69,10 +66,6 @@ def refresh(machine: Machine) -> None:
 def _put(machine: Machine, folder: Path, name: str) -> None:
     if not machine.put(f"{FOLDER}/{name}", (folder / name).read_bytes()):
         say(f"{FOLDER}/{name} is the same")
-
-
-def _is_unedited(config: bytes) -> bool:
-    return zenoh_files.is_unedited(config)
 
 
 def _unpack(archive: Path, folder: Path) -> None:
@@ -99,19 +92,9 @@ def _check(folder: Path, source: Path) -> None:
     """Raise ConfigError unless these are a robot's files that belong together."""
     missing = [name for name in _NEEDED if not (folder / name).is_file()]
     if missing:
-        laptops = [certs.folder.describe(each) for each in folder.glob("*.pem") if each.name != "ca.pem"]
-        theirs = f" It has {_whose(laptops[0])}." if laptops and "gateway.pem" in missing else ""
-        raise ConfigError(f"{source} has no {' and no '.join(missing)}.{theirs} A robot needs its own files: {_ISSUE}")
-    robot = certs.folder.describe(folder / "gateway.pem")
-    if robot.role != certs.authority.GATEWAY:
-        raise ConfigError(f"gateway.pem of {source} is {_whose(robot)}; a robot needs its own files: {_ISSUE}")
-    own, key = certs.files.read_certificate(robot.path), certs.files.read_key(folder / "gateway.key")
-    if key.public_key() != own.public_key():
-        raise ConfigError(f"gateway.key of {source} is not the key of its gateway.pem: copy both from one folder")
-    if not any(certs.authority.is_issued(own, each) for each in certs.files.read_certificates(folder / "ca.pem")):
-        raise ConfigError(f"gateway.pem of {source} is of another authority than its ca.pem: copy both from one folder")
+        raise ConfigError(f"{source} has no {' and no '.join(missing)}. A robot needs its own files: {_ISSUE}")
+    if fault := certs.folder.mismatch(*(folder / name for name in ("ca.pem", "gateway.pem", "gateway.key"))):
+        raise ConfigError(
+            f"{fault.replace(str(folder), str(source))}: copy all files of the robot from one folder, or {_ISSUE}"
+        )
     certs.folder.port_of(folder / "gateway.json5")
-
-
-def _whose(found: "Certificate") -> str:
-    return f"the certificate of {found.name or found.common_name}, role {found.role}"

@@ -74,6 +74,11 @@ def computer(root: Path = ROOT_DIR) -> str:
         return ""
 
 
+def is_pi_5(root: Path = ROOT_DIR) -> bool:
+    """Return whether the computer is a Raspberry Pi 5 or its Compute Module."""
+    return computer(root).startswith(("Raspberry Pi 5", "Raspberry Pi Compute Module 5"))
+
+
 def kernel(root: Path = ROOT_DIR) -> tuple[str, dt.date | None]:
     """Return the kernel's release (`6.6.31+rpt-rpi-v8`), and its build date, if known."""
     try:

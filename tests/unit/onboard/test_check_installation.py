@@ -23,6 +23,7 @@ UP |= {"ExecStopPost": "{ path=/run/program ; argv[]=/run/program stop-servos }"
 DROP_IN = "/etc/systemd/system/hexapod-gateway.service.d/own.conf"
 STATE = "var/lib/hexapod-gateway"
 LIBRARY = "usr/lib/hexapod-gateway"
+OTHER_UNIT = "etc/systemd/system/hexapod-gateway.service"
 UNIT_FILE = "usr/lib/systemd/system/hexapod-gateway.service"
 
 
@@ -67,9 +68,9 @@ class Installed(CheckedRobot):
         (self.root / STATE).rmdir()
         self.write(STATE)
 
-    def replace_unit(self) -> None:
-        self.write("etc/systemd/system/hexapod-gateway.service", "[Service]")
-        self.show(FragmentPath="/etc/systemd/system/hexapod-gateway.service")
+    def mask(self) -> None:
+        (self.root / "run/systemd/system/hexapod-gateway.service").symlink_to("/dev/null")
+        self.show(LoadState="masked")
 
     def runs(self, variables: str, maps: str = "") -> None:
         self.write("proc/7/environ", variables)
@@ -95,26 +96,26 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
         "the running service is 1.0",
     ),
     (lambda robot: robot.write("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is from the former"),
-    (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} differs from this release"),
-    (lambda robot: robot.write(UNIT_FILE, "x"), "hexapod-gateway.service differs from this release"),
-    (lambda robot: robot.replace_unit(), "/etc/systemd/system/hexapod-gateway.service replaces"),
+    (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} is not this release's"),
+    (lambda robot: robot.write(UNIT_FILE, "x"), f"/{UNIT_FILE} is not this release's"),
+    (lambda robot: robot.write(OTHER_UNIT, "[Service]"), f"/{OTHER_UNIT} is not this release's"),
     (lambda robot: robot.show(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
     (lambda robot: robot.forget_python(), "/usr/bin/python3.1 cannot be run"),
     (lambda robot: robot.show(ExecStopPost="{ path=/run/program ; }"), "runs no stop-servos after its end"),
-    (lambda robot: robot.show(LoadState="masked"), "hexapod-gateway is masked, or its unit is empty"),
+    (lambda robot: robot.mask(), "/run/systemd/system/hexapod-gateway.service is not"),
     (lambda robot: robot.show(NeedDaemonReload="yes"), "hexapod-gateway was edited, but systemd still"),
     (lambda robot: robot.drop_in("Environment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simu"),
     (lambda robot: robot.drop_in("ExecStopPost="), "empties ExecStopPost="),
-    (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "has settings that override"),
-    (lambda robot: robot.drop_in("User=root\nNice=3"), "changes what Stops depend on: Nice, User"),
+    (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "depend on: HEXAPOD_SPI__FRAMING"),
+    (lambda robot: robot.drop_in("User=root\nNice=3"), "Stops depend on: Nice, User"),
     (lambda robot: robot.drop_in("Environment=A=1 PYTHONPATH=/x\nMemoryMax=64M"), "depend on: MemoryMax, PYTHONPATH"),
     (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
     (lambda robot: robot.runs("A=1\0HEXAPOD_SPI__FRAMING=plain\0"), "HEXAPOD_SPI__FRAMING is in the service's env"),
     (lambda robot: setattr(robot, "environment", "PATH=/bin HEXAPOD_LOG__LEVEL=debug"), "HEXAPOD_LOG__LEVEL is in"),
     (lambda robot: robot.runs("PYTHONPATH=/x\0"), "PYTHONPATH is in the service's environment"),
     (lambda robot: robot.file_for_folder(), "is no folder"),
-    (lambda robot: robot.path(STATE).chmod(0o500), "the service may not write"),
-    (lambda robot: robot.write(f"{STATE}/a", mode=0o400), "the service may not read and write: a"),
+    (lambda robot: robot.path(STATE).chmod(0o500), f"may not read and write /{STATE}"),
+    (lambda robot: robot.write(f"{STATE}/a", mode=0o400), f"may not read and write /{STATE}/a"),
     (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "not only root and the service may read"),
     (lambda robot: robot.keys("old.key"), "zenoh/old.key is the authority's key"),
     (lambda robot: robot.keys("ca.key"), "zenoh/ca.key is the authority's key"),

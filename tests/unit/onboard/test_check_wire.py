@@ -68,11 +68,11 @@ def nothing(_: Terminal) -> None:
 @pytest.mark.parametrize(
     ("plant", "verdict", "says"),
     [
-        (nothing, "ok", "opens, as"),
-        (lambda each: each.console("tty1"), "ok", "opens, as"),
+        (nothing, "ok", " opens"),
+        (lambda each: each.console("tty1"), "ok", " opens"),
         (lambda each: setattr(each.robot, "gateway_runs", True), "ok", "is the running gateway's"),
-        (lambda each: each.console(f"tty1 {Path(each.path).name}"), "failure", "is the Linux console"),
-        (Terminal.login, "failure", "has a login terminal"),
+        (lambda each: each.console(f"tty1 {Path(each.path).name}"), "failure", "console or a login"),
+        (Terminal.login, "failure", "console or a login"),
     ],
 )
 def test_a_uart(terminal: Terminal, plant: Callable[[Terminal], None], verdict: str, says: str) -> None:
@@ -109,7 +109,7 @@ def test_a_board_that_is_the_gateways_or_not_for_this_user_is_not_opened(
         assert "python-can is not installed" in board(tmp_path).sentence
     with monkeypatch.context() as patch:
         patch.setattr(os, "access", lambda *_: False)
-        assert "may not open" in board(tmp_path).sentence
+        assert "may not be opened" in board(tmp_path).sentence
     assert adapter.received == []
     assert "whether the board answers" in board(tmp_path).sentence, "and is opened"
 

@@ -14,7 +14,7 @@ import pytest
 from gateway import certs
 from gateway.certs import authority, zenoh_files
 from gateway.errors import ConfigError, GatewayError
-from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_spi
+from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_line
 from gateway.onboard.setup.configuration import with_value
 from gateway.people.commands import certs as commands
 from tests.unit.onboard.computer import CONFIG_TXT, TEMPLATE, TOML, Computer
@@ -55,24 +55,26 @@ def test_one_value_changes_and_everything_else_stays(before: str, after: str) ->
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
+    ("config", "is_on"),
     [
-        ("dtparam=spi=on\n", None),
-        ("dtparam=i2c_arm=on,spi=on\n", None),
-        ("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", None),
-        ("dtparam=spi\n", None),
-        ("dtparam=spi=off\n", "dtparam=spi=on\n"),
-        ("", "dtparam=spi=on\n"),
-        (STOCK, STOCK.replace("#dtparam", "dtparam")),
-        ("dtoverlay=vc4-kms-v3d\n", "dtparam=spi=on\ndtoverlay=vc4-kms-v3d\n"),
-        ("[cm4]\ndtparam=spi=on\n", "dtparam=spi=on\n[cm4]\ndtparam=spi=on\n"),
-        ("[cm4]\n#dtparam=spi=on\n", "dtparam=spi=on\n[cm4]\n#dtparam=spi=on\n"),
+        ("dtparam=spi=on\n", True),
+        ("dtparam=i2c_arm=on,spi=on\n", True),
+        ("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", True),
+        ("dtparam=spi\n", True),
+        ("dtparam=spi=off\n", False),
+        ("", False),
+        (STOCK, False),
+        ("dtoverlay=vc4-kms-v3d\n", False),
+        ("[cm4]\ndtparam=spi=on\n", False),
     ],
 )
-def test_spi_is_on_or_is_switched_on_for_every_pi(before: str, after: str | None) -> None:
-    """Outside any filter and before any overlay."""
-    assert spi_is_on(before) is (after is None)
-    assert after is None or (with_spi(before) == after and spi_is_on(after))
+def test_spi_is_on_or_is_switched_on_for_every_pi(config: str, is_on: bool) -> None:
+    """Outside any filter, and not as a parameter of the overlay before it."""
+    assert spi_is_on(config) is is_on
+    switched = with_line(config, "all", "dtparam=spi=on")
+    assert spi_is_on(switched)
+    assert switched.startswith(config)
+    assert switched.endswith("[all]\ndtoverlay=\ndtparam=spi=on\ndtoverlay=\n[all]\n")
 
 
 # ---- a whole run
@@ -88,7 +90,7 @@ def test_a_new_pi(computer: Computer) -> None:
     assert done[:-1] == promised[:-1]
     assert done == [
         f'write {TOML}: with spi.framing = "plain"',
-        f"switch SPI on (dtparam=spi=on) in {CONFIG_TXT}: a reboot is due",
+        f"switch /dev/spidev0.0 on (dtparam=spi=on) in {CONFIG_TXT}: a reboot is due",
         "enable hexapod-gateway: starts with the machine",
         "the service starts with the reboot",
         "Next: sudo reboot; then: sudo hexapod-gateway check",
@@ -98,7 +100,7 @@ def test_a_new_pi(computer: Computer) -> None:
     changed = computer.files()
     assert computer.says() == [
         f'{TOML} states spi.framing = "plain"',
-        f"SPI is on in {CONFIG_TXT}, but /dev/spidev0.0 is not there: a reboot is due",
+        f"/dev/spidev0.0 is on in {CONFIG_TXT}, but is not there: a reboot is due",
         "the service starts with the reboot",
         "Next: sudo reboot; then: sudo hexapod-gateway check",
     ]
@@ -277,13 +279,19 @@ def test_certificates_come_at_any_time(computer: Computer, people: Path, source:
     [
         (
             {**dict.fromkeys(ROBOTS_FILES, "."), "gateway.pem": "anna.pem"},
-            "is the certificate of anna, role operator; a robot needs its own files: make them where ca.key",
+            "gateway.key is not the key of gateway.pem: copy all files of the robot .*, or make them where ca.key",
         ),
-        ({**dict.fromkeys(ROBOTS_FILES, "."), "gateway.pem": "robot-2/gateway.pem"}, "not the key of its gateway.pem"),
-        ({**dict.fromkeys(ROBOTS_FILES, "robot-2"), "ca.pem": "other.pem"}, "is of another authority than its ca.pem"),
-        ({"anna.pem": "anna.pem"}, "has no gateway.pem .*It has the certificate of anna, role operator"),
+        (
+            {**dict.fromkeys(ROBOTS_FILES, "."), "gateway.pem": "robot-2/gateway.pem"},
+            "gateway.key is not the key of gateway.pem",
+        ),
+        (
+            {**dict.fromkeys(ROBOTS_FILES, "robot-2"), "ca.pem": "other.pem"},
+            "gateway.pem is of another authority than ca.pem",
+        ),
+        ({"anna.pem": "anna.pem"}, "has no gateway.pem .* A robot needs its own files"),
         ("anna.pem", "is neither a folder nor a zip"),
-        ("anna.zip", r"anna\.zip has no gateway\.pem.*It has the certificate of anna, role operator"),
+        ("anna.zip", r"anna\.zip has no gateway\.pem.* A robot needs its own files"),
     ],
     ids=["a laptop's", "of two robots", "of two authorities", "unzipped", "no zip", "a laptop's zip"],
 )
