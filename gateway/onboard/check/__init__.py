@@ -88,9 +88,7 @@ def _report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
         lines.setdefault(result.sentence, result)
     count = Counter(each.verdict for each in lines.values())
     passed = not count[Verdict.FAILURE]
-    worst = Verdict.WARNING if passed else Verdict.FAILURE
-    many = f"{count[worst]} {worst}{'s' * (count[worst] != 1)}"
-    end = f"can {can}{f', with {many}' if count[worst] else ''}" if passed else f"cannot {can}: {many}"
+    end = f"{'can' if passed else 'cannot'} {can}: {count[Verdict.FAILURE]} failures, {count[Verdict.WARNING]} warnings"
     checks = {"checks": [each._asdict() for each in lines.values()]} if as_json else None
     return table.conclude(f"This machine {end}.", well=passed, as_json=checks)
 

@@ -23,7 +23,8 @@ from gateway import certs
 from gateway.errors import ConfigError
 from gateway.host.kernel_tables import FORGETS, mount_of
 from gateway.onboard import whole
-from gateway.onboard.check.table import RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
+from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
+from gateway.onboard.setup.machine import has_wrong_rights
 
 GROUPS: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
@@ -60,12 +61,10 @@ def python(_: CheckedRobot) -> Iterator[Result | None]:
 
 def rights(robot: CheckedRobot) -> Iterator[Result | None]:
     if robot.service is not None:
-        own, root = os.geteuid() == robot.service[0], not os.geteuid()
+        own, whom = os.geteuid() == robot.service[0], "you" if os.geteuid() else "root, who cannot become another"
         yield first("user",
-            warning(root and not own, f"all this is checked as root; the service runs as {SERVICE}",
-                    f"check outside this container, or give it SETUID and SETGID: root may not become {SERVICE} here"),
-            warning(not own, f"all this is checked as you; the service runs as {SERVICE}",
-                    "sudo hexapod-gateway check"),
+            warning(not own, f"all this is checked as {whom}; the service runs as {SERVICE}",
+                    "sudo hexapod-gateway check; in a container, give it SETUID and SETGID"),
             well(f"all this is checked as {SERVICE}, the service's user"))
 
 
@@ -251,22 +250,15 @@ def _is_own(path: Path, robot: CheckedRobot) -> bool:
 
 
 def private_keys(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Private keys that others may read by the file's own mode, and keys of an authority."""
-    found = sorted(path for path in robot.path(f"/etc/{SERVICE}").rglob("*.key") if path.is_file())
-    some, every = _named(each for each in found if _exposed(each.stat(), robot))
-    yield first("private key",
-        warning(some, f"not only root and the service may read {some}", "make a new one if others use this machine; "
-                f"else: sudo chown root:{SERVICE} {every} && sudo chmod 640 {every}"))
+    """Private keys that `setup` would close, and keys of an authority."""
+    folder, service = robot.path(f"/etc/{SERVICE}"), robot.service
+    found = sorted(path for path in folder.rglob("*.key") if path.is_file())
+    some, _ = _named(each for each in found if service and has_wrong_rights(each, folder.stat().st_uid, service[1]))
+    yield first("private key", warning(some, f"not only root and the service may read {some}", LET_READ))
     some, every = _named(each for each in found if re.fullmatch("(.*-)?ca", each.stem) or _is_of_authority(each))
     yield first("private key",
         warning(some, f"{some} is the authority's key: a thief of this robot's card can make certificates for all its "
                 "robots", f"make sure that another machine has it, then: sudo shred -u {every}"))
-
-
-def _exposed(status: os.stat_result, robot: CheckedRobot) -> bool:
-    user, group = robot.service or (status.st_uid, status.st_gid)
-    others = status.st_mode & 0o007 or (status.st_mode & 0o060 and status.st_gid not in (0, group))
-    return bool(others) or status.st_uid not in (0, user)
 
 
 def _is_of_authority(key: Path) -> bool:

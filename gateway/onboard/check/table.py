@@ -27,10 +27,7 @@ from gateway.text import visible
 SERVICE: Final = "hexapod-gateway"
 RESTART: Final = f"sudo systemctl reset-failed {SERVICE}; sudo systemctl restart {SERVICE}"
 """Works also after so many failed starts that systemd attempts no other."""
-LET_READ: Final = (
-    f"let the service read it, and nobody else: sudo chown -R root:{SERVICE} /etc/{SERVICE}; "
-    f"sudo chmod -R u=rwX,g=rX,o= /etc/{SERVICE}; {RESTART}"
-)
+LET_READ: Final = "let the service read it, and nobody else: sudo hexapod-gateway setup"
 _STYLES: Final = {"ok": "green", "PASS": "green", "warning": "yellow", "SKIPPED": "yellow"}
 _BAD: Final = "bold red"
 

@@ -183,10 +183,7 @@ def uart(robot: CheckedRobot) -> Iterator[Result | None]:
         return
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
     setup = f"sudo hexapod-gateway setup --wire {robot.settings.wire.name}"
-    absent = f"switch it on and reboot: {setup}; or set controller.uart"
-    if not machine.is_pi_5(robot.root):
-        absent = ("switch a UART of 1 152 000 baud on as this computer wants it (a Raspberry Pi: an overlay in "
-                  f"config.txt), reboot, and set controller.uart to its node; here there is {here}")
+    absent = f"switch it on and reboot: {setup}; or set controller.uart; here there is {here}"
     console = name in robot.text("/sys/class/tty/console/active").split()
     login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
     rows = [

@@ -108,7 +108,11 @@ class Machine:
         if not folder.is_dir():
             return False
         gid = self.gid(group)
-        wrong = [path for path in (folder, *folder.rglob("*")) if not path.is_symlink() and _is_wrong(path, gid)]
+        wrong = [
+            path
+            for path in (folder, *folder.rglob("*"))
+            if not path.is_symlink() and has_wrong_rights(path, os.geteuid(), gid)
+        ]
 
         def give() -> None:
             for path in wrong:
@@ -169,10 +173,11 @@ class Machine:
             )
 
 
-def _is_wrong(path: Path, gid: int) -> bool:
+def has_wrong_rights(path: Path, uid: int, gid: int) -> bool:
+    """Return whether others than this user and group may read a file or folder, or the group may not."""
     status = path.stat()
     mode, needed = stat.S_IMODE(status.st_mode), 0o050 if path.is_dir() else 0o040
-    return status.st_gid != gid or status.st_uid != os.geteuid() or bool(mode & 0o027) or mode & needed != needed
+    return status.st_gid != gid or status.st_uid != uid or bool(mode & 0o027) or mode & needed != needed
 
 
 def scratch() -> "tempfile.TemporaryDirectory[str]":

@@ -62,7 +62,7 @@ class Installed(CheckedRobot):
     def keys(self, name: str) -> None:
         certs.folder.init(self.root / "C", ["127.0.0.1"])
         for source, target in (("ca.key", name), ("ca.pem", "ca.pem")):
-            self.write(f"etc/hexapod-gateway/zenoh/{target}", (self.root / "C" / source).read_text())
+            self.write(f"etc/hexapod-gateway/zenoh/{target}", (self.root / "C" / source).read_text(), 0o640)
 
     def file_for_folder(self) -> None:
         (self.root / STATE).rmdir()
