@@ -52,7 +52,7 @@ class Certificate:
     name: str
     role: str
     common_name: str
-    serial: str
+    serial: int
     not_before: dt.datetime
     not_after: dt.datetime
 
@@ -118,8 +118,7 @@ def issue(
         files = _pair(directory / name, made)
         for robot, folder in robots_of(directory).items():
             config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
-            dialled, port = hosts_of(folder / "gateway.pem"), port_of(folder / "gateway.json5")
-            files[config] = zenoh_files.laptop_json5(name, role, dialled, port, config.name)
+            files[config] = zenoh_files.laptop_json5(name, role, endpoints_of(folder), config.name)
     if bundle in files or (bundle is not None and bundle.suffix in PUBLIC):
         raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
     if bundle is not None:
@@ -172,14 +171,16 @@ def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> Rev
     before = () if known is None else known.entries
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
-    if found is None:
-        if any(name in (entry.name, entry.common_name) for entry in before):
-            raise ConfigError(f"{name} is revoked already")
-        if access.role_of(name) == name:
-            raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
-        return _sign(directory, known, (*before, Revoked(name, "", _NO_SERIAL, now)), now)
-    made = _sign(directory, known, (*before, Revoked(found.common_name, found.name, int(found.serial, 16), now)), now)
-    for path in directory.glob(f"{found.path.stem}.*"):
+    if found is not None:
+        entry = Revoked(found.common_name, found.name, found.serial, now)
+    elif any(name in (entry.name, entry.common_name) for entry in before):
+        raise ConfigError(f"{name} is revoked already")
+    elif access.role_of(name) == name:
+        raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
+    else:
+        entry = Revoked(name, "", _NO_SERIAL, now)
+    made = _sign(directory, known, (*before, entry), now)
+    for path in directory.glob(f"{found.path.stem}.*") if found else ():
         if path.suffix in (".pem", ".key", ".json5"):
             path.unlink()
     return made
@@ -223,11 +224,9 @@ def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
     listed = {each.common_name for each in found}
     for each in known.entries if known else ():
         if each.common_name not in listed:  # without a file its expiry is unknown
-            role = access.role_of(each.common_name)
-            span = each.since, each.since
-            found.append(Certificate(Path(), each.name, role, each.common_name, f"{each.serial:x}", *span))
-
-    gone = {each for each in found if known and known.holds(each.common_name, int(each.serial, 16))}
+            role, since = access.role_of(each.common_name), each.since
+            found.append(Certificate(Path(), each.name, role, each.common_name, each.serial, since, since))
+    gone = {each for each in found if known and known.holds(each.common_name, each.serial)}
     return [(each, "revoked" if each in gone else "expired" if each.not_after <= now else "good") for each in found]
 
 
@@ -249,12 +248,18 @@ def describe(path: Path) -> Certificate:
     """Return the certificate in the PEM file at `path`. Raises ConfigError."""
     found = read_certificate(path)
     holder, span = authority.holder_of(found), (found.not_valid_before_utc, found.not_valid_after_utc)
-    return Certificate(path, holder.name, holder.role, holder.common_name, f"{found.serial_number:x}", *span)
+    return Certificate(path, holder.name, holder.role, holder.common_name, found.serial_number, *span)
 
 
 def hosts_of(path: Path) -> list[str]:
     """Return the names and addresses that the robot's certificate at `path` is valid for. Raises ConfigError."""
     return authority.hosts_of(read_certificate(path))
+
+
+def endpoints_of(robot: Path) -> list[str]:
+    """Return the Zenoh endpoints of the robot with this folder. Raises ConfigError."""
+    port = port_of(robot / "gateway.json5")
+    return [zenoh_files.endpoint(host, port) for host in hosts_of(robot / "gateway.pem")]
 
 
 def robots_of(directory: Path) -> dict[str, Path]:

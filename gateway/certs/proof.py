@@ -7,8 +7,9 @@ carry no identity of their link; so the gateway checks the person's, once for ea
 import base64
 import datetime as dt
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -96,28 +97,28 @@ def holder(proof: Proof) -> Holder:
 
 def sign(key_file: Path, text: bytes) -> bytes:
     """Sign `text` with a certificate's key, and return the signature. Raises ConfigError."""
-    key = read_private_key(key_file)
-    if isinstance(key, ec.EllipticCurvePrivateKey):
-        return key.sign(text, ec.ECDSA(hashes.SHA256()))
-    if isinstance(key, rsa.RSAPrivateKey):
-        return key.sign(text, padding.PKCS1v15(), hashes.SHA256())
-    issue = "get one from `hexapod-gateway certs issue`"
-    raise ConfigError(f"{key_file} is neither an elliptic-curve nor an RSA key: {issue}")
+    key: Any = read_private_key(key_file)
+    if (scheme := _scheme(key)) is None:
+        issue = "get one from `hexapod-gateway certs issue`"
+        raise ConfigError(f"{key_file} is neither an elliptic-curve nor an RSA key: {issue}")
+    return bytes(key.sign(text, *scheme))
 
 
 def _signed(certificate: x509.Certificate, signature: str, text: bytes) -> bool:
-    key = certificate.public_key()
-    try:
-        made = base64.b64decode(signature, validate=True)
-        if isinstance(key, ec.EllipticCurvePublicKey):
-            key.verify(made, text, ec.ECDSA(hashes.SHA256()))
-        elif isinstance(key, rsa.RSAPublicKey):
-            key.verify(made, text, padding.PKCS1v15(), hashes.SHA256())
-        else:
-            return False
-    except (ValueError, InvalidSignature):
-        return False
-    return True
+    key: Any = certificate.public_key()
+    scheme = _scheme(key)
+    with suppress(ValueError, InvalidSignature):
+        if scheme is not None:
+            key.verify(base64.b64decode(signature, validate=True), text, *scheme)
+            return True
+    return False
+
+
+def _scheme(key: object) -> tuple[object, ...] | None:
+    """Return what `sign` and `verify` of a key of this kind take after the text; None: the kind is not accepted."""
+    if isinstance(key, ec.EllipticCurvePrivateKey | ec.EllipticCurvePublicKey):
+        return (ec.ECDSA(hashes.SHA256()),)
+    return (padding.PKCS1v15(), hashes.SHA256()) if isinstance(key, rsa.RSAPrivateKey | rsa.RSAPublicKey) else None
 
 
 def _minute(now: dt.datetime) -> str:

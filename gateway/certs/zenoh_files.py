@@ -115,10 +115,9 @@ def marked(text: bytes) -> bytes:
     return text + _MARK + hashlib.sha256(text).hexdigest().encode() + b"\n"
 
 
-def laptop_json5(name: str, role: str, hosts: Sequence[str], port: int, file: str) -> bytes:
-    """Return a laptop's Zenoh configuration, with the name `file` and an endpoint for each of the robot's hosts."""
-    endpoints = json.dumps([endpoint(host, port) for host in hosts])
-    return _fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=endpoints)
+def laptop_json5(name: str, role: str, endpoints: Sequence[str], file: str) -> bytes:
+    """Return a laptop's Zenoh configuration, with the name `file`, that dials these endpoints of a robot."""
+    return _fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=json.dumps(endpoints))
 
 
 def endpoint(host: str, port: int) -> str:

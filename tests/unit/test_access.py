@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.certs.zenoh_files import gateway_json5, laptop_json5
+from gateway.certs.zenoh_files import endpoint, gateway_json5, laptop_json5
 from gateway.errors import ConfigError
 from gateway.simulation import body as simulated_body
 from schemas.keys import (
@@ -158,7 +158,9 @@ def test_nobody_declares_a_wildcard(gateway: zenoh.Config) -> None:
 
 FILES: dict[str, bytes] = {
     "gateway": gateway_json5(["robot.local"], 7447),
-    "laptop": laptop_json5("anna", "operator", ["robot.local", "fd00::1"], 7447, "anna.json5"),
+    "laptop": laptop_json5(
+        "anna", "operator", [endpoint("robot.local", 7447), endpoint("fd00::1", 7447)], "anna.json5"
+    ),
 }
 FOR_ALL: dict[str, object] = {
     "scouting/multicast/enabled": False,

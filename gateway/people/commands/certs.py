@@ -190,13 +190,14 @@ def revoke(
 
 def _endpoints(directory: Path, to: list[str]) -> dict[str, list[str]]:
     """How to reach each robot: `to` has names of the folder, hosts or endpoints; without it, all of the folder."""
-    robots, found = certs.folder.robots_of(directory), dict[str, list[str]]()
-    for each in to or robots:
-        home = robots.get(each, directory)
-        hosts = certs.folder.hosts_of(home / "gateway.pem") if each in robots else [each]
-        port = 0 if "/" in each else certs.folder.port_of(home / "gateway.json5")
-        found[each] = [certs.zenoh_files.endpoint(host, port) for host in hosts] if port else [each]
-    return found
+    robots, config = certs.folder.robots_of(directory), directory / "gateway.json5"
+
+    def endpoints(robot: str) -> list[str]:
+        if robot in robots:
+            return certs.folder.endpoints_of(robots[robot])
+        return [robot if "/" in robot else certs.zenoh_files.endpoint(robot, certs.folder.port_of(config))]
+
+    return {each: endpoints(each) for each in to or robots}
 
 
 def _send(directory: Path, endpoint: str, config: Path) -> int:
