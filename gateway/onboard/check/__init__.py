@@ -22,15 +22,13 @@ from gateway import own_command
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
-from gateway.onboard import stop, whole
+from gateway.onboard import whole
 from gateway.onboard.check import installation, laptop, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import clear_line, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
-from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import listen_endpoints
 
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """Loaded before the change of user: the service's user may not be able to read this Python's folder."""
@@ -101,7 +99,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     path = config or CONFIGURATION
     used = effective.read() if config is None else None
     used = used if used is not None and used.runs else None
-    in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in map(str.upper, stop.unit()[1])
+    in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in robot.unit.get("Environment", "").upper()
     faults = list[str]()
     try:
         robot.settings = settings_file.load(config, simulated=in_unit)
@@ -136,12 +134,11 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
 
 def _simulated() -> str:
     """Return the endpoint at which a gateway with a simulated controller answers, as `make run` starts it; "": none."""
-    with suppress(ConfigError, GatewayError, ValidationError):
-        settings = settings_file.load(None, simulated=True)
-        for endpoint in listen_endpoints(service_config(settings.zenoh)):
-            if endpoint.startswith("tcp/"):
-                with Client(endpoint, source="hexapod-gateway check", timeout_s=1.0) as client:
-                    if client.state().simulated:
-                        own_command.reach_by(connect=endpoint)
-                        return endpoint
+    with suppress(GatewayError, ValidationError):
+        zenoh = settings_file.load(None, simulated=True).zenoh
+        if (endpoint := None if zenoh.config else own_command.plain(zenoh.listen)) is not None:
+            with Client(endpoint, source="hexapod-gateway check", timeout_s=1.0) as client:
+                if client.state().simulated:
+                    own_command.reach_by(connect=endpoint)
+                    return endpoint
     return ""
