@@ -9,8 +9,9 @@ systemd runs after its end. Later they remain for a `stop-servos` that finds no 
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from gateway import nesting
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
@@ -23,13 +24,10 @@ _INVOCATION: Final = "INVOCATION_ID"
 """systemd's id for one start of a unit, which the unit's commands after its end have, too."""
 
 
-class Effective(NamedTuple):
+@dataclass(frozen=True)
+class Effective(ForStops):
     """The settings that a service uses, and its process."""
 
-    wire: WireSettings
-    spi: SpiSettings
-    controller: ControllerSettings
-    power: PowerSettings | None
     tables: Mapping[str, Any]
 
     @property
@@ -78,7 +76,13 @@ def read() -> Effective | None:
         return None
     found, faults = read_for_stops(tables)
     unsaid = found.wire.framed and "framing" not in tables.get("spi", {})
-    return None if faults or unsaid else Effective(*found, tables)
+    return None if faults or unsaid else Effective(found.wire, found.spi, found.controller, found.power, tables)
+
+
+def running() -> Effective | None:
+    """Return the settings of the service that runs on this machine; None if none runs, or they cannot be read."""
+    used = read()
+    return used if used is not None and used.runs else None
 
 
 def differences(used: Effective, path: Path) -> list[str]:
@@ -109,8 +113,7 @@ def _uses(wire: WireSettings, name: str) -> bool:
 
 def differs_here(path: Path = CONFIGURATION) -> list[str]:
     """Return `differences` for the service that runs on this machine; empty if none runs or it cannot be read."""
-    used = read()
-    return [] if used is None or not used.runs else differences(used, path)
+    return differences(used, path) if (used := running()) is not None else []
 
 
 def _toml(value: Any) -> str:

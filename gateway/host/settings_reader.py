@@ -3,7 +3,7 @@
 import enum
 import math
 from collections.abc import Mapping
-from dataclasses import Field, fields, is_dataclass
+from dataclasses import Field, dataclass, fields, is_dataclass
 from typing import Any, Final, Literal, NamedTuple, TypeVar, cast, get_args, get_origin
 
 from gateway.host.settings_table import (
@@ -81,7 +81,8 @@ def is_others(each: "Field[Any]") -> bool:
     return "others" in each.metadata
 
 
-class ForStops(NamedTuple):
+@dataclass(frozen=True)
+class ForStops:
     """The settings that a Stop needs."""
 
     wire: WireSettings

@@ -5,12 +5,13 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.host import effective, realtime
 from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
+from gateway.host.settings_reader import ForStops
 from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEATS
 from gateway.robot import settings
@@ -83,8 +84,8 @@ def run(path: Path | None) -> bool:
         stop_servos(chosen.wire, chosen.spi, chosen.controller, (lambda: None) if cut is None else cut.stops_written)
     finally:
         off = off if cut is None else cut.end()
-    if chosen.used is not None and not chosen.used.ended_here:  # the unit's file lacks the unit's variables
-        _say(*(f"{each}; used the latter" for each in effective.differences(chosen.used, path or CONFIGURATION)))
+    if isinstance(chosen, Effective) and not chosen.ended_here:  # the unit's file lacks the unit's variables
+        _say(*(f"{each}; used the latter" for each in effective.differences(chosen, path or CONFIGURATION)))
     return off
 
 
@@ -99,41 +100,29 @@ def _cut(power: PowerSettings | None) -> "SupplyCut | None":
     return SupplyCut(power, lambda sentence, confirmed: _tell(sentence) if confirmed else _say(sentence))
 
 
-class _Chosen(NamedTuple):
-    wire: WireSettings
-    spi: SpiSettings
-    controller: ControllerSettings
-    power: PowerSettings | None
-    """None: wrong in the configuration."""
-    used: Effective | None = None
-    """The service whose settings these are; None: they are from a file."""
-
-
-def _choose(path: Path | None) -> _Chosen:
-    """Return the settings to use. Raises ConfigError only if neither a service nor the file has any.
+def _choose(path: Path | None) -> ForStops:
+    """Return the settings to use: Effective if a service's. Raises ConfigError if neither it nor the file has any.
 
     The controller understands the service's settings, so these precede the file's. Another device that a person
     names, by a file or a variable, precedes both.
     """
-    used = effective.read()
-    theirs = None if used is None else _Chosen(used.wire, used.spi, used.controller, used.power, used)
-    named = path is not None or bool(settings.overrides(os.environ))
+    used, named = effective.read(), path is not None or bool(settings.overrides(os.environ))
     runs = used is not None and used.runs
-    if theirs is not None and used is not None and (used.ended_here or (runs and not named)):
-        return theirs
+    if used is not None and (used.ended_here or (runs and not named)):
+        return used
     if not named:
         process, variables = unit()
-        if theirs is not None and not process:  # nothing else has written to the controller since
-            return theirs
+        if used is not None and not process:  # nothing else has written to the controller since
+            return used
         os.environ.update(variables)
     try:
-        stated = _Chosen(*settings.load_for_stops(path))
+        stated = settings.load_for_stops(path)
     except ConfigError:
-        if theirs is None:
+        if used is None:
             raise
-        return theirs
-    same = theirs is not None and (stated.wire.name, stated.spi.device) == (theirs.wire.name, theirs.spi.device)
-    return theirs if theirs is not None and runs and same else stated
+        return used
+    same = used is not None and (stated.wire.name, stated.spi.device) == (used.wire.name, used.spi.device)
+    return used if used is not None and runs and same else stated
 
 
 def unit() -> tuple[int, dict[str, str]]:

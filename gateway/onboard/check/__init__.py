@@ -97,8 +97,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     While the service runs and `config` is None, check its device with the settings in use. Raises FramingNotSetError.
     """
     path = config or CONFIGURATION
-    used = effective.read() if config is None else None
-    used = used if used is not None and used.runs else None
+    used = effective.running() if config is None else None
     in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in robot.unit.get("Environment", "").upper()
     faults = list[str]()
     try:

@@ -71,10 +71,10 @@ class Tried:
 
 def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
     """Do the steps, and print each. Return the exit code. Raises ConfigError if nothing may be moved."""
-    wire, used = settings_file.load(config).wire, effective.read()
+    wire = settings_file.load(config).wire
     if wire.built_in is not None:
         raise ConfigError(f"--wire is for plug-ins, and {wire.name} is built in: --move and --stops try it")
-    if used is not None and used.runs:
+    if effective.running() is not None:
         raise ConfigError("a gateway runs, and has the wire: end it first (sudo systemctl stop hexapod-gateway)")
     tried = Tried(wire, unplug)
     question = f"All servos go to {_MIDDLE_DEG:g}° and move by {_BY_DEG:g}°. Are all legs free? yes or no: "

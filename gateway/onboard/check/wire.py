@@ -82,9 +82,9 @@ def _open_faults(path: str, error: Exception | None, what: str) -> list[Row]:
 
 def plugin(robot: CheckedRobot) -> Iterator[Result | None]:
     """Open and close the plug-in, unless a gateway holds it."""
-    wire, used = robot.settings.wire, effective.read()
+    wire = robot.settings.wire
     if wire.built_in is None:
-        robot.gateway_runs = used is not None and used.runs
+        robot.gateway_runs = effective.running() is not None
         can = [name.replace("_", " ") for name, has in wire.capabilities._asdict().items() if has]
         open_it = partial(PluginDevice, wire.name, wire.plugin, exclusive=False)
         error = None if robot.gateway_runs else _fault(lambda: open_it().close())

@@ -11,6 +11,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from gateway.errors import ConfigError
+from gateway.host.settings_reader import ForStops
 from gateway.host.settings_table import LimitSettings, ServoLimits, SpiSettings, WatchdogSettings
 from gateway.model.framing import Framing
 from gateway.robot import settings
@@ -280,7 +281,8 @@ def test_nothing_else_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatc
     file.write_text(text if "framing" in text else FRAMED + text)
     for variable in ("HEXAPOD_SPI__BATCH", "HEXAPOD_WATCHDOG__TIMEOUT_MS", "HEXAPOD_X"):
         monkeypatch.setenv(variable, "false")
-    wire, spi, _, power = settings.load_for_stops(file)
+    found = settings.load_for_stops(file)
+    wire, spi, power = found.wire, found.spi, found.power
     assert spi == SpiSettings().of(wire)
     assert power is not None
     with pytest.raises(ConfigError):
@@ -297,7 +299,7 @@ def test_it_is_what_the_service_uses(file: Path, monkeypatch: pytest.MonkeyPatch
     file.write_text('wire.name = "elkapod-2025"\ncontroller.uart = "/dev/ttyS3"\npower.interface = "slcan"\n')
     monkeypatch.setenv("HEXAPOD_SPI__DEVICE", "/dev/spidev1.0")
     theirs = settings.load(file)
-    assert settings.load_for_stops(file) == (theirs.wire, theirs.spi, theirs.controller, theirs.power)
+    assert settings.load_for_stops(file) == ForStops(theirs.wire, theirs.spi, theirs.controller, theirs.power)
 
 
 PREFIXED = 'spi.framing = "length-prefixed"\n'
