@@ -32,26 +32,24 @@ class _Found(NamedTuple):
         return self.incident.name
 
 
-def list_all(settings: Settings, *, as_json: bool = False) -> int:
-    """Print the incidents, newest first. Return exit code 0, also if there are none. Raises ConfigError."""
+def list_all(settings: Settings, *, as_json: bool = False) -> None:
+    """Print the incidents, newest first. Raises ConfigError."""
     folder = _folder(settings)
-    found = _find(folder)
     rows: list[dict[str, Any]] = [
         {"id": each.name, "time": time_of(each.name).isoformat(), "what": headline(messages(*each))}
-        for each in reversed(found)
+        for each in reversed(_find(folder))
     ]
     if as_json:
         typer.echo(json.dumps(rows, indent=1))
-        return 0
+        return
     for row in rows:
         say(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {row['what']}")
-    if not found:
+    if not rows:
         say(f"No incidents in {folder}.")
-    return 0
 
 
-def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
-    """Print the story of the incident `name` (an id, or `last`). Return exit code 0.
+def show(settings: Settings, name: str, *, as_json: bool = False) -> None:
+    """Print the story of the incident `name` (an id, or `last`).
 
     Raises NoIncidentError, and ConfigError if the black box is off or unreadable.
     """
@@ -59,21 +57,19 @@ def show(settings: Settings, name: str, *, as_json: bool = False) -> int:
     lines = story(list(messages(*found)))
     if as_json:
         typer.echo(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))
-        return 0
+        return
     for line in lines:
         say(line)
-    return 0
 
 
-def export(settings: Settings, name: str, file: Path) -> int:
-    """Write the incident `name` to the MCAP file `file`. Return exit code 0.
+def export(settings: Settings, name: str, file: Path) -> None:
+    """Write the incident `name` to the MCAP file `file`.
 
     Raises as `show` does, and ConfigError if `file` exists or cannot be written.
     """
     found = _one(settings, name)
     write(file, *found)
     say(f"{found.name} is in {file}")
-    return 0
 
 
 def _folder(settings: Settings) -> Path:
@@ -106,10 +102,8 @@ def _one(settings: Settings, name: str) -> _Found:
     """Return the incident with this id; the newest for `last`."""
     folder = _folder(settings)
     found = _find(folder)
-    if name == LAST and found:
-        return found[-1]
-    for each in found:
-        if each.name == name:
+    for each in reversed(found):
+        if name in (LAST, each.name):
             return each
     if name != LAST and not is_id(name):
         raise NoIncidentError(

@@ -1,6 +1,5 @@
 """The command line of the black box: `incidents list`, `show`, `export`."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,7 +41,7 @@ def list_incidents(context: typer.Context, config: ConfigOption = None, as_json:
     """List the incidents, newest first."""
     from gateway.onboard import black_box
 
-    sys.exit(black_box.list_all(_settings(context, config), as_json=as_json))
+    black_box.list_all(_settings(context, config), as_json=as_json)
 
 
 @app.command()
@@ -52,7 +51,7 @@ def show(
     """Explain what happened: commands, decisions and frames, with times relative to the stop."""
     from gateway.onboard import black_box
 
-    sys.exit(black_box.show(_settings(context, config), incident, as_json=as_json))
+    black_box.show(_settings(context, config), incident, as_json=as_json)
 
 
 @app.command()
@@ -65,4 +64,4 @@ def export(
     """Write an incident as an MCAP file, for Foxglove, Lichtblick, Rerun or your own program."""
     from gateway.onboard import black_box
 
-    sys.exit(black_box.export(_settings(context, config), incident, file))
+    black_box.export(_settings(context, config), incident, file)
