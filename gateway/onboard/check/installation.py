@@ -264,8 +264,8 @@ def private_keys(robot: CheckedRobot) -> Iterator[Result | None]:
 def _is_of_authority(key: Path) -> bool:
     """Return whether the certificate next to it is an authority's with this key."""
     with suppress(ConfigError):
-        public = certs.files.read_key(key).public_key()
-        return any(public == each.public_key() for each in certs.files.read_certificates(key.with_name("ca.pem")))
+        ca = key.with_name("ca.pem")
+        return not certs.folder.mismatch(ca, ca, key, of_robot=False)
     return False
 
 

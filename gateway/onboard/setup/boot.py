@@ -16,14 +16,9 @@ _SERIAL: Final = "/dev/serial0"
 
 def spi_is_on(config: str) -> bool:
     """Return whether a config.txt switches SPI on for every Pi. Lines under a filter such as [cm4] do not count."""
-    on = False
-    for line in _lines_of(config, r"\[all\]"):
-        for parameter in line.removeprefix("dtparam=").split(",") if line.startswith("dtparam=") else ():
-            if re.fullmatch(r"spi(=on|=1|=true|=yes)?\s*", parameter):
-                on = True
-            elif parameter.startswith("spi="):
-                on = False
-    return on
+    lines = [line for line in _lines_of(config, r"\[all\]") if line.startswith("dtparam=")]
+    stated = re.findall(r"\bspi(=\w+)?(?![\w=])", " ".join(lines))
+    return bool(stated) and stated[-1] in ("", "=on", "=1", "=true", "=yes")  # the last one counts
 
 
 def overlay_is_on(config: str, overlay: str) -> bool:

@@ -301,12 +301,6 @@ def board(root: Path) -> CheckedRobot:
     return made
 
 
-def login(root: Path) -> CheckedRobot:
-    made = NULL(root)
-    made.shown = lambda *_: {"ActiveState": "active"}
-    return made
-
-
 def disk(**differs: int) -> dict[str, object]:
     return {"os.statvfs": lambda _: SimpleNamespace(**{**vars(EMPTY), **differs})}
 
@@ -410,7 +404,6 @@ SCENES = (
     scene("UART", served(NULL), "→ sudo chgrp dialout /dev/null", patch=DENIED),
     scene("UART", files({"sys/class/tty/console/active": "null\n"}, wire={"name": "elkapod-2025"},
                         controller={"uart": "/dev/null"}), "failure UART: /dev/null has Linux's console or a login"),
-    scene("UART", login, "failure UART: /dev/null has Linux's console or a login … setup --wire elkapod-2025"),
     scene("UART", NULL, "failure UART: /dev/null is held by another program", patch={SERIAL: BUSY}),
     scene("UART", served(uart("/dev/full", PI_5)), "warning UART: /dev/full opens, but the unit lets the service open "
           "ttyAMA… only → sudo systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-full rw",

@@ -62,6 +62,7 @@ def test_one_value_changes_and_everything_else_stays(before: str, after: str) ->
         ("[cm4]\notg_mode=1\n[all]\ndtparam=spi=on\n", True),
         ("dtparam=spi\n", True),
         ("dtparam=spi=off\n", False),
+        ("dtparam=spi=on\ndtparam=spi=off\n", False),
         ("", False),
         (STOCK, False),
         ("dtoverlay=vc4-kms-v3d\n", False),
