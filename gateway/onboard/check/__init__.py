@@ -112,12 +112,10 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     yield from results(robot, installation.python, installation.rights)
     yield from seen
     for fault in faults:
-        fix = table.LET_READ if security.DENIED in fault else "fix it there, and check again"
+        later = "fix it there, and check again: device, ports and certificates are checked after that"
+        fix = table.LET_READ if security.DENIED in fault else later
         yield Result("configuration", Verdict.FAILURE, fault, fix)
-    if faults:
-        rest = "device, ports and certificates were not looked at"
-        yield Result("the rest", Verdict.WARNING, rest, "fix the configuration first")
-    else:
+    if not faults:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
         if used is not None:  # the wire is looked at with the service's settings, a device that is gone with the file's

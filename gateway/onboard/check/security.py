@@ -28,8 +28,6 @@ from gateway.zenoh_config import certificate_files, get, listen_endpoints
 DENIED: Final = os.strerror(errno.EACCES)
 _TLS: Final = "transport/link/tls"
 _CA: Final = f"{_TLS}/root_ca_certificate"
-_LAST_PORT: Final = 65_535
-_NO_PORT: Final = OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")  # getaddrinfo would take the lower 16 bits
 _NO_LIST: Final = (
     "there is no list: nobody is shut out. If somebody was, send the newest list from where ca.key is: "
     "hexapod-gateway certs revoke --dir DIR"
@@ -128,8 +126,7 @@ def network(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> Result | None:
     """Return whether the service can listen on `endpoint`, or a gateway does already."""
-    number = host_and_port(endpoint)[1]
-    fault = bind_fault(endpoint) if not number.isdecimal() or int(number) <= _LAST_PORT else _NO_PORT
+    number, fault = host_and_port(endpoint)[1], bind_fault(endpoint)
     if fault is None:
         free = "is free" if number.isdecimal() else "was not tried: it names no port"
         return first("port", well(f"{endpoint} {free}"))

@@ -133,9 +133,8 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
         what, takes_ms = "a frame", 8 * FRAME_BYTES / spi.speed_hz * 1e3
     takes, known, at = f"{what} takes {takes_ms:.1f} ms to write", protocol.speed_hz, f"{spi.speed_hz / 1e6:g} MHz"
     yield first("SPI speed",
-        warning(spi.speed_hz > known, f"{at} is above {known / 1e6:g} MHz, the highest at which the protocol was "
-                "measured", f"set spi.speed_hz = {known} or less, or measure the clock on your wires"),
-        warning(takes_ms > _SLOW_MS, f"{at} is slow: {takes}", f"set spi.speed_hz = {known}"),
+        warning(spi.speed_hz > known or takes_ms > _SLOW_MS, f"{at}; {takes}, and the protocol was measured up to "
+                f"{known / 1e6:g} MHz", f"set spi.speed_hz = {known}, or measure a higher clock on your wires"),
         well(f"{at}; {takes}"))
 
 
@@ -163,11 +162,10 @@ def calibration(robot: CheckedRobot) -> Iterator[Result | None]:
     path = path_to_read(robot.settings)
     if path is None:
         yield first("calibration", well("is kept in memory only, until the gateway ends (state.path)"))
-    elif path.parent.exists() and not os.access(path.parent, os.X_OK):
-        yield first("calibration", warning(path, f"you may not read {path}", "sudo hexapod-gateway check"))
     else:
-        found, fault = load(path)
+        (found, fault), denied = load(path), not os.access(path.parent, os.X_OK)
         yield first("calibration",
+            warning(fault and denied, f"you may not read {path}", "sudo hexapod-gateway check"),
             failure(fault, f"{fault}; nothing can be started",
                     f"restore a good file and restart, or, if the robot is as drawn: {command(ACCEPT_DEFAULT)}"),
             well(f"revision {found.revision}, servos that differ: {len(found.servos)} ({path})"))

@@ -24,6 +24,7 @@ _LINKS: Final = {
     "quic": socket.SOCK_DGRAM,
     "udp": socket.SOCK_DGRAM,
 }
+_LAST_PORT: Final = 65_535
 _LATE: Final = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
 _RETRY: Final = {
     "exit_on_failure": "false",
@@ -118,6 +119,8 @@ def bind_fault(endpoint: str) -> OSError | None:
     kind, (host, port) = _LINKS.get(endpoint.partition("/")[0]), host_and_port(endpoint)
     if kind is None or not port.isdecimal():
         return None
+    if int(port) > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
+        return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
     try:
         found = socket.getaddrinfo(host, int(port), type=kind)
     except OSError as error:  # also a name that no server knows
