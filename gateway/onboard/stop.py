@@ -12,7 +12,7 @@ from gateway.host import effective, realtime
 from gateway.host.directories import CONFIGURATION
 from gateway.host.effective import Effective
 from gateway.host.settings_reader import ForStops
-from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings, WireSettings
+from gateway.host.settings_table import PowerSettings
 from gateway.model.frames import STOP_REPEATS
 from gateway.robot import settings
 from gateway.robot.spi.stop_all import stop_before_service
@@ -81,7 +81,7 @@ def run(path: Path | None) -> bool:
         _say(f"the servos keep their supply ({error}): switch the power off by hand")
         off = False
     try:
-        stop_servos(chosen.wire, chosen.spi, chosen.controller, (lambda: None) if cut is None else cut.stops_written)
+        stop_servos(chosen, (lambda: None) if cut is None else cut.stops_written)
     finally:
         off = off if cut is None else cut.end()
     if isinstance(chosen, Effective) and not chosen.ended_here:  # the unit's file lacks the unit's variables
@@ -143,16 +143,11 @@ def unit() -> tuple[int, dict[str, str]]:
         return 0, {}
 
 
-def stop_servos(
-    wire: WireSettings,
-    spi: SpiSettings,
-    controller: ControllerSettings,
-    written: Callable[[], None] = lambda: None,
-) -> None:
+def stop_servos(used: ForStops, written: Callable[[], None]) -> None:
     """Stop all six legs, and print what was written. `written` is called after the Stops. Raises SpiError."""
-    spi, changed = spi.within_limits()
+    wire, (spi, changed) = used.wire, used.spi.within_limits()
     try:
-        noticed = stop(wire, spi, controller, written)
+        noticed = stop(wire, spi, used.controller, written)
     finally:  # after the Stops: they must not wait for a reader of stderr
         if changed:
             _say(changed)
@@ -160,7 +155,7 @@ def stop_servos(
     device = spi.device if wire.framed else wire.name
     lines = [f"Stop written to all six legs, {times} times each, on {device}"]
     if wire.has_uart:
-        lines = [f"shutdown of all servos written {times} times, on {controller.uart}"]
+        lines = [f"shutdown of all servos written {times} times, on {used.controller.uart}"]
     if noticed is not None:
         lines.append(_NOTICED if noticed else _NOT_NOTICED)
     _tell(*lines)
