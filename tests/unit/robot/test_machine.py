@@ -57,3 +57,12 @@ def test_neighbours_are_those_of_another_driver(tmp_path: Path) -> None:
     tree.add("spi0.1", "fb_st7789v")
     tree.add("spi0.3", "mcp251x")
     assert machine.neighbours(SPIDEV, tmp_path) == [("spi0.1", "fb_st7789v"), ("spi0.3", "mcp251x")]
+
+
+@pytest.mark.parametrize(
+    ("model", "is_one"),
+    [("Raspberry Pi 5 Model B", True), ("Raspberry Pi Compute Module 5", True), ("Raspberry Pi 4 Model B", False)],
+)
+def test_a_pi_5_is_known_by_its_name(model: str, is_one: bool, tmp_path: Path) -> None:
+    MachineTree(tmp_path, model=model)
+    assert machine.is_pi_5(tmp_path) is is_one
