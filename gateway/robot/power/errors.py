@@ -90,7 +90,6 @@ class BoardErrors:
         """Record that the error shown last is deleted and blocks nothing. Others may be left."""
         if self._shown is not None:
             self._errors.pop(self._shown, None)
-            self._shown = None
         self._next = ASK_ERROR
         self._due_ns = now_ns
 

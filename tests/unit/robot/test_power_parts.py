@@ -161,6 +161,8 @@ def test_an_error_blocks_its_outputs_and_is_news_once(errors: BoardErrors) -> No
     assert errors.shown(LAST, 2) == (WHY, 1 << 17, True)
     assert errors.blocked == {0: WHY, 17: WHY}
     assert errors.mask == 1 | 1 << 17
+    other_way = BoardErrors()
+    assert [other_way.shown(each, 0)[2] for each in (LAST, FIRST, LAST)] == [True, True, False]
 
 
 def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardErrors) -> None:
