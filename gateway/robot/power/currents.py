@@ -27,7 +27,7 @@ class _Judged:
     running: bool
     since_ns: int
     nothing_since_ns: int | None = None
-    drawing: int = 0
+    drawing: int = 0  # mutants accepted (Step): the first measurement sets it, before SETTLE_NS
     reported: bool = False
 
 

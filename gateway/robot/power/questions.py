@@ -99,6 +99,7 @@ class BoardQuestions:
         if question in ASK_RAILS:
             self._foreign[question] = (self._foreign_unanswered(question, now_ns) + 1, now_ns)
 
+    # mutants accepted (Step): none are none, whenever the newest was received
     def _foreign_unanswered(self, question: CanFrame, now_ns: int) -> int:
         number, newest_ns = self._foreign.get(question, (0, 0))
         return number if now_ns - newest_ns < FORGOTTEN_NS else 0

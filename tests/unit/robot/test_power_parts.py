@@ -135,6 +135,40 @@ def test_an_answer_to_what_was_never_asked_proves_nothing() -> None:
     assert (questions.reached, questions.reached_ns) == (0, 0)
 
 
+def test_a_question_that_was_not_sent_is_free_again() -> None:
+    questions = BoardQuestions()
+    for _ in ASK_RAILS:
+        [last] = questions.due_after(1, 0)
+    questions.not_sent(last)
+    assert questions.due_after(1, 0) == [last]
+
+
+@pytest.mark.parametrize(("at_ms", "reached"), [(1999, 0), (2000, 1)])
+def test_an_answer_is_for_another_node_that_asked_within_2_s(at_ms: int, reached: int) -> None:
+    questions = BoardQuestions()
+    [question] = questions.due_after(1, 0)
+    questions.asked_by_another(question, 0)
+    questions.answered_about_rails(question, at_ms * NS_PER_MS)
+    assert questions.reached == reached
+
+
+@pytest.mark.parametrize(
+    ("late_ns", "pairs", "two_boards"), [(10 * NS_PER_MS - 1, 3, True), (10 * NS_PER_MS, 3, False), (0, 2, False)]
+)
+def test_two_boards_answer_each_of_three_questions_twice_within_10_ms(
+    late_ns: int, pairs: int, two_boards: bool
+) -> None:
+    questions = BoardQuestions()
+    for _ in range(pairs):
+        [question] = questions.due_after(1, 0)
+        for at_ns in (0, late_ns):
+            questions.answered_about_rails(question, at_ns)
+    assert questions.two_boards is two_boards
+    for _ in range(2):
+        questions.answered_about_rails(questions.due_after(1, 0)[0], 0)
+    assert questions.doubles == 0, "a question answered once ends the row"
+
+
 # ---- The power board's errors: what they block, and how they are deleted
 
 
