@@ -6,7 +6,6 @@ from collections import deque
 
 import can
 
-from gateway.errors import GatewayError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import ALL, CanFrame, set_supply
 from gateway.simulation.board import SimulatedBoard
@@ -26,7 +25,7 @@ class BoardBus(can.BusABC):
         self.board.take(set_supply(ALL), now_ns - 1_000_000_000)
         self.board.advance(now_ns)
         self.silent = False
-        self.failures: list[GatewayError] = []
+        self.failures: list[Exception] = []
         self.sent: list[CanFrame] = []
         self.first_sent = threading.Event()
         self.hangs = threading.Event()

@@ -112,6 +112,7 @@ class SupplyCut:
     def _run(self) -> None:
         self._stops_written.wait(START_S)
         why, end_ns = "the power board does not answer", 0
+        # mutants accepted (Lt_LtE): equal times
         while not self.confirmed and (not end_ns or time.monotonic_ns() < end_ns):
             try:
                 try:

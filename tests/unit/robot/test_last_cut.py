@@ -136,19 +136,18 @@ def test_nothing_is_waited_for_where_spi_hangs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("failures", "why"),
-    [([ConfigError("python-can is not installed")], "not installed"), ([LineError("can0 is gone")], "can0 is gone")],
+    ("failure", "why"),
+    [
+        (ConfigError("python-can is not installed"), "python-can is not installed"),
+        (LineError("can0 is gone"), "can0 is gone"),
+        (RuntimeError("a mistake of its own"), "socketcan can0: a mistake of its own"),
+    ],
 )
-def test_why_it_is_not_confirmed(monkeypatch: pytest.MonkeyPatch, failures: list[ConfigError], why: str) -> None:
+def test_why_it_is_not_confirmed(monkeypatch: pytest.MonkeyPatch, failure: Exception, why: str) -> None:
     monkeypatch.setattr(last_cut, "TRY_NS", NS_PER_MS)
     bus = BoardBus()
-    bus.failures = [*failures] * 100  # it is opened again as long as there is time
-    confirmed, said = told(bus)
-    assert not confirmed
-    ((sentence, is_confirmed),) = said
-    assert not is_confirmed
-    assert why in sentence
-    assert "NOT confirmed" in sentence
+    bus.failures = [failure] * 100  # it is opened again as long as there is time
+    assert told(bus) == (False, [(last_cut.not_confirmed(why), False)])
 
 
 def test_on_a_computer_that_loads_python_can_for_long_the_mask_is_sent_all_the_same(
