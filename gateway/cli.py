@@ -23,11 +23,10 @@ from gateway.people.commands import certs, walk
 from gateway.people.commands.options import (
     AdaptOption,
     ConfigOption,
-    ConnectOption,
     JsonOption,
     OtherShapeOption,
-    TimeoutOption,
-    ZenohConfigOption,
+    Reach,
+    reaches,
 )
 from gateway.people.console import calibrate_command
 from gateway.people.ros2 import command as bridge
@@ -211,34 +210,36 @@ def stop_servos(config: ConfigOption = None) -> None:
 
 
 @app.command()
-def stop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+@reaches
+def stop(reach: Reach) -> None:
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
     from gateway.people.commands import send
 
-    sys.exit(send.send_stop(send.connection(connect, zenoh_config, timeout, command="stop")))
+    sys.exit(send.send_stop(send.connection(reach, "stop")))
 
 
 @app.command()
-def estop(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+@reaches
+def estop(reach: Reach) -> None:
     """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`."""
     from gateway.people.commands import send
 
-    sys.exit(send.estop(send.connection(connect, zenoh_config, timeout, command="estop")))
+    sys.exit(send.estop(send.connection(reach, "estop")))
 
 
 @app.command()
-def reset(connect: ConnectOption = None, zenoh_config: ZenohConfigOption = None, timeout: TimeoutOption = 2.0) -> None:
+@reaches
+def reset(reach: Reach) -> None:
     """End the emergency stop. No servo moves until somebody starts it again."""
     from gateway.people.commands import send
 
-    sys.exit(send.reset(send.connection(connect, zenoh_config, timeout, command="reset")))
+    sys.exit(send.reset(send.connection(reach, "reset")))
 
 
 @app.command()
+@reaches
 def status(
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
     follow: Annotated[
         bool, typer.Option("--follow", "-f", help="Print a line for each change, rejection and event, until Ctrl-C.")
     ] = False,
@@ -254,14 +255,16 @@ def status(
     if follow:
         from gateway.people.commands.follow import follow as follow_state
 
-        follow_state(connect, zenoh_config, timeout, as_json=as_json)
+        follow_state(reach, as_json=as_json)
     from gateway.people.commands.status import status
 
-    status(connect, zenoh_config, timeout, as_json=as_json)
+    status(reach, as_json=as_json)
 
 
 @app.command()
+@reaches
 def console(
+    *,
     listen: Annotated[
         str | None,
         typer.Option(
@@ -269,9 +272,7 @@ def console(
             help="The address for browsers. Default: 127.0.0.1:8080, or the next free port.",
         ),
     ] = None,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
     cert: Annotated[
         Path | None,
         typer.Option(metavar="PATH", help="The console's TLS certificate (PEM), made by `certs issue --role console`."),
@@ -308,7 +309,7 @@ def console(
 
     if sign_out or link:
         sys.exit(command.sign_out() if sign_out else command.link(listen))
-    options = Options(connect, zenoh_config, timeout, listen, cert, key, role, geometry, adapt, open_browser, phone)
+    options = Options(reach, listen, cert, key, role, geometry, adapt, open_browser, phone)
     command.console(options)
 
 
@@ -352,7 +353,9 @@ OpArgument = Annotated[Literal["start", "set", "stop"], typer.Argument(metavar="
 
 
 @send_app.command("leg")
+@reaches
 def send_leg(
+    *,
     leg: Annotated[int, typer.Argument(metavar="N", min=1, max=6, help="The leg, 1 to 6")],
     op: OpArgument,
     angles: Annotated[
@@ -360,51 +363,46 @@ def send_leg(
         typer.Argument(metavar="[A B C]", help="Degrees, 0 to 180, for joints 1, 2 and 3; not for stop"),
     ] = None,
     hold: HoldOption = 0,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
 ) -> None:
     """Start, set or stop a leg: `send leg 3 start 90 45 120 --hold 5`."""
     from gateway.people.commands import send
 
-    connection = send.connection(connect, zenoh_config, timeout)
-    sys.exit(send.send_leg(connection, leg, op, angles or [], hold_s=hold))
+    sys.exit(send.send_leg(send.connection(reach), leg, op, angles or [], hold_s=hold))
 
 
 @send_app.command("legs")
+@reaches
 def send_legs(
+    *,
     op: OpArgument,
     angles: Annotated[
         list[float] | None,
         typer.Argument(metavar="[A B C]", help="Degrees for joints 1, 2 and 3 of every leg, or 18 angles, legs 1 to 6"),
     ] = None,
     hold: HoldOption = 0,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
 ) -> None:
     """Start, set or stop all six legs: `send legs start 90 45 120 --hold 5`."""
     from gateway.people.commands import send
 
-    connection = send.connection(connect, zenoh_config, timeout)
-    sys.exit(send.send_legs(connection, op, angles or [], hold_s=hold))
+    sys.exit(send.send_legs(send.connection(reach), op, angles or [], hold_s=hold))
 
 
 @send_app.command("servo")
+@reaches
 def send_servo(
+    *,
     servo_id: Annotated[int, typer.Argument(metavar="ID", help="Leg, then joint: 32 is joint 2 of leg 3")],
     op: OpArgument,
     angle: Annotated[float | None, typer.Argument(metavar="[A]", help="Degrees, 0 to 180; not for stop")] = None,
     hold: HoldOption = 0,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
 ) -> None:
     """Start, set or stop one servo: `send servo 32 start 90`."""
     from gateway.people.commands import send
 
-    connection = send.connection(connect, zenoh_config, timeout)
-    sys.exit(send.send_servo(connection, servo_id, op, angle, hold_s=hold))
+    sys.exit(send.send_servo(send.connection(reach), servo_id, op, angle, hold_s=hold))
 
 
 def main() -> None:

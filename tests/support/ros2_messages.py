@@ -6,16 +6,20 @@ from typing import Any, Final
 
 from rosbags.typesys import Stores, get_typestore
 
-from gateway.people.ros2.messages import Header, Message, Twist, message_type
+from gateway.people.ros2.messages import Header, Message, Time, Twist, message_type
 
 
-def _type(type_name: str, **fields: Any) -> type[Message]:
-    return message_type(type_name, __name__, **fields)
+def _type(type_name: str, **defaults: Any) -> type[Message]:
+    """A type whose messages have all these fields, as those that rclpy hands to the bridge."""
+    made = message_type(type_name, " ".join(defaults), __name__)
+    for name, value in defaults.items():
+        setattr(made, name, value)
+    return made
 
 
 Int32: Final = _type("std_msgs/msg/Int32", data=0)
 Float64: Final = _type("std_msgs/msg/Float64", data=0.0)
-TwistStamped: Final = _type("geometry_msgs/msg/TwistStamped", header=Header(), twist=Twist())
+TwistStamped: Final = _type("geometry_msgs/msg/TwistStamped", header=Header(Time(0, 0), ""), twist=Twist())
 Duration: Final = _type("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
 JointTrajectoryPoint: Final = _type(
     "trajectory_msgs/msg/JointTrajectoryPoint",
@@ -24,7 +28,9 @@ JointTrajectoryPoint: Final = _type(
     accelerations=(),
     time_from_start=Duration(),
 )
-JointTrajectory: Final = _type("trajectory_msgs/msg/JointTrajectory", header=Header(), joint_names=(), points=())
+JointTrajectory: Final = _type(
+    "trajectory_msgs/msg/JointTrajectory", header=Header(Time(0, 0), ""), joint_names=(), points=()
+)
 MultiDOFJointTrajectory: Final = _type("trajectory_msgs/msg/MultiDOFJointTrajectory", points=())
 JointTolerance: Final = _type("control_msgs/msg/JointTolerance", name="", position=0.0)
 FollowJointTrajectory_Goal: Final = _type(

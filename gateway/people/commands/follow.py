@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from datetime import datetime
 from functools import partial
-from pathlib import Path
 from typing import Final, NamedTuple, NoReturn
 
 from gateway import certs
@@ -18,6 +17,7 @@ from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm
 from gateway.people.client.live import Live, Order, Receiver, Starts
 from gateway.people.commands import why
+from gateway.people.commands.options import Reach
 from gateway.people.commands.status import topics
 from gateway.people.terminal import hint, on_end_signals
 from gateway.text import visible
@@ -160,11 +160,12 @@ class _Follower(Receiver):
             self.say(self.changes.note(each, _wall()))
 
 
-def follow(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> NoReturn:
+def follow(reach: Reach, *, as_json: bool) -> NoReturn:
     """Print lines until Ctrl-C, SIGTERM, or the end of their reader, then end the process.
 
     Waits for a gateway that does not run yet. Raises ConfigError, before the first line, for a faulty file.
     """
+    connect, zenoh_config, timeout_s = reach
     config = client_config(connect, zenoh_config)  # a faulty file is reported at once
     ended = threading.Event()
 

@@ -1,12 +1,17 @@
 """Options that several commands have."""
 
+import inspect
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
 from gateway import own_command
+
+if TYPE_CHECKING:
+    from gateway.people.commands.reach import Connection
 
 T = TypeVar("T", str, Path)
 
@@ -61,3 +66,33 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON, for progra
 TimeoutOption = Annotated[
     float, typer.Option("--timeout", metavar="S", min=0.05, help="Give up after this many seconds.")
 ]
+
+
+class Reach(NamedTuple):
+    """How a command reaches its gateway."""
+
+    connect: ConnectOption = None
+    zenoh_config: ZenohConfigOption = None
+    timeout: TimeoutOption = 2.0
+
+    def connection(self, source: str) -> "Connection":
+        """Return a connection for a `with`, under this name in events; see `reach.connection`."""
+        from gateway.people.commands import reach  # loads Zenoh, for which `--help` need not wait
+
+        return reach.connection(*self, source=source)
+
+
+def reaches(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with the options of `Reach`, in the place of its parameter `reach`."""
+    options = inspect.signature(Reach).parameters
+
+    @wraps(command)
+    def call(**given: Any) -> None:
+        command(reach=Reach(**{name: given.pop(name) for name in options}), **given)
+
+    parameters: list[inspect.Parameter] = []
+    for each in inspect.signature(command).parameters.values():
+        parameters += options.values() if each.name == "reach" else [each]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    vars(call)["__signature__"] = inspect.Signature([each.replace(kind=keyword) for each in parameters])
+    return call

@@ -13,6 +13,7 @@ from gateway.people.client.dangers import PowerAlarm, confirmed_off
 from gateway.people.client.payloads import leg_payload, legs_payload, servo_payload
 from gateway.people.client.requests import Identity
 from gateway.people.commands import reach
+from gateway.people.commands.options import Reach
 from gateway.people.commands.reach import Connection, me
 from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config
@@ -30,12 +31,10 @@ _MOST_PERSON: Final = 40
 """Most characters of the person's name; a source may have 64."""
 
 
-def connection(
-    connect: str | None, zenoh_config: Path | None, timeout_s: float, *, command: str = "send"
-) -> Connection:
+def connection(by: Reach, command: str = "send") -> Connection:
     """Return a connection whose commands have the sender's name in events and states."""
-    person = person_of(connect, zenoh_config)[:_MOST_PERSON]
-    return reach.connection(connect, zenoh_config, timeout_s, source=f"{person} (hexapod-gateway {command})")
+    person = person_of(by.connect, by.zenoh_config)[:_MOST_PERSON]
+    return by.connection(f"{person} (hexapod-gateway {command})")
 
 
 def person_of(connect: str | None, zenoh_config: Path | None) -> str:

@@ -1,19 +1,18 @@
 """`hexapod-gateway status`: one look at the state, in sentences or as published; `follow` has what comes after it."""
 
 import sys
-from pathlib import Path
 
 from gateway import certs
 from gateway.people.client.dangers import PowerAlarm, power_now
-from gateway.people.commands.reach import connection
+from gateway.people.commands.options import Reach
 from gateway.people.terminal import say
 from gateway.people.walking import robot_now
 from schemas.telemetry import GatewayState, LegReport
 
 
-def status(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool) -> None:
+def status(reach: Reach, *, as_json: bool) -> None:
     """Print the state, as sentences or JSON. Raises ZenohError if no gateway answers."""
-    with connection(connect, zenoh_config, timeout_s, source="status")() as client:
+    with reach.connection("status")() as client:
         state = client.state()
     if as_json:
         sys.stdout.write(f"{state.model_dump_json()}\n")

@@ -3,13 +3,13 @@
 import importlib.util
 import socket
 from contextlib import suppress
-from pathlib import Path
 from typing import Final, NoReturn
 from urllib.parse import urlsplit
 
 from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
 from gateway.own_command import install
+from gateway.people.commands.options import Reach
 from gateway.people.console.address import (
     CONSOLE_PORT,
     DEFAULT_ADDRESS,
@@ -48,12 +48,12 @@ def console(options: Options) -> NoReturn:
     serve(options, options.role, place, passed)
 
 
-def calibration(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> int:
+def calibration(reach: Reach) -> int:
     """Open the calibration guide, in this user's console or in one started for this gateway. Raises GatewayError."""
-    if connect is None and zenoh_config is None and _answering() is not None:
+    if reach.connect is None and reach.zenoh_config is None and _answering() is not None:
         return link(None, CALIBRATION_CARD)
     hint("A console starts for the guide; Ctrl-C ends it.")
-    console(Options(connect, zenoh_config, timeout_s, open_browser=True, card=CALIBRATION_CARD))
+    console(Options(reach, open_browser=True, card=CALIBRATION_CARD))
 
 
 def link(listen: str | None, card: str = "") -> int:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
@@ -20,6 +19,7 @@ from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
 from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
 from gateway.people.client.silence import CHECK_EVERY_S
 from gateway.people.commands import why
+from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import LinkMessage
 from gateway.people.console.pages.presence import GatewayPresence
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
@@ -61,10 +61,9 @@ class LinkReceiver(Receiver):
 class GatewayLink(Receiver):
     """`Live` on an event loop, with the link's status."""
 
-    def __init__(
-        self, connect: str | None, zenoh_config: Path | None, source: str, timeout_s: float, receiver: LinkReceiver
-    ) -> None:
-        """`connect` and `zenoh_config` as for `Client`; `source` is the name of the console's emergency stops."""
+    def __init__(self, reach: Reach, source: str, receiver: LinkReceiver) -> None:
+        """`source` is the name of the console's emergency stops."""
+        connect, zenoh_config, timeout_s = reach
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
         self._stop_all = ReadyThreads(REQUESTS_AT_ONCE, "STOP ALL")
         self._stops = ReadyThreads(STOPS_AT_ONCE, "Stops")

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Role
 
 
@@ -10,9 +11,7 @@ from gateway.people.console.pages.page_messages import Role
 class Options:
     """The command's arguments, as `hexapod-gateway console --help` explains them."""
 
-    connect: str | None
-    zenoh_config: Path | None
-    timeout_s: float
+    reach: Reach
     listen: str | None = None
     cert: Path | None = None
     key: Path | None = None

@@ -22,6 +22,7 @@ from gateway import certs, durable
 from gateway.geometry import Geometry, load
 from gateway.host import descriptors, logs, realtime
 from gateway.host.directories import console_state
+from gateway.people.commands.options import Reach
 from gateway.people.console import phone
 from gateway.people.console.app import MAX_CLOSING, MAX_PAGES, Console
 from gateway.people.console.link import STACK_BYTES, GatewayLink
@@ -58,7 +59,7 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
 
     `role`: what pages may do at most. `passed`: systemd's sockets; empty: the console binds its own.
     """
-    owner = _owner(options.connect, options.zenoh_config)
+    owner = _owner(options.reach)
     owner = owner._replace(role=least(owner.role, role))
     geometry = load(options.geometry)
     descriptors.ensure(DESCRIPTORS, "the console")
@@ -94,7 +95,7 @@ async def _run(
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(_report)
     pages = Pages(owner.common_name, found.revoke)
-    gateway = GatewayLink(options.connect, options.zenoh_config, owner.person, options.timeout_s, pages)
+    gateway = GatewayLink(options.reach, owner.person, pages)
     stops = Stops(gateway.estop, send_stopping)
     console = Console(
         found,
@@ -157,8 +158,8 @@ def _opened(site: Site, found: Sessions, card: str) -> Iterator[None]:
         file.unlink(missing_ok=True)
 
 
-def _owner(connect: str | None, zenoh_config: Path | None) -> Owner:
-    config = client_config(connect, zenoh_config)
+def _owner(reach: Reach) -> Owner:
+    config = client_config(reach.connect, reach.zenoh_config)
     certificate = get(config, "transport/link/tls/connect_certificate")
     if certificate:
         holder = certs.folder.describe(Path(certificate))

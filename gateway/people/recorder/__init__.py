@@ -10,13 +10,15 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.commands.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import OtherShapeOption, Reach, reaches
 
 app = typer.Typer()
 
 
 @app.command("record")
+@reaches
 def command(
+    *,
     file: Annotated[
         Path | None, typer.Argument(metavar="[FILE]", show_default=False, help="The file to write, such as ride.mcap")
     ] = None,
@@ -38,9 +40,7 @@ def command(
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a file that exists.")] = False,
     geometry: OtherShapeOption = None,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
 ) -> None:
     """Record what the gateway publishes into an MCAP file, or show it live, until Ctrl-C. It sends no commands.
 
@@ -51,11 +51,10 @@ def command(
         raise ConfigError("name the file to make, such as ride.mcap, or show the robot in a viewer with --live")
     if file is not None and file.suffix != ".mcap":
         raise ConfigError(f"{file}: name the file with .mcap, by which viewers know it: {file.with_suffix('.mcap')}")
-    from gateway.people.commands import reach
     from gateway.people.recorder.record import record
 
     ended = record(
-        reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway record"),
+        reach.connection("hexapod-gateway record"),
         file,
         table=csv,
         live_port=port if live else None,

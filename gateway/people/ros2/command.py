@@ -2,18 +2,19 @@
 
 import math
 import sys
-from functools import partial
 from typing import Annotated
 
 import typer
 
-from gateway.people.commands.options import ConnectOption, OtherShapeOption, TimeoutOption, ZenohConfigOption
+from gateway.people.commands.options import OtherShapeOption, Reach, reaches
 
 app = typer.Typer()
 
 
 @app.command()
+@reaches
 def ros2(
+    *,
     ros_args: Annotated[
         list[str] | None,
         typer.Argument(metavar="[-- ROS_ARGS]", help="ROS 2's own arguments: -- --ros-args -r cmd_vel:=/cmd_vel_out"),
@@ -62,9 +63,7 @@ def ros2(
         ),
     ] = None,
     geometry: OtherShapeOption = None,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
 ) -> None:
     """Connect the robot to ROS 2, as a node of the ROS 2 that is installed here, over any RMW.
 
@@ -74,13 +73,12 @@ def ros2(
     follow_joint_trajectory. The service release ends this. Everybody may call estop at any time. The service reset ends
     only an emergency stop that was engaged through ROS while the node drove.
     """
-    from gateway.people.commands import reach
     from gateway.people.ros2 import run
     from gateway.people.ros2.parameters import Parameters
 
     sys.exit(
         run.serve(
-            partial(reach.connection, connect, zenoh_config, timeout),
+            reach.connection,
             ros_args=ros_args or [],
             allow_reset=allow_reset,
             domain=domain,

@@ -3,30 +3,29 @@
 `cdr` writes these messages for a recording, by rosbags; the node hands them to rclpy.
 """
 
-from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, ClassVar, Final
 
 
 class Message(SimpleNamespace):
-    """A message, of a type that `message_type` has made. Sequences are tuples."""
+    """A message, of a type that `message_type` has made, with the fields that are set. Sequences are tuples."""
 
     TYPE: ClassVar[str]
     """The type's name in ROS 2, such as `std_msgs/msg/String`."""
-    FIELDS: ClassVar[Mapping[str, Any]]
-    """Field → its default, in their order."""
+    FIELDS: ClassVar[tuple[str, ...]]
 
     def __init__(self, *values: Any, **fields: Any) -> None:
         """Raises TypeError for a field that the type does not have."""
-        set_fields = dict(zip(self.FIELDS, values, strict=False)) | fields
-        if len(values) > len(self.FIELDS) or not set_fields.keys() <= self.FIELDS.keys():
+        fields |= zip(self.FIELDS, values, strict=False)
+        if len(values) > len(self.FIELDS) or not fields.keys() <= set(self.FIELDS):
             raise TypeError(f"{self.TYPE} has the fields {', '.join(self.FIELDS)}")
-        super().__init__(**{**self.FIELDS, **set_fields})
+        super().__init__(**fields)
 
 
-def message_type(type_name: str, module: str = __name__, **fields: Any) -> type[Message]:
-    """Return a message type with these fields and defaults. `module` must hold it under its own name."""
-    return type(type_name.rpartition("/")[2], (Message,), {"__module__": module, "TYPE": type_name, "FIELDS": fields})
+def message_type(type_name: str, fields: str, module: str = __name__) -> type[Message]:
+    """Return a message type with these fields, in their order. `module` must hold it under its own name."""
+    made = {"__module__": module, "TYPE": type_name, "FIELDS": tuple(fields.split())}
+    return type(type_name.rpartition("/")[2], (Message,), made)
 
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
@@ -36,74 +35,43 @@ SPHERE, TEXT_VIEW_FACING = 2, 9
 """Types of a Marker."""
 DELETEALL: Final = 3
 """An action of a Marker."""
-_COVARIANCE: Final = (0.0,) * 9
 
-Time: Final = message_type("builtin_interfaces/msg/Time", sec=0, nanosec=0)
-String: Final = message_type("std_msgs/msg/String", data="")
-Header: Final = message_type("std_msgs/msg/Header", stamp=Time(), frame_id="")
-ColorRGBA: Final = message_type("std_msgs/msg/ColorRGBA", r=0.0, g=0.0, b=0.0, a=0.0)
-MultiArrayDimension: Final = message_type("std_msgs/msg/MultiArrayDimension", label="", size=0, stride=0)
-MultiArrayLayout: Final = message_type("std_msgs/msg/MultiArrayLayout", dim=())
-Float64MultiArray: Final = message_type("std_msgs/msg/Float64MultiArray", layout=MultiArrayLayout(), data=())
-Log: Final = message_type("rcl_interfaces/msg/Log", stamp=Time(), level=0, name="", msg="")
+Time: Final = message_type("builtin_interfaces/msg/Time", "sec nanosec")
+String: Final = message_type("std_msgs/msg/String", "data")
+Header: Final = message_type("std_msgs/msg/Header", "stamp frame_id")
+ColorRGBA: Final = message_type("std_msgs/msg/ColorRGBA", "r g b a")
+MultiArrayDimension: Final = message_type("std_msgs/msg/MultiArrayDimension", "label size stride")
+MultiArrayLayout: Final = message_type("std_msgs/msg/MultiArrayLayout", "dim")
+Float64MultiArray: Final = message_type("std_msgs/msg/Float64MultiArray", "layout data")
+Log: Final = message_type("rcl_interfaces/msg/Log", "stamp level name msg")
 
-Point: Final = message_type("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0)
-Vector3: Final = message_type("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-Quaternion: Final = message_type("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=0.0)
-Pose: Final = message_type("geometry_msgs/msg/Pose", position=Point(), orientation=Quaternion())
-Transform: Final = message_type("geometry_msgs/msg/Transform", translation=Vector3(), rotation=Quaternion())
-_COVARIANCE_6: Final = (0.0,) * 36
-PoseWithCovariance: Final = message_type("geometry_msgs/msg/PoseWithCovariance", pose=Pose(), covariance=_COVARIANCE_6)
-Twist: Final = message_type("geometry_msgs/msg/Twist", linear=Vector3(), angular=Vector3())
-TwistWithCovariance: Final = message_type(
-    "geometry_msgs/msg/TwistWithCovariance", twist=Twist(), covariance=_COVARIANCE_6
-)
-Odometry: Final = message_type(
-    "nav_msgs/msg/Odometry",
-    header=Header(),
-    child_frame_id="",
-    pose=PoseWithCovariance(),
-    twist=TwistWithCovariance(),
-)
-TransformStamped: Final = message_type(
-    "geometry_msgs/msg/TransformStamped", header=Header(), child_frame_id="", transform=Transform()
-)
-TFMessage: Final = message_type("tf2_msgs/msg/TFMessage", transforms=())
+Point: Final = message_type("geometry_msgs/msg/Point", "x y z")
+Vector3: Final = message_type("geometry_msgs/msg/Vector3", "x y z")
+Quaternion: Final = message_type("geometry_msgs/msg/Quaternion", "x y z w")
+Pose: Final = message_type("geometry_msgs/msg/Pose", "position orientation")
+Transform: Final = message_type("geometry_msgs/msg/Transform", "translation rotation")
+PoseWithCovariance: Final = message_type("geometry_msgs/msg/PoseWithCovariance", "pose covariance")
+Twist: Final = message_type("geometry_msgs/msg/Twist", "linear angular")
+TwistWithCovariance: Final = message_type("geometry_msgs/msg/TwistWithCovariance", "twist covariance")
+Odometry: Final = message_type("nav_msgs/msg/Odometry", "header child_frame_id pose twist")
+TransformStamped: Final = message_type("geometry_msgs/msg/TransformStamped", "header child_frame_id transform")
+TFMessage: Final = message_type("tf2_msgs/msg/TFMessage", "transforms")
 
-JointState: Final = message_type("sensor_msgs/msg/JointState", header=Header(), name=(), position=())
-Temperature: Final = message_type("sensor_msgs/msg/Temperature", header=Header(), temperature=0.0)
+JointState: Final = message_type("sensor_msgs/msg/JointState", "header name position")
+Temperature: Final = message_type("sensor_msgs/msg/Temperature", "header temperature")
 BatteryState: Final = message_type(
     "sensor_msgs/msg/BatteryState",
-    header=Header(),
-    voltage=0.0,
-    temperature=0.0,
-    current=0.0,
-    charge=0.0,
-    capacity=0.0,
-    design_capacity=0.0,
-    percentage=0.0,
-    present=False,
+    "header voltage temperature current charge capacity design_capacity percentage present",
 )
 Imu: Final = message_type(
-    "sensor_msgs/msg/Imu",
-    header=Header(),
-    orientation=Quaternion(),
-    orientation_covariance=_COVARIANCE,
-    angular_velocity=Vector3(),
-    angular_velocity_covariance=_COVARIANCE,
-    linear_acceleration=Vector3(),
-    linear_acceleration_covariance=_COVARIANCE,
+    "sensor_msgs/msg/Imu", "header orientation orientation_covariance angular_velocity linear_acceleration"
 )
 
-KeyValue: Final = message_type("diagnostic_msgs/msg/KeyValue", key="", value="")
-DiagnosticStatus: Final = message_type(
-    "diagnostic_msgs/msg/DiagnosticStatus", level=0, name="", message="", hardware_id="", values=()
-)
-DiagnosticArray: Final = message_type("diagnostic_msgs/msg/DiagnosticArray", header=Header(), status=())
+KeyValue: Final = message_type("diagnostic_msgs/msg/KeyValue", "key value")
+DiagnosticStatus: Final = message_type("diagnostic_msgs/msg/DiagnosticStatus", "level name message hardware_id values")
+DiagnosticArray: Final = message_type("diagnostic_msgs/msg/DiagnosticArray", "header status")
 
 Marker: Final = message_type(
-    "visualization_msgs/msg/Marker",
-    header=Header(), ns="", id=0, type=0, action=0, pose=Pose(), scale=Vector3(), color=ColorRGBA(),
-    frame_locked=False, text="",
-)  # fmt: skip
-MarkerArray: Final = message_type("visualization_msgs/msg/MarkerArray", markers=())
+    "visualization_msgs/msg/Marker", "header ns id type action pose scale color frame_locked text"
+)
+MarkerArray: Final = message_type("visualization_msgs/msg/MarkerArray", "markers")

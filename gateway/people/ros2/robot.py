@@ -85,7 +85,7 @@ def odometry_frame(at: Odometry, time_ns: int, base: str = BASE) -> Message:
 
 
 def _heading(angle_rad: float) -> Message:
-    return Quaternion(z=math.sin(angle_rad / 2), w=math.cos(angle_rad / 2))
+    return Quaternion(0.0, 0.0, math.sin(angle_rad / 2), math.cos(angle_rad / 2))
 
 
 def _planar(along: float, yaw: float) -> tuple[float, ...]:

@@ -36,7 +36,7 @@ WATCH_S: Final = 0.05
 
 
 def serve(
-    connect: Callable[..., Connection],
+    connect: Callable[[str], Connection],
     *,
     ros_args: list[str],
     domain: int,
@@ -65,7 +65,7 @@ def serve(
                 "it can drive the robot. To keep it on this machine: docs/ros2.md#who-reaches-the-graph"
             )
         name = OPEN_NAME if is_open else _NAME
-        with connect(source=name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
+        with connect(name)() as client, on_end_signals(ended.set), ExitStack() as at_the_end:
             driving = Driving(client, name, shape, hint)
             at_the_end.callback(node.close)
             topics = Topics(node, driving, shape, joints, hint)

@@ -10,6 +10,7 @@ from multidict import CIMultiDict
 from yarl import URL
 
 from gateway import certs
+from gateway.people.commands.options import Reach
 from gateway.people.console.address import site
 from gateway.people.console.options import Options
 from gateway.people.console.phone import Door, prepared
@@ -18,7 +19,7 @@ LISTEN = "192.0.2.7:8443"
 
 
 def prepare(folder: Path, listen: str = LISTEN) -> Options:
-    return prepared(Options(None, None, 1.0, listen, phone=True), folder)
+    return prepared(Options(Reach(), listen, phone=True), folder)
 
 
 @pytest.fixture(autouse=True)

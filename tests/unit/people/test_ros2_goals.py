@@ -23,7 +23,7 @@ from tests.support.ros2_messages import (
 
 GEOMETRY: Final = load()
 LEG: Final = ("joint_13", "joint_11", "joint_12")
-NO_STAMP: Final = Time()
+NO_STAMP: Final = Time(0, 0)
 
 
 # ---- how far it is
@@ -122,8 +122,8 @@ def test_feedback_has_the_goals_order_of_joints() -> None:
         (FollowGoal(trajectory((1, 0.0), names=LEG[:2])), goals.INVALID_JOINTS, "it lacks joint_12"),
         (FollowGoal(), goals.INVALID_JOINTS, "names no joint"),
         (FollowGoal(trajectory((1, 9.0))), goals.INVALID_GOAL, "joint_11 at 9 rad"),
-        (FollowGoal(trajectory((1, 0.0), stamp=Time(998))), goals.OLD_HEADER_TIMESTAMP, "over 1.0 s ago"),
-        (FollowGoal(trajectory((1, 0.0), stamp=Time(1))), goals.OLD_HEADER_TIMESTAMP, "does its clock agree"),
+        (FollowGoal(trajectory((1, 0.0), stamp=Time(998, 0))), goals.OLD_HEADER_TIMESTAMP, "over 1.0 s ago"),
+        (FollowGoal(trajectory((1, 0.0), stamp=Time(1, 0))), goals.OLD_HEADER_TIMESTAMP, "does its clock agree"),
         (replace(WAY, path_tolerance=(JointTolerance("joint_21", 0.1),)), goals.INVALID_JOINTS, "for 'joint_21'"),
         (replace(WAY, goal_tolerance=(JointTolerance("joint_11", math.nan),)), goals.INVALID_GOAL, "joint_11 is nan"),
         (replace(WAY, goal_tolerance=(JointTolerance("joint_11", -2.0),)), goals.INVALID_GOAL, "joint_11 is -2.0"),

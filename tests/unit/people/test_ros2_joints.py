@@ -38,7 +38,7 @@ def point(at_s: float, first_rad: float, **more: tuple[float, ...]) -> Message:
 
 def trajectory(*points: Message, begins_s: float | None = None) -> Message:
     """`begins_s`: relative to now, as a stamp."""
-    stamp = Time() if begins_s is None else Time(*divmod(NOW_NS + round(begins_s * 1e9), 10**9))
+    stamp = Time(0, 0) if begins_s is None else Time(*divmod(NOW_NS + round(begins_s * 1e9), 10**9))
     return JointTrajectory(Header(stamp), LEG, points)
 
 

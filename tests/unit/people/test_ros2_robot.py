@@ -42,7 +42,7 @@ def test_joint_states_are_in_the_order_of_the_urdf_and_leave_out_what_is_not_kno
     text = description(GEOMETRY).data
     places = [text.index(f'<joint name="joint_{servo_id}"') for servo_id in SERVO_IDS]
     assert places == sorted(places)
-    assert joint_state({}, NOW_NS) == JointState(found.header)
+    assert joint_state({}, NOW_NS) == JointState(found.header, (), ())
 
 
 def test_odometry_is_less_sure_the_longer_the_way_and_knows_nothing_of_height_and_lean() -> None:

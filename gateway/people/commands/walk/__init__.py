@@ -9,13 +9,7 @@ from typing import Annotated
 import typer
 
 from gateway.errors import ConfigError
-from gateway.people.commands.options import (
-    AdaptOption,
-    ConnectOption,
-    OtherShapeOption,
-    TimeoutOption,
-    ZenohConfigOption,
-)
+from gateway.people.commands.options import AdaptOption, OtherShapeOption, Reach, reaches
 
 app = typer.Typer()
 
@@ -27,7 +21,9 @@ def _gaits() -> list[str]:
 
 
 @app.command()
+@reaches
 def walk(
+    *,
     forward: Annotated[
         float, typer.Option("--forward", metavar="M_S", help="Speed forward, in metres a second; below 0: backward.")
     ] = 0.0,
@@ -57,9 +53,7 @@ def walk(
     ] = None,
     adapt: AdaptOption = False,
     geometry: OtherShapeOption = None,
-    connect: ConnectOption = None,
-    zenoh_config: ZenohConfigOption = None,
-    timeout: TimeoutOption = 2.0,
+    reach: Reach,
 ) -> None:
     """Make the robot walk: from the keyboard, or with --seconds without a person.
 
@@ -74,10 +68,7 @@ def walk(
     the robot finish its step and sit down; a second Ctrl-C stops it at once. At the keyboard the
     first one stops it at once.
     """
-    from gateway.people.commands import reach
-
-    terrain = "adapt" if adapt else "level"
-    connection = reach.connection(connect, zenoh_config, timeout, source="hexapod-gateway walk")
+    terrain, connection = "adapt" if adapt else "level", reach.connection("hexapod-gateway walk")
     if seconds is not None:
         from gateway.people.commands.walk import script
 
