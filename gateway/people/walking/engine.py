@@ -16,44 +16,12 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector
-from gateway.people.walking import gaits
-from gateway.people.walking.balance import (
-    LEANS_MORE_RAD_S,
-    LEANS_RAD,
-    NOTHING,
-    Felt,
-    Senses,
-    levelled,
-    lowered_by,
-)
+from gateway.people.walking import balance, gaits, tempo, ways
+from gateway.people.walking.balance import NOTHING, Felt, Senses
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance
 from gateway.people.walking.swing import State, Swing
-from gateway.people.walking.tempo import (
-    HALT_S,
-    SPEED_SPARE,
-    STOPS_WITHIN,
-    TEMPO_SPARE,
-    at_tempo,
-    fastest,
-    largest,
-    least,
-    nearer,
-    needs_s,
-    slewed,
-    wanted,
-)
-from gateway.people.walking.ways import (
-    CLIMB,
-    ON_GROUND_M,
-    Shift,
-    across,
-    between,
-    lowered,
-    outward,
-    up,
-)
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 
@@ -81,8 +49,8 @@ class Engine:
         self.gait_name, self._gait = gait, gaits.gait(gait)
         self._quick = self._gait
         """The gait at its present tempo."""
-        self._lift_m, self._climb = LIFT_M, CLIMB
-        self._least_tempo = least(robot)
+        self._lift_m, self._climb = LIFT_M, ways.CLIMB
+        self._least_tempo = tempo.least(robot)
         self._next_gait: str | None = None
         self._stance = robot.stance(BodyPose(robot.usual_m))
         self._planner = Planner(robot)
@@ -95,7 +63,7 @@ class Engine:
         self._senses = Senses()
         self.felt = NOTHING
         """The sensors' report at the latest step."""
-        self._leans_rad = LEANS_RAD
+        self._leans_rad = balance.LEANS_RAD
         """The most that the body may lean; reduced after a lean left the legs no stride."""
         self._barred = ""
         """Why no velocity has an effect, until a command to stand still."""
@@ -137,7 +105,7 @@ class Engine:
                     continue
                 self._stand_still(str(error))
                 break
-            ratio, servo_id = fastest(self.robot, before.pose, after.pose, seconds)
+            ratio, servo_id = tempo.fastest(self.robot, before.pose, after.pose, seconds)
             slowest = servo_id if ratio > 1.0 else slowest
             if ratio <= 1.0:
                 self._state, self._stuck = after, False
@@ -180,7 +148,9 @@ class Engine:
         for leg in self.lost:
             state.swings.pop(leg, None)
         move = state.moves[0] if state.moves else None
-        hanging = [] if move is None or isinstance(move, Shift) else [leg for leg in move.paths if leg not in self.lost]
+        hanging = (
+            [] if move is None or isinstance(move, ways.Shift) else [leg for leg in move.paths if leg not in self.lost]
+        )
         state.moves, state.part = (), 0.0
         self._lower(hanging)
 
@@ -216,7 +186,7 @@ class Engine:
             return Posture.MOVING
         if not state.sits:
             return Posture.STANDING
-        return Posture.SITTING if all(foot[2] < ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
+        return Posture.SITTING if all(foot[2] < ways.ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
 
     @property
     def walks_at_once(self) -> bool:
@@ -237,7 +207,7 @@ class Engine:
     @property
     def is_down(self) -> bool:
         """Whether the body lies on the ground."""
-        return self._state.body.height_m < self.robot.lying_m + ON_GROUND_M
+        return self._state.body.height_m < self.robot.lying_m + ways.ON_GROUND_M
 
     @property
     def odometry(self) -> Odometry:
@@ -293,7 +263,7 @@ class Engine:
         state = self._state
         hanging = [leg for leg in legs if state.feet[leg][2] > 0.0]
         if hanging and not state.sits:
-            state.moves, state.part = (lowered(state.feet, hanging),), 0.0
+            state.moves, state.part = (ways.lowered(state.feet, hanging),), 0.0
 
     def _stand_still(self, why: str) -> None:
         """End all motion, for the reason `why`."""
@@ -321,10 +291,10 @@ class Engine:
     def _adapt(self, state: State, seconds: float, felt: Felt) -> None:
         """Level the body, and let it climb with its feet."""
         state.hanging -= {leg for leg, touches in felt.feet.items() if touches}
-        self._leans_rad = min(LEANS_RAD, self._leans_rad + LEANS_MORE_RAD_S * seconds)
-        state.body = levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
+        self._leans_rad = min(balance.LEANS_RAD, self._leans_rad + balance.LEANS_MORE_RAD_S * seconds)
+        state.body = balance.levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
         state.rise(seconds)
-        down_m = lowered_by(
+        down_m = balance.lowered_by(
             [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
             seconds,
         )
@@ -335,8 +305,10 @@ class Engine:
         gait = self._quick
         began = not state.velocity.moves and not state.swings
         self._hurry(state, target, seconds)
-        stops_s = HALT_S if self.lost else min(needs_s(state.velocity), STOPS_WITHIN * self._gait.period_s)
-        velocity = slewed(state, target, seconds, stops_s)
+        stops_s = (
+            tempo.HALT_S if self.lost else min(tempo.needs_s(state.velocity), tempo.STOPS_WITHIN * self._gait.period_s)
+        )
+        velocity = tempo.slewed(state, target, seconds, stops_s)
         if velocity.moves:
             velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
@@ -360,14 +332,14 @@ class Engine:
         gait, velocity = self._quick, state.velocity
         left = carried(swing.left, velocity, seconds)
         part = min(swing.part + seconds / gait.swing_s, 1.0)
-        if across(swing.part) == 1.0:  # above its landing place: it comes straight down
+        if ways.across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
             state.rests[leg] = self._rest(leg)
             landing = carried(state.rests[leg], velocity, -(gait.stance_s + state.paused_s) / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
-            x, y, _ = between(left, lands, across(part))
-        height_m = min(LIFT_M, swing.left[2] * (1.0 - across(part)) + self._lift_m * up(part, self._climb))
+            x, y, _ = ways.between(left, lands, ways.across(part))
+        height_m = min(LIFT_M, swing.left[2] * (1.0 - ways.across(part)) + self._lift_m * ways.up(part, self._climb))
         if swing.met_now(touches) and not swing.met:
             state.touched(swing.late_s or (part - 1.0) * gait.swing_s)
         swing = swing._replace(left=left, part=part)
@@ -381,7 +353,7 @@ class Engine:
     def _rest(self, leg: int) -> Vector:
         """Return where the foot rests: the more the body leans against its feet, the further out."""
         rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
-        return between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
+        return ways.between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
 
     def _lift(self, state: State) -> None:
         """Lift the feet that are due, if the others carry the robot; else they wait."""
@@ -403,8 +375,10 @@ class Engine:
         walks = now.moves or bool(state.swings)
         if target.moves or not walks:
             part = max(self._stride_of(target), self._stride_of(now))
-            state.tempo = nearer(state.tempo, wanted(part, self._least_tempo), seconds if walks else math.inf)
-        self._quick, self._lift_m, self._climb = at_tempo(self._gait, state.tempo)
+            state.tempo = tempo.nearer(
+                state.tempo, tempo.wanted(part, self._least_tempo), seconds if walks else math.inf
+            )
+        self._quick, self._lift_m, self._climb = tempo.at_tempo(self._gait, state.tempo)
 
     def _stride_of(self, velocity: Velocity) -> float:
         """Return the longest stride at the gait's usual tempo, as a part of its disc."""
@@ -420,18 +394,20 @@ class Engine:
         if self._cap[0] != key:
             self._cap = (
                 key,
-                largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= TEMPO_SPARE),
+                tempo.largest(
+                    lambda part: self._stride_of(target.times(part)) * self._least_tempo <= tempo.TEMPO_SPARE
+                ),
             )
         return self._cap[1]
 
     @property
     def _within_m(self) -> float:
         """Return how far (m) from its resting place a foot may stand."""
-        return self._stance.radius_m / outward(self._gait.swing_s, self._gait.stance_s)
+        return self._stance.radius_m / ways.outward(self._gait.swing_s, self._gait.stance_s)
 
     def _allowed(self, state: State, velocity: Velocity) -> float:
         """Return the part (0 to 1) of this velocity that keeps each standing foot in its disc until it is lifted."""
-        return largest(lambda part: self._stays(state, velocity.times(part)))
+        return tempo.largest(lambda part: self._stays(state, velocity.times(part)))
 
     def _begun(self, state: State, velocity: Velocity) -> float:
         """Return `_allowed` for a walk that begins. It first lifts the feet that would limit the velocity."""
@@ -463,7 +439,7 @@ class Engine:
             )
         elif not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""
-        elif self._pace < min(cap, SPEED_SPARE):
+        elif self._pace < min(cap, tempo.SPEED_SPARE):
             self.limit = f"the speed of servo {self._slowest} allows {100 * cap * self._pace:.0f} % of it"
         elif cap < 1.0:
             self.limit = f"the legs' strides reach {100 * cap:.0f} % of it"

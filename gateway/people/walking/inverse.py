@@ -12,22 +12,8 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry import Geometry
-from gateway.geometry.kinematics import Vector, from_rpy, plus
-from gateway.people.walking.motion import (
-    angle_about,
-    apply,
-    back,
-    cross,
-    dot,
-    matrix,
-    minus,
-    perpendicular,
-    product,
-    rotation_by,
-    scaled,
-    spun,
-    wrapped,
-)
+from gateway.geometry.kinematics import Vector, about, from_rpy, plus
+from gateway.people.walking.motion import Matrix, apply, back, matrix, scaled
 
 Angles = tuple[float, float, float]
 """The angles of a leg's joints 1, 2 and 3; in radians here, in degrees for servos."""
@@ -108,7 +94,9 @@ class Limb:
                 "across it; for another chain there is no walking"
             )
         self._side = side
-        self._along = perpendicular(self._axes[1])
+        other = (1.0, 0.0, 0.0) if abs(self._axes[1][0]) < 0.9 else (0.0, 1.0, 0.0)
+        along = minus(other, scaled(self._axes[1], dot(other, self._axes[1])))
+        self._along = scaled(along, 1 / math.sqrt(dot(along, along)))
         self._upward = cross(self._axes[1], self._along)
         self._femur = self._in_plane(self._origins_m[2])
         self._tibia = self._in_plane(apply(third, self._tip_m))
@@ -132,13 +120,13 @@ class Limb:
         square = dot(out, out)
         if square > _PARALLEL:
             aside = math.acos(max(-1.0, min(1.0, self._aside_m / math.sqrt(square))))
-            bearing = angle_about(axis, self._across, out)
+            bearing = math.atan2(dot(axis, cross(self._across, out)), dot(self._across, out))
             choices = (wrapped(bearing - aside), wrapped(bearing + aside))
             low, high = self._limits_rad[0]
             first = min(choices, key=lambda angle: abs(angle - (low + high) / 2))
         else:
             first = 0.0
-        straight = apply(rotation_by(axis, -first), level)
+        straight = apply(spun(_UNTURNED, axis, -first), level)
         span = self._in_plane(back(self._turns[1], minus(straight, self._origins_m[1])))
         femur_m, tibia_m = abs(self._femur), abs(self._tibia)
         distance_m = abs(span)
@@ -181,3 +169,53 @@ def _solved(matrix: list[list[float]], wanted: list[float]) -> Vector:
         dot(x, cross(right, z)) / determinant,
         dot(x, cross(y, right)) / determinant,
     )
+
+
+# ---- vectors and rotations
+
+_UNTURNED: Final[Matrix] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def minus(first: Vector, second: Vector) -> Vector:
+    return first[0] - second[0], first[1] - second[1], first[2] - second[2]
+
+
+def dot(first: Vector, second: Vector) -> float:
+    return first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+
+
+def cross(first: Vector, second: Vector) -> Vector:
+    return (
+        first[1] * second[2] - first[2] * second[1],
+        first[2] * second[0] - first[0] * second[2],
+        first[0] * second[1] - first[1] * second[0],
+    )
+
+
+def product(first: Matrix, second: Matrix) -> Matrix:
+    """Return the matrix product: `second` in the frame that `first` has rotated."""
+    (a, b, c), (d, e, f), (g, h, i) = second
+    (r, s, t), (u, v, w), (x, y, z) = first
+    return (
+        (r * a + s * d + t * g, r * b + s * e + t * h, r * c + s * f + t * i),
+        (u * a + v * d + w * g, u * b + v * e + w * h, u * c + v * f + w * i),
+        (x * a + y * d + z * g, x * b + y * e + z * h, x * c + y * f + z * i),
+    )
+
+
+def spun(first: Matrix, axis: Vector, angle: float) -> Matrix:
+    """Return `first`, followed by a rotation (radians) about an axis of its frame. Most joints turn about z."""
+    if axis != (0.0, 0.0, 1.0):
+        return product(first, matrix(about(axis, angle)))
+    cosine, sine = math.cos(angle), math.sin(angle)
+    (a, b, c), (d, e, f), (g, h, i) = first
+    return (
+        (a * cosine + b * sine, b * cosine - a * sine, c),
+        (d * cosine + e * sine, e * cosine - d * sine, f),
+        (g * cosine + h * sine, h * cosine - g * sine, i),
+    )
+
+
+def wrapped(angle: float) -> float:
+    """Return the same angle (radians) between -pi and pi."""
+    return math.remainder(angle, 2 * math.pi)

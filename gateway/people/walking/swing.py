@@ -4,15 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
 from gateway.geometry.kinematics import Vector
-from gateway.people.walking.balance import (
-    DEEPEST_M,
-    EARLY_M,
-    LATE_S,
-    SINKS_M_S,
-    UNKNOWN_LATENESS,
-    WAIT_FORGOTTEN,
-    Lateness,
-)
+from gateway.people.walking import balance
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
 from gateway.people.walking.ways import Figure
 
@@ -44,7 +36,7 @@ class Swing(NamedTuple):
         reported `lag_s` late: the ground is where the foot was at contact.
         """
         met_m = self._height_m(lag_s, now_m)
-        if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > EARLY_M)):
+        if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > balance.EARLY_M)):
             return Descent(now_m, rises_m=max(0.0, met_m - now_m - _PRESSED_M))
         swing = self._replace(
             free=self.free or touches is False,
@@ -55,9 +47,9 @@ class Swing(NamedTuple):
             return Descent(height_m, swing)
         if not swing.free or touches is not False:
             return Descent(now_m if self.late_s else 0.0)
-        if self.late_s > waits_s + DEEPEST_M / SINKS_M_S + LATE_S:
+        if self.late_s > waits_s + balance.DEEPEST_M / balance.SINKS_M_S + balance.LATE_S:
             return Descent(now_m, hangs=True)
-        lower_m = max(-DEEPEST_M, now_m - SINKS_M_S * seconds) if self.late_s > waits_s else 0.0
+        lower_m = max(-balance.DEEPEST_M, now_m - balance.SINKS_M_S * seconds) if self.late_s > waits_s else 0.0
         return Descent(lower_m, swing._replace(late_s=self.late_s + seconds))
 
     def met_now(self, touches: bool | None) -> bool:
@@ -65,7 +57,7 @@ class Swing(NamedTuple):
         return self.free and touches is True
 
     def _trail_after(self, now_m: float, seconds: float) -> tuple[tuple[float, float], ...]:
-        return (seconds, now_m), *((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < LATE_S)
+        return (seconds, now_m), *((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < balance.LATE_S)
 
     def _height_m(self, ago_s: float, now_m: float) -> float:
         """Return the height of the foot (m) `ago_s` ago."""
@@ -101,9 +93,9 @@ class State(Figure):
     """By leg, where its foot rests if the body's lean put it further out than in the stance."""
     rises: dict[int, float] = field(default_factory=dict)
     """By leg, how far (metres) its foot went too deep because its contact was reported late."""
-    waits_s: float = LATE_S
+    waits_s: float = balance.LATE_S
     """How long a foot waits for its contact where the ground was expected."""
-    lateness: Lateness = UNKNOWN_LATENESS
+    lateness: balance.Lateness = balance.UNKNOWN_LATENESS
     paused_s: float = 0.0
     """How long (seconds) feet wait in a stride. Its stances last longer by this time."""
     hanging: frozenset[int] = frozenset()
@@ -124,8 +116,8 @@ class State(Figure):
     def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:
         """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it hangs."""
         swing = self.swings.pop(leg)
-        if swing.met_now(touches) and swing.late_s <= LATE_S:  # it was no hole
-            self.waits_s = max(swing.late_s, WAIT_FORGOTTEN * self.waits_s)
+        if swing.met_now(touches) and swing.late_s <= balance.LATE_S:  # it was no hole
+            self.waits_s = max(swing.late_s, balance.WAIT_FORGOTTEN * self.waits_s)
         if ends.rises_m:
             self.rises[leg] = ends.rises_m
         if ends.hangs:
@@ -138,7 +130,7 @@ class State(Figure):
     def rise(self, seconds: float) -> None:
         """Raise feet that went too deep to the ground again."""
         for leg, left_m in list(self.rises.items()):
-            (x, y, z), up_m = self.feet[leg], min(left_m, SINKS_M_S * seconds)
+            (x, y, z), up_m = self.feet[leg], min(left_m, balance.SINKS_M_S * seconds)
             self.feet[leg] = x, y, z + up_m
             self.rises[leg] = left_m - up_m
             if left_m == up_m or leg in self.swings:
