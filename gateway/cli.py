@@ -253,7 +253,7 @@ def status(
     yet. Its Ctrl-C does not stop the robot: keep `estop` or a console within reach.
     """
     if follow:
-        from gateway.people.commands.follow import follow as follow_state
+        from gateway.people.commands.status import follow as follow_state
 
         follow_state(reach, as_json=as_json)
     from gateway.people.commands.status import status
@@ -305,7 +305,7 @@ def console(
     12 hours. Other machines need TLS: --cert and --key, or --phone.
     """
     from gateway.people.console import command
-    from gateway.people.console.options import Options
+    from gateway.people.console.server.site import Options
 
     if sign_out or link:
         sys.exit(command.sign_out() if sign_out else command.link(listen))

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import pytest
 
 from gateway import certs
-from gateway.people.console.app import MAX_CLOSING, MAX_PAGES
+from gateway.people.console.serve import MAX_CLOSING, MAX_PAGES
 from gateway.people.console.server.listener import MAX_CONNECTIONS
 from tests.attack.strangers import strangers
 from tests.benchmarks.processes import fds, rss_kb, threads

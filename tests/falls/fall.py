@@ -4,8 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from gateway.geometry import Geometry
-from gateway.people.physics.model import TIMESTEP_S
-from gateway.people.physics.world import World
+from gateway.people.physics.world import TIMESTEP_S, World
 from gateway.robot.core.landing import landing
 from gateway.robot.settings import Settings
 from schemas.robot import SERVO_IDS

@@ -9,8 +9,7 @@ import numpy as np
 
 from gateway.geometry import Geometry
 from gateway.people.physics.assumed import Assumed
-from gateway.people.physics.model import TIMESTEP_S
-from gateway.people.physics.world import World
+from gateway.people.physics.world import TIMESTEP_S, World
 from gateway.people.walking import STILL, Engine, Posture, Velocity
 from schemas.robot import JOINTS
 

@@ -10,17 +10,17 @@ from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
 from gateway.own_command import install
 from gateway.people.commands.options import Reach
-from gateway.people.console.address import (
+from gateway.people.console.server.sessions import Sessions, kept
+from gateway.people.console.server.site import (
     CONSOLE_PORT,
     DEFAULT_ADDRESS,
+    Options,
     address_in,
     address_of,
     free_address,
     inherited,
     site,
 )
-from gateway.people.console.options import Options
-from gateway.people.console.server.sessions import Sessions, kept
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("aiohttp", "segno")

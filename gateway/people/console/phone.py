@@ -20,10 +20,8 @@ from gateway.certs import CONSOLE_DAYS, authority
 from gateway.certs.files import read_certificate
 from gateway.errors import ConfigError
 from gateway.people.commands.certs import DEFAULT_FOLDER
-from gateway.people.console.address import address_of, free_address
-from gateway.people.console.options import Options
 from gateway.people.console.server.auth import HEADERS, read_files
-from gateway.people.console.server.site import LOCALHOST, Site
+from gateway.people.console.server.site import LOCALHOST, Options, Site, address_of, free_address
 
 LISTEN: Final = "0.0.0.0:8443"
 _FILES: Final = {"/": "/tap.html", "/tap.js": "/tap.js", "/refused.css": "/refused.css"}

@@ -26,8 +26,7 @@ from gateway.geometry import Geometry, load
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.people.physics.assumed import Assumed, assumed
-from gateway.people.physics.model import TIMESTEP_S
-from gateway.people.physics.world import Sensors, World
+from gateway.people.physics.world import TIMESTEP_S, Sensors, World
 from schemas import calibration as wire
 from schemas.keys import CALIBRATION, SIM_BODY, SIM_UPRIGHT
 from schemas.robot import SERVO_IDS

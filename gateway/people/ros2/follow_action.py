@@ -14,10 +14,10 @@ from rclpy.duration import Duration
 
 from gateway.people.ros2.driving import Driving, NotTakenError
 from gateway.people.ros2.goals import CANCELLED, REPLACED, SUCCESSFUL, Followed, GoalResult, error_code
-from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.node import Node, ros_type
 from gateway.people.ros2.received import presence
 from gateway.people.ros2.topics import Topics
+from gateway.people.ros2.trajectory import JointsError
 
 NAME: Final = "follow_joint_trajectory"
 FEEDBACK_S: Final = 0.05

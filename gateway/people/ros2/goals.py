@@ -8,8 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from gateway.people.ros2.joints import JointNames, JointsError, NamesError
-from gateway.people.ros2.trajectory import OverError, Trajectory, seconds
+from gateway.people.ros2.trajectory import JointNames, JointsError, NamesError, OverError, Trajectory, seconds
 
 _SENT_RAD: Final = 1e-6
 """Without a tolerance the last point itself must be sent, to within rounding."""

@@ -19,8 +19,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.goals import GoalProgress
-from gateway.people.ros2.joints import Degrees, JointsError, legs_deg
-from gateway.people.ros2.trajectory import Trajectory
+from gateway.people.ros2.trajectory import Degrees, JointsError, Trajectory, legs_deg
 from gateway.people.walking import DOWN, REST_S, STILL, Odometry, Pose, Posture, Ride, RideTask, Velocity
 from schemas.robot import LEGS
 

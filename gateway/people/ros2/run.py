@@ -14,8 +14,8 @@ from gateway.own_command import install
 from gateway.people.client.subscriptions import subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.ros2.driving import Driving
-from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.parameters import Parameters
+from gateway.people.ros2.trajectory import JointNames, JointsError
 from gateway.people.terminal import hint, on_end_signals, say
 
 try:

@@ -11,10 +11,9 @@ from typing import Any, Final
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.ros2.driving import Driving, NotTakenError
-from gateway.people.ros2.joints import JointNames, check_reach, positions
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.received import SILENT_S, Arrived, Rivals, presence
-from gateway.people.ros2.trajectory import Trajectory, stamp_ns
+from gateway.people.ros2.trajectory import JointNames, Trajectory, check_reach, positions, stamp_ns
 from gateway.people.walking import Velocity
 from gateway.people.walking.gaits import NUMBERS
 

@@ -1,17 +1,111 @@
-"""A JointTrajectory, followed in time. Pure: time is an argument.
+"""Joint names, radians and trajectories, as controllers of ROS 2 send them, to the degrees of whole legs. Pure.
 
-It is followed as ros2_control's joint_trajectory_controller does: from where the robot is to the first point that is
-still to come, then from point to point, in straight lines, or in curves where both points have velocities.
-What it takes stays within each servo's range and speed between its points, too: nothing is clamped on the way.
+A trajectory is followed in time, which is an argument, as ros2_control's joint_trajectory_controller does: from where
+the robot is to the first point that is still to come, then from point to point, in straight lines, or in curves where
+both points have velocities. What it takes stays within each servo's range and speed between its points, too: nothing is
+clamped on the way.
 """
 
 import math
+import re
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Self
 
 from gateway.geometry import MAX_SPEED_DEG_S, Geometry, joint_name
-from gateway.people.ros2.joints import JointNames, JointsError, check_reach, of_joints, positions
+from schemas.robot import JOINTS, MAX_DEG, SERVO_IDS
+
+Degrees = tuple[float, float, float]
+"""The degrees of a leg's joints 1, 2 and 3."""
+_PATTERN: Final = re.compile(r"(\{leg\}|\{joint\}|[\w./-]){1,64}", re.ASCII)
+
+
+class JointsError(ValueError):
+    """A controller requests something impossible; one sentence."""
+
+
+class NamesError(JointsError):
+    """Its joints are not those of this robot, or not of whole legs."""
+
+
+class JointNames:
+    """The joints' names in ROS messages, from a pattern: `leg{leg}_J{joint}` names the Elkapod's leg1_J1 to leg6_J3."""
+
+    def __init__(self, pattern: str = "joint_{leg}{joint}") -> None:
+        """The default names are the URDF's. Raises JointsError if the pattern does not give each joint its own name."""
+        if not _PATTERN.fullmatch(pattern):
+            raise JointsError(f"{pattern[:80]!r} is no pattern of joint names, such as leg{{leg}}_J{{joint}}")
+        self._names = {
+            servo_id: pattern.replace("{leg}", str(servo_id // 10)).replace("{joint}", str(servo_id % 10))
+            for servo_id in SERVO_IDS
+        }
+        self._servos = {name: servo_id for servo_id, name in self._names.items()}
+        if len(self._servos) < len(SERVO_IDS):
+            raise JointsError(f"{pattern!r} gives two joints one name: it needs {{leg}} and {{joint}}")
+
+    def of(self, servo_id: int) -> str:
+        """Return the name of a servo's joint."""
+        return self._names[servo_id]
+
+    def servos(self, names: Sequence[str]) -> tuple[int, ...]:
+        """Return the joints' servos in order. Raises NamesError if a name is unknown or a leg is incomplete."""
+        servos = []
+        for name in names:
+            if name not in self._servos:
+                first, *_, last = self._servos
+                raise NamesError(f"there is no joint {name[:64]!r}; they are {first} to {last}, leg and then joint")
+            servos.append(self._servos[name])
+        if not servos:
+            raise NamesError("it names no joint")
+        for servo_id in servos:
+            if servos.count(servo_id) > 1:
+                raise NamesError(f"it names {self.of(servo_id)} twice")
+            missing = [joint for joint in JOINTS if servo_id // 10 * 10 + joint not in servos]
+            if missing:
+                leg = servo_id // 10
+                lacks = self.of(leg * 10 + missing[0])
+                raise NamesError(f"of leg {leg} it lacks {lacks}; a leg is commanded as a whole")
+        return tuple(servos)
+
+
+def positions(servos: Sequence[int], positions_rad: Sequence[float]) -> dict[int, float]:
+    """Return servo → radians. Raises JointsError as `of_joints`."""
+    return of_joints("position", servos, positions_rad)
+
+
+def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
+    """Return servo → value; `what` names a value in errors. Raises JointsError if one is missing or not finite."""
+    if len(values) != len(servos):
+        raise JointsError(f"there must be one {what} for each of {len(servos)} joints, not {len(values)}")
+    for servo_id, value in zip(servos, values, strict=True):
+        if not math.isfinite(value):
+            raise JointsError(f"the {what} of {joint_name(servo_id)} is {value}")
+    return dict(zip(servos, values, strict=True))
+
+
+def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
+    """Raise JointsError if a servo would leave 0 to 180°."""
+    for servo_id, position in at_rad.items():
+        angle_deg = geometry.servos[servo_id].servo_deg(position)
+        if not 0.0 <= angle_deg <= MAX_DEG:
+            raise JointsError(
+                f"{joint_name(servo_id)} at {position:.4g} rad is {angle_deg:.4g}° of its servo, which has 0 to 180°"
+            )
+
+
+def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degrees]:
+    """Return leg → degrees of its servos, clamped to 0 to 180."""
+
+    def deg(servo_id: int) -> float:
+        return min(max(geometry.servos[servo_id].servo_deg(at_rad[servo_id]), 0.0), MAX_DEG)
+
+    return {
+        leg: (deg(10 * leg + 1), deg(10 * leg + 2), deg(10 * leg + 3))
+        for leg in sorted({servo_id // 10 for servo_id in at_rad})
+    }
+
+
+# ---- trajectories
 
 MAX_POINTS: Final = 2000
 """Forty seconds at 50 Hz; a longer plan is better sent in pieces."""

@@ -9,9 +9,8 @@ from typing import Any, cast
 import pytest
 
 from gateway import geometry
-from gateway.people.console.pages.outgoing import KEPT_MESSAGES, Outgoing
 from gateway.people.console.pages.page_messages import AckMessage, EventMessage, LinkMessage, Stopping
-from gateway.people.console.pages.page_tasks import EndError, PageTasks
+from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking import Engine, Robot
 from gateway.people.walking.planning import lying_deg

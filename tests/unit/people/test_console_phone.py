@@ -11,9 +11,8 @@ from yarl import URL
 
 from gateway import certs
 from gateway.people.commands.options import Reach
-from gateway.people.console.address import site
-from gateway.people.console.options import Options
 from gateway.people.console.phone import Door, prepared
+from gateway.people.console.server.site import Options, site
 
 LISTEN = "192.0.2.7:8443"
 

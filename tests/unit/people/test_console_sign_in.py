@@ -16,9 +16,9 @@ from yarl import URL
 
 from gateway.errors import ConfigError
 from gateway.host.boot_clock import Now
-from gateway.people.console.address import site
 from gateway.people.console.server.auth import NONCE_NS, Auth, proof
 from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Sessions, SignIn, kept
+from gateway.people.console.server.site import site
 
 HERE = "http://127.0.0.1:8080"
 START = f"{HERE}/?token="

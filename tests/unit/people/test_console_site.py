@@ -12,8 +12,7 @@ import pytest
 from gateway import certs
 from gateway.errors import ConfigError
 from gateway.host.directories import CONSOLE_STATE
-from gateway.people.console.address import address_in, address_of, inherited, site
-from gateway.people.console.server.site import RECEIVED_BYTES, Site, listening
+from gateway.people.console.server.site import RECEIVED_BYTES, Site, address_in, address_of, inherited, listening, site
 from tests.support.command import parse
 from tests.support.gateway_process import free_port
 

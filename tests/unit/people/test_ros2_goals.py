@@ -8,9 +8,8 @@ import pytest
 from gateway.geometry import load
 from gateway.people.ros2 import goals
 from gateway.people.ros2.goals import Followed, GoalProgress, error_code
-from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.messages import Header, Message, Time
-from gateway.people.ros2.trajectory import Trajectory
+from gateway.people.ros2.trajectory import JointNames, JointsError, Trajectory
 from tests.support.ros2_messages import (
     Duration,
     FollowGoal,

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from gateway.geometry import load
-from gateway.people.ros2.joints import JointNames, JointsError
 from gateway.people.ros2.messages import Header, Message, Time
-from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, Trajectory
+from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, JointNames, JointsError, Trajectory
 from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint, replace
 
 GEOMETRY = load()

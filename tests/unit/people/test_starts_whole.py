@@ -9,9 +9,8 @@ import pytest
 from gateway.errors import UnansweredError
 from gateway.geometry import load
 from gateway.people.client.stream import Stream
-from gateway.people.ros2.joints import JointsError
 from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
-from gateway.people.ros2.trajectory import Trajectory, Waypoint
+from gateway.people.ros2.trajectory import JointsError, Trajectory, Waypoint
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, WireReport
 from tests.unit.people import test_stream

@@ -7,8 +7,7 @@ import pytest
 
 from gateway import certs
 from gateway.people.client.dangers import UNCONFIRMED
-from gateway.people.commands.follow import SILENT_AFTER_NS, NewsLine, StatusChanges
-from gateway.people.commands.status import sentences
+from gateway.people.commands.status import SILENT_AFTER_NS, NewsLine, StatusChanges, sentences
 from schemas.telemetry import (
     Battery,
     ButtonsReport,

@@ -6,8 +6,8 @@ from typing import Generic, TypeVar
 
 from gateway.people.client.confirmed_stop import ConfirmedStop, Press, StopRequest
 from gateway.people.client.dangers import confirmed_off
-from gateway.people.console.pages.outgoing import Outgoing
 from gateway.people.console.pages.page_messages import Stopping
+from gateway.people.console.pages.page_tasks import Outgoing
 from schemas.telemetry import Ack
 
 W = TypeVar("W")

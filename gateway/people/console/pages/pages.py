@@ -30,12 +30,10 @@ from gateway.people.client.confirmed_stop import Press
 from gateway.people.client.dangers import PowerAlarm, power_now, tone_of
 from gateway.people.console.link import GatewayLink, LinkReceiver
 from gateway.people.console.pages import page_messages as messages
-from gateway.people.console.pages.outgoing import Outgoing
-from gateway.people.console.pages.page_button import StopButton
 from gateway.people.console.pages.page_calibration import PageCalibration
-from gateway.people.console.pages.page_lease import PageLease
+from gateway.people.console.pages.page_lease import PageLease, StopButton
 from gateway.people.console.pages.page_stops import Stops, now_ns
-from gateway.people.console.pages.page_tasks import EndError, PageTasks
+from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks
 from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
 from gateway.people.walking import robot_now
 from schemas import keys

@@ -1,7 +1,10 @@
-"""The console's address: the Host and Origin headers that belong to it, and the sockets that listen there.
+"""The console's address: where it listens, by its arguments or its socket unit, and which Host headers are its own.
 
 Neither a page of another origin nor a foreign name that points at this machine (DNS rebinding) may reach the robot with
 the cookie of a session. So both headers are compared with the console's own address.
+
+While a console with its own socket is started again, its port is free, and any user of the machine may take it. A
+socket unit keeps the port, and passes the sockets as file descriptors from 3 on (sd_listen_fds(3)).
 """
 
 import errno
@@ -9,14 +12,21 @@ import os
 import shlex
 import socket
 import ssl
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, MutableMapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
+from gateway.certs.authority import hosts_of
+from gateway.certs.files import read_certificate
+from gateway.endpoints import is_local
 from gateway.errors import AddressTakenError, ConfigError
 from gateway.host.directories import CONSOLE_STATE
 from gateway.own_command import this_command
+from gateway.people.commands.options import Reach
+from gateway.people.console.pages.page_messages import Role
 
 LOCALHOST: Final = ("127.0.0.1", "::1")
 """Browsers resolve `localhost` to these, independent of the hosts file. Links name the first."""
@@ -106,3 +116,131 @@ def bound(address: str, port: int) -> socket.socket:
     family, _, _, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
     both = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
     return socket.create_server(place[:2], family=family, backlog=BACKLOG, dualstack_ipv6=both)
+
+
+CONSOLE_PORT: Final = 8080
+DEFAULT_ADDRESS: Final = "127.0.0.1"
+SOCKET_UNIT: Final = "hexapod-console.socket"
+_NEXT_PORTS: Final = range(CONSOLE_PORT + 1, CONSOLE_PORT + 20)
+"""Tried if no address is given and another program has the default port."""
+
+
+def site(listen: str, certificate: Path | None, key: Path | None) -> Site:
+    """Return the site at `listen`. Raises ConfigError, with a fix, if it is no address or needs TLS."""
+    address, port = address_of(listen)
+    if (certificate is None) != (key is None):
+        raise ConfigError("--cert and --key go together: the certificate and its private key (PEM)")
+    if certificate is None or key is None:
+        if not is_local(f"tcp/{with_port(address, port)}"):
+            raise ConfigError(
+                f"{listen} is reached from other machines, so the console needs TLS: --phone, or --cert and --key\n"
+                "where ca.key is, hexapod-gateway certs issue web --role console --host NAME --dir DIR makes both\n"
+                "or keep it on this machine (--listen 127.0.0.1:8080), and reach it through ssh -L 8080:127.0.0.1:8080"
+            )
+        hosts = (*LOCALHOST, "localhost") if address == "localhost" else tuple(dict.fromkeys((address, "localhost")))
+        return Site(address, port, hosts)
+    names = hosts_of(read_certificate(certificate))
+    if not names:
+        raise ConfigError(
+            f"{certificate} names no host, so no browser accepts it: "
+            "make one with hexapod-gateway certs issue web --role console --host NAME --dir DIR"
+        )
+    own = (address,) if address.lower() in names else ()
+    return Site(address, port, tuple(dict.fromkeys((*own, *names))), _tls(certificate, key))
+
+
+def address_of(listen: str) -> tuple[str, int]:
+    """Split `HOST:PORT`; the default port is 8080. Raises ConfigError if it is no address."""
+    try:
+        parts = urlsplit(f"//{listen}")
+        host, port = parts.hostname, CONSOLE_PORT if parts.port is None else parts.port
+    except ValueError:
+        host, port = None, 0
+    if not host or parts.path or parts.query or "@" in listen or not 1 <= port <= 65535:
+        raise ConfigError(f"--listen {listen} is no HOST:PORT, such as 127.0.0.1:8080")
+    return host, port
+
+
+def free_address(address: str = DEFAULT_ADDRESS) -> str:
+    """Return `HOST:PORT` with the first free port, or with the default port if none is free."""
+    for port in (CONSOLE_PORT, *_NEXT_PORTS):
+        with suppress(OSError), bound(address, port):
+            return with_port(address, port)
+    return with_port(address, CONSOLE_PORT)
+
+
+def inherited(environment: MutableMapping[str, str] = os.environ, first: int = 3) -> list[socket.socket]:
+    """Return the listening TCP sockets that systemd has passed to this process. Raises ConfigError for others.
+
+    The variables are removed, so no child process uses the sockets.
+    """
+    process, number, _ = (environment.pop(f"LISTEN_{name}", "") for name in ("PID", "FDS", "FDNAMES"))
+    if process != str(os.getpid()):
+        return []  # passed to a parent process
+    return [_checked(first + each) for each in range(int(number))]
+
+
+def address_in(passed: Sequence[socket.socket], listen: str | None) -> str:
+    """HOST:PORT of systemd's sockets. Raises ConfigError if `listen` (--listen) is another address.
+
+    Only the unit states the address: if the console listened elsewhere, nobody would serve the unit's port.
+    """
+    hosts, ports = ({each.getsockname()[part] for each in passed} for part in (0, 1))
+    if len(passed) > 1 and (hosts != set(LOCALHOST) or len(ports) > 1):
+        raise ConfigError(
+            f"{SOCKET_UNIT} has {len(passed)} addresses; only 127.0.0.1 and [::1] with one port may be two"
+        )
+    host, port = "localhost" if len(hosts) > 1 else hosts.pop(), ports.pop()
+    if listen is not None and address_of(listen) != (host, port):
+        raise ConfigError(
+            f"--listen {listen} is not where {SOCKET_UNIT} listens ({with_port(host, port)}): remove --listen from "
+            f"/etc/hexapod-console/console.conf, and name the address there: sudo systemctl edit {SOCKET_UNIT}"
+        )
+    return with_port(host, port)
+
+
+def _checked(descriptor: int) -> socket.socket:
+    with suppress(OSError):
+        os.set_inheritable(descriptor, False)
+        found = socket.socket(fileno=descriptor)
+        listens = found.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+        if listens and found.family in (socket.AF_INET, socket.AF_INET6):
+            return found
+        found.detach()
+    raise ConfigError(
+        f"LISTEN_FDS: descriptor {descriptor} is no TCP socket that listens (ListenStream=; see {SOCKET_UNIT})"
+    )
+
+
+def _tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    """TLS 1.2 or newer. Raises ConfigError."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.options |= ssl.OP_NO_RENEGOTIATION  # in TLS 1.2 a client could demand handshakes without end
+    try:
+        context.load_cert_chain(certificate, key, password=_no_password)
+    except (OSError, ssl.SSLError, ValueError) as error:
+        why = getattr(error, "reason", None) or getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"{certificate} and {key} cannot be used together: {why}") from error
+    return context
+
+
+def _no_password() -> str:
+    raise ValueError("the key has a password; a service cannot type it")
+
+
+@dataclass(frozen=True)
+class Options:
+    """The command's arguments, as `hexapod-gateway console --help` explains them."""
+
+    reach: Reach
+    listen: str | None = None
+    cert: Path | None = None
+    key: Path | None = None
+    role: Role = "operator"
+    geometry: Path | None = None
+    adapt: bool = False
+    open_browser: bool = False
+    phone: bool = False
+    card: str = ""
+    """The card of the page to which the first link leads; empty: the page's start."""
