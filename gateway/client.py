@@ -32,7 +32,7 @@ from gateway.people.client.pace import Jitter
 from gateway.people.client.payloads import calibration_payload, leg_payload, legs_payload, servo_payload
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk
-from gateway.people.walking import Odometry, Posture, WalkState
+from gateway.people.walking.motion import Odometry, Posture, WalkState
 from schemas.telemetry import Ack, Battery, Event, FrameRecord, GatewayState, Imu, Kind, Reason, Telemetry
 
 __all__ = [

@@ -9,8 +9,8 @@ from playwright.sync_api import expect
 
 from gateway import geometry
 from gateway.client import Client
-from gateway.people.walking import Robot
 from gateway.people.walking.planning import lying_deg
+from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Telemetry
 from tests.console.browser import CHANGES, Opened, Visitor

@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from gateway import geometry
-from gateway.people.walking import Robot
+from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS, SERVO_IDS
 from tests.console.browser import Opened, Visitor
 from tests.support.console_process import Console, SignedIn

@@ -8,7 +8,10 @@ from typing import Final, NamedTuple
 from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import World
-from gateway.people.walking import GAITS, Engine, Robot, Velocity
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.gaits import GAITS
+from gateway.people.walking.motion import Velocity
+from gateway.people.walking.robot import Robot
 from gateway.robot.settings import Settings
 from tests.walking.physics import SPEEDS_M_S, TICK_S, angles_of, stood_up, walk
 

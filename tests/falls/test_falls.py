@@ -8,7 +8,7 @@ from typing import Final
 import pytest
 
 from gateway.people.physics.assumed import Assumed
-from gateway.people.walking import GAITS
+from gateway.people.walking.gaits import GAITS
 from tests.falls.fall import AFTER_S, SLACK, Fall, landed, looked_at
 from tests.falls.stride import GEOMETRY, SETTINGS, STANCES, STAND, Moment, moments
 from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, run

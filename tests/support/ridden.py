@@ -16,9 +16,10 @@ import pytest
 
 from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError
 from gateway.geometry import load
-from gateway.people.walking import USUAL_SILENCES, Phase, Pose, Posture, Ride, RideStep, RideTask, Robot, Silences
+from gateway.people.walking.motion import Posture
 from gateway.people.walking.planning import margin_m
-from gateway.people.walking.ride import START_PAUSE_S
+from gateway.people.walking.ride import START_PAUSE_S, USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences
+from gateway.people.walking.robot import Pose, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed
-from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity
-from gateway.people.walking.motion import travelled
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import STILL, Posture, Velocity, travelled
+from gateway.people.walking.robot import Robot
 from tests.walking.physics import TICK_S, heading_rad, presses_n, stood_up, walk
 
 OFF: Final = 0.10

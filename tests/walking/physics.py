@@ -10,7 +10,8 @@ import numpy as np
 from gateway.geometry import Geometry
 from gateway.people.physics.assumed import Assumed
 from gateway.people.physics.world import TIMESTEP_S, World
-from gateway.people.walking import STILL, Engine, Posture, Velocity
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import STILL, Posture, Velocity
 from schemas.robot import JOINTS
 
 TICK_S: Final = 0.02

@@ -7,7 +7,9 @@ import pytest
 
 from gateway.geometry import MAX_SPEED_DEG_S, load
 from gateway.model.power_board import NO_LOAD_DEG_S
-from gateway.people.walking import Engine, Range, Robot, Velocity
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import Velocity
+from gateway.people.walking.robot import Range, Robot
 from schemas.robot import SERVO_IDS
 from tests.walking.physics import heading_rad, stood_up, walk
 

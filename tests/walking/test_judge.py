@@ -5,7 +5,8 @@ from typing import Final
 import pytest
 
 from gateway.people.physics.assumed import Assumed
-from gateway.people.walking import GAITS, Velocity
+from gateway.people.walking.gaits import GAITS
+from gateway.people.walking.motion import Velocity
 from tests.walking.judge import Part, Walker
 from tests.walking.physics import SPEEDS_M_S
 

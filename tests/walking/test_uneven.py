@@ -14,7 +14,9 @@ import pytest
 from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed, Terrain
 from gateway.people.physics.world import World
-from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.walking.physics import TICK_S, angles_of, drive, run

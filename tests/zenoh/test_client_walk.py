@@ -8,7 +8,7 @@ import pytest
 
 from gateway.client import Client, Walk
 from gateway.errors import LeaseError, LeaseLostError, StoppedError
-from gateway.people.walking import Posture
+from gateway.people.walking.motion import Posture
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import Mode
 from tests.support.fixtures import client_fixture, gateway_fixture, patient

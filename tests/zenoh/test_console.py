@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from gateway.people.walking import GAITS
+from gateway.people.walking.gaits import GAITS
 from schemas.robot import LEGS
 from tests.support.console_process import NOBODY, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture

@@ -7,7 +7,9 @@ import sys
 import pytest
 
 from gateway.geometry import load
-from gateway.people.walking import STILL, Engine, Robot
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import STILL
+from gateway.people.walking.robot import Robot
 from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import FrameRecord
 from tests.support.child import Child

@@ -22,7 +22,8 @@ from gateway.people.client.lease import Lease
 from gateway.people.client.pace import Jitter
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Terminated, Walk
-from gateway.people.walking import Distance, WalkState
+from gateway.people.walking.motion import WalkState
+from gateway.people.walking.tempo import Distance
 
 _TWICE: Final = 2
 
@@ -95,15 +96,12 @@ class Interrupts:
             before(number, frame)
         elif all(each.count <= _TWICE for each in cls._open):
             for each in cls._open:
-                each._cancel(number)
+                each._ours = number
+                if each._task is not None:
+                    each._task.get_loop().call_soon_threadsafe(each._task.cancel)
         else:
             cls._restore(number)
             signal.raise_signal(number)
-
-    def _cancel(self, number: int) -> None:
-        self._ours = number
-        if self._task is not None:
-            self._task.get_loop().call_soon_threadsafe(self._task.cancel)
 
     @classmethod
     def _restore(cls, number: int) -> None:

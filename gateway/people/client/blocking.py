@@ -201,7 +201,7 @@ class Client(metaclass=_Brief):
     ) -> "Walk":
         """Return a Walk: `with robot.walk() as walk: walk.go(forward_m_s=0.1)`. `terrain`: `level`, `adapt` by sensors.
 
-        `gait`: one of `gateway.people.walking.GAITS`. Raises WalkError (gait, terrain), ConfigError (geometry's file).
+        `gait`: `tripod`, `ripple` or `wave`. Raises WalkError (gait, terrain), ConfigError (geometry's file).
         """
         from gateway.people.client.walk import Walk
 

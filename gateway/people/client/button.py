@@ -82,19 +82,15 @@ class Button:
         if self._token is None:
             raise RuntimeError("a button that has left cannot check in; register it again")
         if time.monotonic() >= self._ends_s:
-            self._renew()
+            try:
+                self.register()
+            except RejectedError as error:  # denied, for too many proofs a second: the old registration stays
+                if error.reason != Reason.BUTTON_DENIED:
+                    raise
+                self._ends_s = time.monotonic() + LIFE / 10 * self.timeout_ms / 1000
         self._count += 1
         timeout_s = self.timeout_ms / 1000 or None
         return self._requests.alive(self._token, self._count, timeout_s=timeout_s).or_raise()
-
-    def _renew(self) -> None:
-        """Register again in time. If that is denied (too many proofs a second), the old registration stays."""
-        try:
-            self.register()
-        except RejectedError as error:
-            if error.reason != Reason.BUTTON_DENIED:
-                raise
-            self._ends_s = time.monotonic() + LIFE / 10 * self.timeout_ms / 1000
 
     def press(self) -> Ack:
         """Engage the emergency stop in the button's name; see `Client.estop`."""

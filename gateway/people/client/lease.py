@@ -213,7 +213,9 @@ class Lease:
             self._news.clear()
             if self.held:
                 self._renew(self._renewal.answer_s)
-            self._report_request()
+            who, self._asked_by = self._asked_by, None
+            if who is not None and self._on_asked is not None and self.held:
+                self._on_asked(who)
         if self.lost is not None:
             self._unsubscribe()
             if self._on_lost is not None:
@@ -234,11 +236,6 @@ class Lease:
                 self._renewal.answered(ack, asked_s)
         if not self.held:
             self._news.set()
-
-    def _report_request(self) -> None:
-        who, self._asked_by = self._asked_by, None
-        if who is not None and self._on_asked is not None and self.held:
-            self._on_asked(who)
 
     def _receive(self, event: Event) -> None:
         """Take an event, on a Zenoh thread, which must not wait."""

@@ -104,13 +104,9 @@ class Question(Generic[A]):
             self.answerers.add(replier)
             with suppress(ValidationError):
                 answer = self._read(reply.ok.payload.to_bytes())
-                self._patience.replied(query, answer, own=_is_own(session, replier))
-
-
-def _is_own(session: zenoh.Session, replier: str) -> bool:
-    """Return whether the replier may be the dialled program. A router never replies: behind it, any program may be."""
-    dialled = [str(link.zid) for link in session.info.transports() if link.whatami == zenoh.WhatAmI.PEER]
-    return not dialled or replier in dialled
+                # A router never replies: behind it, any program may be the dialled one.
+                dialled = [str(link.zid) for link in session.info.transports() if link.whatami == zenoh.WhatAmI.PEER]
+                self._patience.replied(query, answer, own=not dialled or replier in dialled)
 
 
 class EstopAck(Ack):

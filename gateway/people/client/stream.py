@@ -367,18 +367,12 @@ class Stream:
             self._events.append(received)
         elif event.kind == Kind.SOURCE_CHANGED:
             self._changes |= dict.fromkeys(event.legs, received)
-            if self._takes(event):
+            # We took a leg from another source. One that takes a leg from us may also stop it.
+            ours = event.source == self._client.name and self._lease is None
+            if ours and self._to_stop.intersection(event.legs):
                 self._rival = event.detail
 
-    def _takes(self, event: Event) -> bool:
-        """Return whether we took a leg from another source. A source that takes a leg from us may also stop it."""
-        ours = event.source == self._client.name and self._lease is None
-        return ours and bool(self._to_stop.intersection(event.legs))
-
     # ---- what follows from it
-
-    def _in_doubt(self) -> bool:
-        return self._doubt.is_there(time.monotonic()) or not self._client.connected
 
     def _check(self) -> None:
         """Raise the error for events since the latest call."""
@@ -389,7 +383,7 @@ class Stream:
             self._ask()  # raises with a better reason if legs do not run
             rejected, _ = fresh[0]
             raise RejectedError(rejected.reason or "", rejected.detail)
-        if self._in_doubt():
+        if self._doubt.is_there(time.monotonic()) or not self._client.connected:
             self._ask()
 
     def _fresh_events(self) -> list[ReceivedEvent]:

@@ -18,24 +18,13 @@ from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, Lease
 from gateway.people.client.pace import Retries
 from gateway.people.client.stream import Stream, StreamClient, checked_hz
-from gateway.people.walking import (
-    LONGEST_S,
-    USUAL_SILENCES,
-    BodyPose,
-    Distance,
-    Phase,
-    Posture,
-    Ride,
-    RideStep,
-    RideTask,
-    Robot,
-    Silences,
-    Velocity,
-    WalkState,
-)
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gaits import gait as gait_named
-from gateway.people.walking.robot import check_mirrored_once, ranges, running_deg
+from gateway.people.walking.motion import BodyPose, Posture, Velocity, WalkState
+from gateway.people.walking.ride import USUAL_SILENCES, Phase, Ride, RideStep, RideTask, Silences
+from gateway.people.walking.robot import Robot, check_mirrored_once, ranges, running_deg
+from gateway.people.walking.tempo import Distance
+from gateway.people.walking.ways import LONGEST_S
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Reason, Telemetry

@@ -19,7 +19,7 @@ from gateway.people.client.live import Live, Order, Receiver, Starts
 from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.terminal import hint, on_end_signals, say
-from gateway.people.walking import robot_now
+from gateway.people.walking.words import robot_now
 from gateway.text import visible
 from gateway.zenoh_config import client_config
 from schemas import keys

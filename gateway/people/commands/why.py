@@ -4,8 +4,6 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-import zenoh
-
 from gateway.certs import LAPTOP_ROLES
 from gateway.errors import ConfigError, DisconnectedError, UnansweredError, ZenohError
 from gateway.people.client import diagnosis
@@ -96,14 +94,9 @@ def _nobody(role: str, *, ended: bool) -> Finding:
 def _may_command(client: Client) -> bool:
     """Whether the gateway takes this session's commands, by matching alone: access control hides its keys."""
     with client.session.declare_publisher(keys.LEGS_COMMAND) as publisher:
+        status: Any = publisher.matching_status  # Zenoh's type stub takes it for a bool
         end_s = time.monotonic() + _MATCHING_S
-        while not _matching(publisher):
-            if time.monotonic() > end_s:
-                return False
+        while not status.matching and time.monotonic() <= end_s:
             time.sleep(_PAUSE_S)
-    return True
-
-
-def _matching(publisher: zenoh.Publisher) -> bool:
-    status: Any = publisher.matching_status  # Zenoh's type stub takes it for a bool
+            status = publisher.matching_status
     return bool(status.matching)

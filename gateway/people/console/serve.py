@@ -36,8 +36,8 @@ from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions
 from gateway.people.console.server.site import LOCALHOST, Options, Site, listening
 from gateway.people.terminal import hint, on_end_signals, say
-from gateway.people.walking import Robot
 from gateway.people.walking.planning import lying_deg
+from gateway.people.walking.robot import Robot
 from gateway.zenoh_config import client_config, get
 
 MAX_PAGES: Final = 64

@@ -190,7 +190,9 @@ class Link:
             return
         self._declared = [
             session.declare_subscriber(CALIBRATION, self._take_calibration),
-            session.declare_queryable(SIM_UPRIGHT, self._take_query),
+            session.declare_queryable(  # a listing of all keys sets nobody upright
+                SIM_UPRIGHT, lambda query: self.upright.put(query) if str(query.key_expr) == SIM_UPRIGHT else None
+            ),
         ]
         for reply in session.get(CALIBRATION):
             if reply.ok is not None:
@@ -206,10 +208,6 @@ class Link:
         with suppress(ValueError):  # none that a gateway publishes
             report = wire.Calibration.model_validate_json(sample.payload.to_bytes())
             self.calibrations.put(calibration_of(report))
-
-    def _take_query(self, query: zenoh.Query) -> None:
-        if str(query.key_expr) == SIM_UPRIGHT:  # a listing of all keys sets nobody upright
-            self.upright.put(query)
 
 
 def simulate(simulated: Simulated, page: ServoPage, sensed: SensedPage, link: Link) -> None:
@@ -231,16 +229,13 @@ def simulate(simulated: Simulated, page: ServoPage, sensed: SensedPage, link: Li
         if (slow := pace.report(now_s)) is not None:
             _say(slow)
         with suppress(Empty):
-            _set_upright(simulated, link.upright.get_nowait())
+            query = link.upright.get_nowait()
+            simulated.world.set_upright()
+            with suppress(zenoh.ZError), query:
+                query.reply(SIM_UPRIGHT, Ack(accepted=True).model_dump_json(), encoding=zenoh.Encoding.APPLICATION_JSON)
         if now_s >= publish_s and link.anyone_listens:
             publish_s = max(publish_s + PUBLISH_S, now_s)
             link.publish(simulated.report(pace.factor))
-
-
-def _set_upright(simulated: Simulated, query: zenoh.Query) -> None:
-    simulated.world.set_upright()
-    with suppress(zenoh.ZError), query:
-        query.reply(SIM_UPRIGHT, Ack(accepted=True).model_dump_json(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
 
 def _rounded(values: T) -> T:

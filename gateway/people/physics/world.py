@@ -214,7 +214,10 @@ class World:
         data = self.data
         w, *axis = map(float, data.qpos[3:_FREE])
         rotation = axis[0], axis[1], axis[2], w
-        touching = self._touching()
+        # Lower ends of legs: the box of a leaning tibia is lower than its tip.
+        touching = {
+            leg for leg, touches in zip(self.feet.values(), self._at_feet().any(axis=1), strict=True) if touches
+        }
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
         return Body(
             position_m=vector(data.qpos[:3]),
@@ -270,13 +273,12 @@ class World:
         data.qpos[:_FREE] = x_m, y_m, 0.0, w, x, y, z
         data.qvel[:] = 0.0
         mujoco.mj_forward(self.model, data)
-        lowest_m = min(float(np.dot(data.geom_xpos[geom], self._up)) - self._half_m(geom) for geom in self._robot)
+        sizes = self.model.geom_size  # half the shortest side of a box, or the radius of a sphere
+        lowest_m = min(
+            float(np.dot(data.geom_xpos[geom], self._up) - sizes[geom][sizes[geom] > 0].min()) for geom in self._robot
+        )
         data.qpos[2] += (self._bumps_m + _DROP_M - lowest_m) / self._up[2]
         mujoco.mj_forward(self.model, data)
-
-    def _touching(self) -> set[int]:
-        """Return the legs whose lower ends touch the ground: the box of a leaning tibia is lower than its tip."""
-        return {leg for leg, touches in zip(self.feet.values(), self._at_feet().any(axis=1), strict=True) if touches}
 
     def _at_feet(self) -> Any:
         """Return a matrix of booleans: for each of the six feet, the contacts near its tip."""
@@ -301,11 +303,6 @@ class World:
         if name == "world":
             return "the ground"
         return f"leg {name.split('_')[1]}" if name.startswith("leg_") else "the body"
-
-    def _half_m(self, geom: int) -> float:
-        """Half the shortest side of a box, or the radius of a sphere."""
-        sizes = self.model.geom_size[geom]
-        return float(min(sizes[sizes > 0]))
 
     def _tip(self, leg: int) -> int:
         """Return the solid sphere of a foot."""

@@ -21,7 +21,7 @@ from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.motions import DOES_NOT_STAND, Following, JointCommands, Motion, Walking
 from gateway.people.ros2.own_stop import OwnStop
 from gateway.people.ros2.trajectory import Trajectory
-from gateway.people.walking import ORIGIN, Odometry, Velocity
+from gateway.people.walking.motion import ORIGIN, Odometry, Velocity
 from schemas.telemetry import GatewayState, Mode, Reason
 
 NOBODY_DRIVES: Final = "nobody has called drive"

@@ -20,7 +20,9 @@ from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.trajectory import Degrees, JointsError, Trajectory, legs_deg
-from gateway.people.walking import DOWN, REST_S, STILL, Odometry, Pose, Posture, Ride, RideTask, Velocity
+from gateway.people.walking.motion import DOWN, STILL, Odometry, Posture, Velocity
+from gateway.people.walking.ride import REST_S, Ride, RideTask
+from gateway.people.walking.robot import Pose
 from schemas.robot import LEGS
 
 HZ: Final = 50.0

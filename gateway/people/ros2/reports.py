@@ -22,7 +22,7 @@ from gateway.people.ros2.driving import Driving
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.parameters import Parameters
 from gateway.people.ros2.topics import Topics
-from gateway.people.walking import ORIGIN
+from gateway.people.walking.motion import ORIGIN
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import FrameRecord, GatewayState, Telemetry

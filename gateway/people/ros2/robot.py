@@ -9,7 +9,7 @@ from gateway.geometry.kinematics import BASE, LINKS, link_name
 from gateway.geometry.kinematics import FramePose as Step
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2.messages import ERROR, OK, WARN, Header, Marker, Message, Quaternion, Vector3
-from gateway.people.walking import Odometry, Velocity
+from gateway.people.walking.motion import Odometry, Velocity
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogState
 

@@ -14,8 +14,8 @@ from gateway.people.ros2.driving import Driving, NotTakenError
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.received import SILENT_S, Arrived, Rivals, presence
 from gateway.people.ros2.trajectory import JointNames, Trajectory, check_reach, positions, stamp_ns
-from gateway.people.walking import Velocity
 from gateway.people.walking.gaits import NUMBERS
+from gateway.people.walking.motion import Velocity
 
 _MAX_BYTES: Final = 4096
 """The limit of a command to the gateway; 18 joints with velocity and effort take 1000."""

@@ -15,7 +15,6 @@ from collections.abc import Iterable
 from typing import Final
 
 from gateway.errors import WalkError
-from gateway.geometry.kinematics import Vector
 from gateway.people.walking import balance, gaits, tempo, ways
 from gateway.people.walking.balance import NOTHING, Felt, Senses
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried
@@ -103,7 +102,8 @@ class Engine:
                 if felt is not NOTHING and not holds:  # it leans further than its strides allow
                     holds, self._leans_rad = True, _LEANS_LESS * min(self._leans_rad, self.corrected_rad)
                     continue
-                self._stand_still(str(error))
+                before.velocity, before.moves, before.part = STILL, (), 0.0
+                self.limit, self._stuck = str(error), True
                 break
             ratio, servo_id = tempo.fastest(self.robot, before.pose, after.pose, seconds)
             slowest = servo_id if ratio > 1.0 else slowest
@@ -265,12 +265,6 @@ class Engine:
         if hanging and not state.sits:
             state.moves, state.part = (ways.lowered(state.feet, hanging),), 0.0
 
-    def _stand_still(self, why: str) -> None:
-        """End all motion, for the reason `why`."""
-        state = self._state
-        state.velocity, state.moves, state.part = STILL, (), 0.0
-        self.limit, self._stuck = why, True
-
     # ---- one tick
 
     def _advance(self, state: State, target: Velocity, seconds: float, felt: Felt, *, holds: bool) -> None:
@@ -335,7 +329,10 @@ class Engine:
         if ways.across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
-            state.rests[leg] = self._rest(leg)
+            rest, wide = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
+            if wide:  # the more the body leans against its feet, the further out they rest
+                rest = ways.between(rest, self.robot.widened(self._stance.body)[leg], wide)
+            state.rests[leg] = rest
             landing = carried(state.rests[leg], velocity, -(gait.stance_s + state.paused_s) / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
             x, y, _ = ways.between(left, lands, ways.across(part))
@@ -349,11 +346,6 @@ class Engine:
             state.swings[leg] = ends.swing
             return
         state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
-
-    def _rest(self, leg: int) -> Vector:
-        """Return where the foot rests: the more the body leans against its feet, the further out."""
-        rest, part = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
-        return ways.between(rest, self.robot.widened(self._stance.body)[leg], part) if part else rest
 
     def _lift(self, state: State) -> None:
         """Lift the feet that are due, if the others carry the robot; else they wait."""

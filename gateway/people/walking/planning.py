@@ -176,7 +176,8 @@ class Planner:
                 raise WalkError("it would fall")
         pose = dict(figure.pose)
         figure.follow(self._robot, move, 0.0)
-        if _furthest(figure.pose, pose) > _SAME_DEG:
+        pairs = chain.from_iterable(zip(figure.pose[leg], pose[leg], strict=True) for leg in pose)
+        if any(abs(now - then) > _SAME_DEG for now, then in pairs):
             raise WalkError("a leg is bent the other way")
         for sample in range(1, _SAMPLES + 1):
             figure.follow(self._robot, move, sample / _SAMPLES)
@@ -193,8 +194,3 @@ def balanced(robot: Robot, figure: Figure, stand: Iterable[int]) -> bool:
     joints_rad = {leg: robot.joints_rad(leg, angles) for leg, angles in figure.pose.items()}
     x, y, _ = centre_of_mass(robot, figure.body, joints_rad)
     return margin_m((x, y), [figure.feet[leg][:2] for leg in stand]) >= MARGIN_M
-
-
-def _furthest(first: Pose, second: Pose) -> float:
-    pairs = chain.from_iterable(zip(first[leg], second[leg], strict=True) for leg in first)
-    return max(math.fabs(a - b) for a, b in pairs)

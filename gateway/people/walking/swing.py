@@ -38,10 +38,11 @@ class Swing(NamedTuple):
         met_m = self._height_m(lag_s, now_m)
         if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > balance.EARLY_M)):
             return Descent(now_m, rises_m=max(0.0, met_m - now_m - _PRESSED_M))
+        trail = ((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < balance.LATE_S)
         swing = self._replace(
             free=self.free or touches is False,
             met=self.met or self.met_now(touches),
-            trail=() if touches is None else self._trail_after(now_m, seconds),
+            trail=() if touches is None else ((seconds, now_m), *trail),
         )
         if self.part <= 1.0 - _ALMOST:
             return Descent(height_m, swing)
@@ -55,9 +56,6 @@ class Swing(NamedTuple):
     def met_now(self, touches: bool | None) -> bool:
         """Return whether the foot is felt on the ground after it was in the air."""
         return self.free and touches is True
-
-    def _trail_after(self, now_m: float, seconds: float) -> tuple[tuple[float, float], ...]:
-        return (seconds, now_m), *((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < balance.LATE_S)
 
     def _height_m(self, ago_s: float, now_m: float) -> float:
         """Return the height of the foot (m) `ago_s` ago."""

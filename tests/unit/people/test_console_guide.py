@@ -3,7 +3,7 @@
 import pytest
 
 from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping
-from gateway.people.console.pages.guide import Guide
+from gateway.people.console.pages.page_calibration import Guide
 
 COARSE_CDEG = 100
 FINE_CDEG = 10
@@ -35,33 +35,33 @@ def test_keys_move_over_angles_that_are_never_sent(trim_cdeg: int, inverted: boo
 
 def test_a_servo_that_turns_the_other_way() -> None:
     made = guide(start_deg=80.0)
-    made.highest_here()
-    made.wrong_way()
+    made.change("highest_here")
+    made.change("wrong_way")
     assert made.shown_deg == 100.0
     made.jog(COARSE_CDEG)
     assert made.shown_deg == 101.0
     assert made.command_deg == 79.0
-    made.stands_at(100.0)
+    made.change("stands_at", 100.0)
     assert made.draft[32] == ServoMapping(-1_00, inverted=True, min_cdeg=100_00, max_cdeg=180_00)
 
 
 def test_both_ends() -> None:
     made = guide()
     made.jog(FINE_CDEG)
-    made.highest_here()
+    made.change("highest_here")
     made.jog(-40 * COARSE_CDEG)
-    made.lowest_here()
+    made.change("lowest_here")
     assert made.draft[32] == ServoMapping(min_cdeg=50_10, max_cdeg=90_10)
     made.jog(41 * COARSE_CDEG)
     with pytest.raises(CalibrationError, match="min_deg must not be larger"):
-        made.lowest_here()
+        made.change("lowest_here")
     assert made.draft[32] == ServoMapping(min_cdeg=50_10, max_cdeg=90_10)
 
 
 def test_undo_goes_back_to_the_beginning_and_as_drawn_to_no_calibration() -> None:
     made = guide()
-    made.stands_at(95.0)
-    made.wrong_way()
+    made.change("stands_at", 95.0)
+    made.change("wrong_way")
     assert made.changed == [32]
     assert made.undo() == 32
     assert made.draft[32] == ServoMapping(trim_cdeg=-5_00)
@@ -69,7 +69,7 @@ def test_undo_goes_back_to_the_beginning_and_as_drawn_to_no_calibration() -> Non
     assert made.undo() is None
     assert made.changed == []
     made = guide(ServoMapping(7_00, inverted=True))
-    made.as_drawn()
+    made.change("as_drawn")
     assert (made.draft[32], made.changed) == (ServoMapping(), [32])
 
 
@@ -89,6 +89,6 @@ def test_a_servo_that_is_none() -> None:
     with pytest.raises(CalibrationError, match="servo 34 does not exist"):
         guide().choose(34, 90)
     made = guide()
-    made.leave()
+    made.servo_id = None
     with pytest.raises(CalibrationError, match="choose a servo first"):
-        made.stands_at(90)
+        made.change("stands_at", 90)

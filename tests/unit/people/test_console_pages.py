@@ -12,8 +12,9 @@ from gateway import geometry
 from gateway.people.console.pages.page_messages import AckMessage, EventMessage, LinkMessage, Stopping
 from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks
 from gateway.people.console.pages.pages import Page, Pages
-from gateway.people.walking import Engine, Robot
+from gateway.people.walking.engine import Engine
 from gateway.people.walking.planning import lying_deg
+from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Event, Report, Telemetry, WireReport
 from tests.support.published import WALL, state

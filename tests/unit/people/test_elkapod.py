@@ -7,8 +7,9 @@ import pytest
 
 from examples.elkapod import gait
 from gateway.geometry import load
-from gateway.people.walking import STILL, Engine, Posture, Robot, Velocity
-from gateway.people.walking.robot import ranges
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.robot import Robot, ranges
 from gateway.robot.runtime.report import limits_of
 from gateway.robot.settings import Settings
 from gateway.robot.settings import load as load_settings

@@ -16,7 +16,8 @@ from gateway.model.elkapod import Measured
 from gateway.people.physics.assumed import FRICTION, MASS_KG, TORQUE_NM, Assumed, Terrain, assumed
 from gateway.people.physics.process import MOST_BEHIND_S, WINDOW_S, Pace, Simulated
 from gateway.people.physics.world import Sensors, World
-from gateway.people.walking import Engine, Robot
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.robot import Robot
 from gateway.simulation.elkapod import SimulatedElkapod
 from schemas.robot import SERVO_IDS
 from tests.walking.physics import run, stand_up

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from gateway.errors import RejectedError, WalkError
 from gateway.people.commands.walk import screen
 from gateway.people.console.pages.page_walk import SILENCES as PAGE
-from gateway.people.walking import STILL, USUAL_SILENCES, Phase, Posture, Ride, RideTask, Silences, Velocity, Wish
-from gateway.people.walking.ride import GIVES_UP_S
+from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.ride import GIVES_UP_S, USUAL_SILENCES, Phase, Ride, RideTask, Silences, Wish
 from gateway.people.walking.robot import FEED_S
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry

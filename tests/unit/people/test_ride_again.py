@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from gateway.errors import GatewayError, StoppedError
-from gateway.people.walking import STILL, Phase, Posture, Robot, Velocity
+from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.ride import Phase
+from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
 from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, WHOLE, Ridden, standing
 

@@ -11,7 +11,8 @@ from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.people.ros2.motions import Course
 from gateway.people.ros2.trajectory import Trajectory, Waypoint
-from gateway.people.walking import REST_S, Pose, Ride
+from gateway.people.walking.ride import REST_S, Ride
+from gateway.people.walking.robot import Pose
 from schemas.robot import LEGS
 from tests.support.ridden import FED_SINGLY, ROBOT, TICK_S, standing
 

@@ -10,9 +10,10 @@ import pytest
 from gateway.errors import WalkError
 from gateway.people.client.walk import Walk
 from gateway.people.commands.walk.script import AtOnce, EndRequests, go
-from gateway.people.walking import LONGEST_S, STILL, Distance, Odometry, Posture, Ride, Velocity, WalkState
-from gateway.people.walking.motion import BodyPose
-from gateway.people.walking.tempo import MOST_M, MOST_RAD, SLEW_M_S2
+from gateway.people.walking.motion import STILL, BodyPose, Odometry, Posture, Velocity, WalkState
+from gateway.people.walking.ride import Ride
+from gateway.people.walking.tempo import MOST_M, MOST_RAD, SLEW_M_S2, Distance
+from gateway.people.walking.ways import LONGEST_S
 from tests.support.ridden import TICK_S, Ridden, standing
 
 AHEAD: Final = Velocity(0.1)

@@ -23,8 +23,8 @@ from gateway.people.ros2.robot import (
     odometry,
     odometry_frame,
 )
-from gateway.people.walking import Odometry, Velocity
 from gateway.people.walking.inverse import Limb
+from gateway.people.walking.motion import Odometry, Velocity
 from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Telemetry

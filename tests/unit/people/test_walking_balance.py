@@ -10,9 +10,10 @@ import pytest
 from gateway.errors import WalkError
 from gateway.geometry import load
 from gateway.geometry.kinematics import Vector, from_rpy
-from gateway.people.walking import STILL, Posture, Ride, Robot, Velocity
 from gateway.people.walking.balance import FALLEN_DEG, ReceivedTelemetry, Senses
-from gateway.people.walking.robot import LIFT_M
+from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.ride import Ride
+from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.support.ridden import Ridden

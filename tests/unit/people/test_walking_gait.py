@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from gateway.errors import WalkError
 from gateway.geometry import load
-from gateway.people.walking import GAITS, STILL, Posture, Range, Robot, Velocity
-from gateway.people.walking.gaits import NUMBERS, gait, phase
-from gateway.people.walking.motion import BodyPose
-from gateway.people.walking.robot import check_mirrored_once
+from gateway.people.walking.gaits import GAITS, NUMBERS, gait, phase
+from gateway.people.walking.motion import STILL, BodyPose, Posture, Velocity
+from gateway.people.walking.robot import Range, Robot, check_mirrored_once
 from gateway.robot.settings import load as load_settings
 from schemas.calibration import Calibration
 from schemas.robot import LEGS

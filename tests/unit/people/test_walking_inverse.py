@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from gateway.errors import WalkError
 from gateway.geometry import ELKAPOD, load
-from gateway.people.walking import Range, Robot
 from gateway.people.walking.inverse import Limb
+from gateway.people.walking.robot import Range, Robot
 from schemas.robot import LEGS
 
 GEOMETRY: Final = load()

@@ -7,7 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.geometry import load
-from gateway.people.walking import Engine, Posture, Robot, Velocity
+from gateway.people.walking.engine import Engine
+from gateway.people.walking.motion import Posture, Velocity
+from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
 from tests.support.walked import Walked, feet_of, standing
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from gateway.people.walking import STILL, Odometry, Posture, WalkState, ground_now, robot_now
-from gateway.people.walking.words import NEWS_S, Newest
+from gateway.people.walking.motion import STILL, Odometry, Posture, WalkState
+from gateway.people.walking.words import NEWS_S, Newest, ground_now, robot_now
 from schemas.robot import LEGS
 from schemas.telemetry import ControllerReport, GatewayState, Mode
 from tests.support.published import servo, state

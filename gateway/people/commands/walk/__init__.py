@@ -15,7 +15,7 @@ app = typer.Typer()
 
 
 def _gaits() -> list[str]:
-    from gateway.people.walking import GAITS
+    from gateway.people.walking.gaits import GAITS
 
     return list(GAITS)
 

@@ -31,7 +31,9 @@ from gateway.people.commands.walk.script import went
 from gateway.people.terminal import hint
 from gateway.people.terminal.keyboard import REST_S, Keyboard, keys_at_once, wake_on_signals
 from gateway.people.terminal.stop_status import ALARM, Remark, StopStatus
-from gateway.people.walking import GAITS, STILL, Velocity, ground_now
+from gateway.people.walking.gaits import GAITS
+from gateway.people.walking.motion import STILL, Velocity
+from gateway.people.walking.words import ground_now
 from gateway.text import visible
 from schemas import keys as wire
 from schemas.telemetry import Ack, Event, GatewayState, Mode

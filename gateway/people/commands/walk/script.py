@@ -14,7 +14,7 @@ from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
-from gateway.people.walking import Posture, Velocity, WalkState
+from gateway.people.walking.motion import Posture, Velocity, WalkState
 
 _ENDED_EARLY: Final = 130
 """The exit code of a program that Ctrl-C ended, as shells report it."""

@@ -2,23 +2,180 @@
 
 Nothing here moves a servo. The page itself commands the servo under test, with its lease, and stops doing so when
 nobody looks. So the guide's idea of where the servo stands may be old without any harm.
+
+The servo is always commanded by the calibration in force, since the gateway knows no other. What the person sees
+concerns the servo itself, so it is kept as its angle on the wire; only the draft changes until it is written.
 """
 
 import asyncio
+import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from gateway.errors import GatewayError
-from gateway.model.calibration import CalibrationError, calibration_of
+from gateway.model.calibration import (
+    AS_DRAWN,
+    CalibrationError,
+    RobotCalibration,
+    ServoMapping,
+    calibration_of,
+    changed_servos,
+)
+from gateway.model.frames import MAX_ANGLE_CDEG, centidegrees
 from gateway.model.framing import avoided_by
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.commands.calibration import change_of, standing
 from gateway.people.console.link import GatewayLink
-from gateway.people.console.pages.guide import Guide
 from gateway.people.console.pages.page_messages import CalibrateRequest, CalibrationMessage, Draft
 from gateway.people.console.pages.page_tasks import PageTasks
 from schemas import keys
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import GatewayState
+
+
+@dataclass
+class Guide:
+    """Angles are in degrees (`_deg`) or hundredths of a degree (`_cdeg`). Each change of the draft can be undone."""
+
+    in_force: RobotCalibration
+    avoid_cdeg: tuple[int, int] | None = None
+    """Angles on the wire that the gateway never sends: from the first up to, not including, the second."""
+    draft: dict[int, ServoMapping] = field(init=False)
+    servo_id: int | None = None
+    """The servo under test, or None."""
+    wire_cdeg: int = 0
+    """The commanded angle of the servo under test, on the wire."""
+    _before: list[tuple[int, ServoMapping]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.draft = {servo_id: self.in_force.of(servo_id) for servo_id in SERVO_IDS}
+
+    # ---- the servo under test
+
+    def choose(self, servo_id: int, shown_deg: float) -> None:
+        """Test this servo, from this angle by the draft.
+
+        Raises CalibrationError for a servo that does not exist, or an angle that the calibration in force rejects.
+        """
+        if servo_id not in SERVO_IDS:
+            raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
+        wire_cdeg = self.draft[servo_id].wire_cdeg(_cdeg(shown_deg))
+        self._check(servo_id, self.in_force.of(servo_id).user_cdeg(wire_cdeg))
+        self.servo_id, self.wire_cdeg = servo_id, wire_cdeg
+
+    def jog(self, by_cdeg: int) -> None:
+        """Move by this angle by the draft, or past the angles that are never sent.
+
+        Raises CalibrationError at the limits of the calibration in force.
+        """
+        servo_id, servo = self._under_test()
+        wire_cdeg = self.wire_cdeg + (-by_cdeg if servo.inverted else by_cdeg)
+        if self.avoid_cdeg is not None and self.avoid_cdeg[0] <= wire_cdeg < self.avoid_cdeg[1]:
+            wire_cdeg = self.avoid_cdeg[0] - 1 if wire_cdeg < self.wire_cdeg else self.avoid_cdeg[1]
+        if not 0 <= wire_cdeg <= MAX_ANGLE_CDEG:
+            raise CalibrationError(f"servo {servo_id} cannot go further: its own angle would be {wire_cdeg / 100:g}")
+        self._check(servo_id, self.in_force.of(servo_id).user_cdeg(wire_cdeg))
+        self.wire_cdeg = wire_cdeg
+
+    @property
+    def command_deg(self) -> float:
+        """The angle to command, by the calibration in force."""
+        servo_id, _ = self._under_test()
+        return self.in_force.of(servo_id).user_cdeg(self.wire_cdeg) / 100
+
+    @property
+    def shown_deg(self) -> float:
+        """The servo's angle by the draft."""
+        _, servo = self._under_test()
+        return servo.user_cdeg(self.wire_cdeg) / 100
+
+    # ---- what the person sees
+
+    def change(self, how: str, seen_deg: float = 0.0) -> None:
+        """Change the draft of the servo under test. `how`: a case below. Raises CalibrationError if it cannot be so."""
+        servo_id, servo = self._under_test()
+        match how:
+            case "stands_at":  # the trim, by its angle now as measured on the robot
+                untrimmed_cdeg = servo._replace(trim_cdeg=0).wire_cdeg(_cdeg(seen_deg))
+                wanted = servo._replace(trim_cdeg=self.wire_cdeg - untrimmed_cdeg)
+            case "wrong_way":  # its middle and its two limits stay where they are on the robot
+                low_cdeg, high_cdeg = MAX_ANGLE_CDEG - servo.max_cdeg, MAX_ANGLE_CDEG - servo.min_cdeg
+                wanted = servo._replace(inverted=not servo.inverted, min_cdeg=low_cdeg, max_cdeg=high_cdeg)
+            case "lowest_here":
+                wanted = servo._replace(min_cdeg=servo.user_cdeg(self.wire_cdeg))
+            case "highest_here":
+                wanted = servo._replace(max_cdeg=servo.user_cdeg(self.wire_cdeg))
+            case "full_range":
+                wanted = servo._replace(min_cdeg=0, max_cdeg=MAX_ANGLE_CDEG)
+            case _:  # as drawn
+                wanted = AS_DRAWN
+        RobotCalibration(servos={servo_id: wanted})  # raises CalibrationError
+        if wanted != servo:
+            self._before.append((servo_id, servo))
+            self.draft[servo_id] = wanted
+
+    def undo(self) -> int | None:
+        """Undo the draft's latest change; returns its servo, None if there is none."""
+        if not self._before:
+            return None
+        servo_id, servo = self._before.pop()
+        self.draft[servo_id] = servo
+        return servo_id
+
+    # ---- to write
+
+    @property
+    def changed(self) -> list[int]:
+        """The servos whose calibration the draft changes."""
+        return sorted(changed_servos(self.in_force, RobotCalibration(servos=self.draft)))
+
+    @property
+    def landing_left_out(self) -> list[int]:
+        """The servos whose angle in the landing pose is outside the draft's limits: they leave the pose."""
+        drafted = RobotCalibration(servos=self.draft)
+        return [
+            servo_id
+            for servo_id, angle_cdeg in sorted(self.in_force.landing_cdeg.items())
+            if drafted.why_not(servo_id, angle_cdeg) is not None
+        ]
+
+    def now_in_force(self, calibration: RobotCalibration) -> list[int]:
+        """Another calibration is in force, by this draft or by another person's change.
+
+        The draft keeps its changed servos, and takes all others from the new calibration. Returns the servos that both
+        changed, and differently.
+        """
+        mine = self.changed
+        theirs = changed_servos(self.in_force, calibration)
+        self.in_force = calibration
+        self.draft = {name: self.draft[name] if name in mine else calibration.of(name) for name in SERVO_IDS}
+        return [servo_id for servo_id in self.changed if servo_id in theirs]
+
+    # ---- inside
+
+    def _under_test(self) -> tuple[int, ServoMapping]:
+        if self.servo_id is None:
+            raise CalibrationError("choose a servo first")
+        return self.servo_id, self.draft[self.servo_id]
+
+    def _check(self, servo_id: int, user_cdeg: int) -> None:
+        """Raise CalibrationError if the gateway would reject this angle by the calibration in force."""
+        if not 0 <= user_cdeg <= MAX_ANGLE_CDEG:
+            raise CalibrationError(
+                f"the calibration in force has no command for it ({user_cdeg / 100:g} degrees); write the draft first"
+            )
+        why_not = self.in_force.why_not(servo_id, user_cdeg)
+        if why_not is not None:
+            raise CalibrationError(why_not)
+
+
+def _cdeg(angle_deg: float) -> int:
+    """Return the nearest hundredth of a degree. Raises CalibrationError beyond 360 degrees."""
+    if not math.isfinite(angle_deg) or abs(angle_deg) > 360:
+        raise CalibrationError(f"{angle_deg:g} is no angle of a servo: that is 0 to 180 degrees")
+    return centidegrees(angle_deg)
+
 
 MAX_STEPS: Final = 32
 """Most steps of one page that wait: a held key jogs ten times a second."""
@@ -133,23 +290,13 @@ def _on_paper(step: CalibrateRequest, guide: Guide) -> str | None:
         case "test" if step.servo is not None:
             guide.choose(step.servo, deg)
         case "leave":
-            guide.leave()
+            guide.servo_id = None
         case "jog":
             guide.jog(round(deg * 100))
-        case "stands_at":
-            guide.stands_at(deg)
-        case "wrong_way":
-            guide.wrong_way()
-            return "turned round: + now has to be the way in which its angle grows"
-        case "lowest_here":
-            guide.lowest_here()
-        case "highest_here":
-            guide.highest_here()
-        case "full_range":
-            guide.full_range()
-        case "as_drawn":
-            guide.as_drawn()
         case "undo":
             servo_id = guide.undo()
             return "there is nothing to take back" if servo_id is None else f"taken back: servo {servo_id}"
+        case how if how not in ("open", "test"):
+            guide.change(how, deg)
+            return "turned round: + now has to be the way in which its angle grows" if how == "wrong_way" else None
     return None

@@ -13,7 +13,8 @@ from typing import Annotated, Any, Final, Literal, Self, get_args
 from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
 
 from gateway.people.client.dangers import Tone
-from gateway.people.walking import GAITS, Posture
+from gateway.people.walking.gaits import GAITS
+from gateway.people.walking.motion import Posture
 from schemas import keys
 from schemas.calibration import ServoCalibration
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand

@@ -29,7 +29,9 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
 from gateway.people.console.pages.page_messages import WalkMessage, WalkWish
-from gateway.people.walking import Ride, Silences, Velocity, Wish, ground_now
+from gateway.people.walking.motion import Velocity
+from gateway.people.walking.ride import Ride, Silences, Wish
+from gateway.people.walking.words import ground_now
 
 WISH_SILENT_S: Final = 0.25
 """Five missing wishes in a row."""

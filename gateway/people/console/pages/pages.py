@@ -35,7 +35,7 @@ from gateway.people.console.pages.page_lease import PageLease, StopButton
 from gateway.people.console.pages.page_stops import Stops, now_ns
 from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks
 from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
-from gateway.people.walking import robot_now
+from gateway.people.walking.words import robot_now
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Report, Telemetry
 
