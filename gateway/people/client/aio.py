@@ -7,9 +7,9 @@ delivers signals to the main thread only. A handler that the program installed i
 import asyncio
 import signal
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, asynccontextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial, update_wrapper
 from inspect import signature
 from types import FrameType
@@ -75,17 +75,6 @@ class Interrupts:
         if isinstance(error, KeyboardInterrupt) and self.count > 1:
             return asyncio.CancelledError()  # the second signal came before this
         return error
-
-    @asynccontextmanager
-    async def closing(self, end_now: Callable[[], None]) -> AsyncIterator[None]:
-        """While a walk is closed, another signal or cancellation calls `end_now`. Raises as `close`."""
-        try:
-            yield
-        except (asyncio.CancelledError, KeyboardInterrupt):
-            end_now()
-            raise
-        finally:
-            self.close()
 
     @classmethod
     def _received(cls, number: int, frame: FrameType | None) -> None:
@@ -283,8 +272,13 @@ class AsyncWalk(Twin[Walk]):
         return self
 
     async def __aexit__(self, *raised: Any) -> None:
-        async with self._interrupts.closing(self._own.end_now):
+        try:
             await super().__aexit__(raised[0], self._interrupts.meant(raised[1]), raised[2])
+        except (asyncio.CancelledError, KeyboardInterrupt):  # another signal or cancellation
+            self._own.end_now()
+            raise
+        finally:
+            self._interrupts.close()
 
     async def ahead(self, metres: float) -> None:
         """See `Walk.ahead`. When cancelled, the robot stands within `hold_s` and a stride."""

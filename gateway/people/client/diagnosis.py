@@ -5,7 +5,6 @@ has failed: it must not delay a Stop.
 """
 
 import datetime as dt
-import ipaddress
 import re
 import socket
 import ssl
@@ -114,7 +113,7 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
         yield Finding(Stage.ENDPOINT, "it is not tcp/HOST:PORT or tls/HOST:PORT", fix)
         return
     host, port, tls = parsed["host"].strip("[]"), int(parsed["port"]), parsed["link"] == "tls"
-    if tls and _is_ipv6(host):
+    if tls and ":" in host:
         fix = "dial the robot's name, or its IPv4 address"
         yield Finding(Stage.ENDPOINT, "Zenoh dials no IPv6 address over TLS", fix)
         return
@@ -349,13 +348,6 @@ def _plain(connection: socket.socket, end_s: float) -> Iterator[Finding]:
         yield Finding(Stage.GATEWAY, "the port takes connections, but no gateway speaks there", fix)
         return
     yield Finding(Stage.TLS, "the port wants TLS, and you dial it without", f"dial tls/…, and {_GIVE_CERTIFICATE}")
-
-
-def _is_ipv6(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).version == 6
-    except ValueError:
-        return False
 
 
 def _left_s(end_s: float) -> float:

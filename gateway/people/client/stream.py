@@ -17,17 +17,8 @@ from typing import Any, Final, NoReturn, Protocol, Self
 import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
-from gateway.people.client import stopped
+from gateway.people.client import pace, stopped
 from gateway.people.client.lease import CONFIRM_S, NOT_OURS, Lease, LeaseClient
-from gateway.people.client.pace import (
-    LIKE_RADIANS,
-    Doubt,
-    Jitter,
-    Radians,
-    Retries,
-    SetpointPace,
-    thins,
-)
 from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
 from gateway.people.client.stopped import ReceivedEvent
 from gateway.text import legs_named
@@ -90,15 +81,15 @@ class Stream:
         """Raises ValueError unless 0 < hz ≤ 1000. @private"""
         self._client = client
         self._hz = checked_hz(hz)
-        self._pace = SetpointPace(hz)
-        self._retries = Retries()
-        self._radians = Radians()
+        self._pace = pace.SetpointPace(hz)
+        self._retries = pace.Retries()
+        self._radians = pace.Radians()
         self._started: frozenset[int] = frozenset()
         self._to_stop: frozenset[int] = frozenset()
         self._lease: Lease | None = None  # under which it started them
         self._since: datetime | None = None  # by the gateway's clock: since then all started legs run
         self._over: GatewayError | None = None
-        self._doubt = Doubt(0.0)
+        self._doubt = pace.Doubt(0.0)
         self._events: deque[ReceivedEvent] = deque(maxlen=_KEPT)
         self._changes: dict[int, ReceivedEvent] = {}  # by leg: the latest change of its source
         self._received_stop = threading.Event()
@@ -116,7 +107,7 @@ class Stream:
         return self._pace.missed
 
     @property
-    def jitter(self) -> Jitter:
+    def jitter(self) -> pace.Jitter:
         """How late the newest setpoints were sent after their ticks: `p50_ms`, `p99_ms`, `max_ms`."""
         return self._pace.jitter
 
@@ -207,9 +198,9 @@ class Stream:
         watchdog_s = state.watchdog.timeout_ms / 1000
         if self._pace.period_s >= watchdog_s:
             raise ValueError(f"at {self._hz:g} Hz the watchdog stops each leg after {watchdog_s:g} s of silence")
-        if (thinned := thins(self._hz, state.limits.leg_rate_hz)) is not None:
+        if (thinned := pace.thins(self._hz, state.limits.leg_rate_hz)) is not None:
             warnings.warn(thinned, stacklevel=3)
-        self._doubt = Doubt(watchdog_s)
+        self._doubt = pace.Doubt(watchdog_s)
         self._subscribers = [client.on_state(self._receive_state), client.on_event(self._receive_event)]
         self._open = True
         client.open_parts.append(self)
@@ -246,7 +237,7 @@ class Stream:
         if not read:
             raise ValueError("no leg is given")
         if self._radians.suspected(read.values(), time.monotonic()):
-            warnings.warn(LIKE_RADIANS, stacklevel=3)
+            warnings.warn(pace.LIKE_RADIANS, stacklevel=3)
         if self._rival is not None and not self._warned:
             self._warned = True
             warnings.warn(f"{self._rival}; both may move it, as there is no lease: see Client.lease", stacklevel=3)

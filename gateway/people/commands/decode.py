@@ -5,19 +5,13 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from gateway.model.frames import (
-    ONE_LEG_LEN,
-    ONE_LEG_TYPE,
-    ONE_SERVO_LEN,
-    ONE_SERVO_TYPE,
-    FrameError,
-    OneLeg,
-    Op,
-)
-from gateway.model.frames import decode as decode_frame
+from gateway.model import frames
+from gateway.model.frames import FrameError, OneLeg, Op
 from gateway.people.terminal import say
 
-_FRAME_HEADERS = frozenset((bytes((ONE_LEG_LEN, ONE_LEG_TYPE)), bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))))
+_FRAME_HEADERS = frozenset(
+    (bytes((frames.ONE_LEG_LEN, frames.ONE_LEG_TYPE)), bytes((frames.ONE_SERVO_LEN, frames.ONE_SERVO_TYPE)))
+)
 """FRAME LEN and FRAME TYPE of the two kinds of frames."""
 
 _MAX_ECHO = 40
@@ -67,7 +61,7 @@ def _frames(data: bytes) -> Iterator[bytes]:
 
 
 def _as_json(data: bytes) -> dict[str, Any]:
-    frame = decode_frame(data)
+    frame = frames.decode(data)
     servos = [
         {"id": servo_id, "op": command.op.name.lower()}
         | ({} if command.op is Op.STOP else {"angle_deg": command.angle_cdeg / 100})
@@ -77,7 +71,7 @@ def _as_json(data: bytes) -> dict[str, Any]:
 
 
 def _explain(data: bytes) -> str:
-    frame = decode_frame(data)
+    frame = frames.decode(data)
     name = f"ONE LEG, leg {frame.leg}" if isinstance(frame, OneLeg) else "ONE SERVO"
     ops = (
         f"servo {servo_id} {command.op.name.lower()}"

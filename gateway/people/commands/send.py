@@ -49,36 +49,34 @@ def person_of(connect: str | None, zenoh_config: Path | None) -> str:
 
 def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
     """Start, set or stop (`op`) a leg. Returns the exit code. Raises ConfigError for another number of angles."""
-    wanted = 0 if op == "stop" else len(JOINTS)
-    if len(angles_deg) != wanted:
-        raise ConfigError(
-            f"{op} takes {wanted or 'no'} angles, and there are {len(angles_deg)}; "
-            f"for example: {command(f'send leg {leg} {op}' + ' 90 45 120' * bool(wanted))}"
-        )
+    _check_count(f"leg {leg}", op, len(angles_deg), {len(JOINTS)}, "3 angles")
     return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
 
 
 def send_legs(connect: Connection, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
     """Start, set or stop all six legs, with three angles for each leg or all 18. Returns and raises as `send_leg`."""
-    if len(angles_deg) not in ((0,) if op == "stop" else (len(JOINTS), len(SERVO_IDS))):
-        raise ConfigError(
-            f"{op} takes {'no angles' if op == 'stop' else '3 angles, or 18'}, and there are {len(angles_deg)}; "
-            f"for example: {command(f'send legs {op}' + ' 90 45 120' * (op != 'stop'))}"
-        )
+    _check_count("legs", op, len(angles_deg), {len(JOINTS), len(SERVO_IDS)}, "3 angles, or 18")
     pose = dict.fromkeys(LEGS, tuple(angles_deg)) if len(angles_deg) <= len(JOINTS) else list(angles_deg)
     return _send(connect, keys.LEGS_COMMAND, legs_payload(op, pose), moves=op != "stop", hold_s=hold_s)
 
 
 def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
     """Start, set or stop a servo. Returns and raises as `send_leg`, also for an id that does not exist."""
-    if (angle_deg is None) != (op == "stop"):
-        wanted, angle = ("no", "") if op == "stop" else ("one", " 90")
-        raise ConfigError(f"{op} takes {wanted} angle; for example: {command(f'send servo {servo_id} {op}{angle}')}")
+    _check_count(f"servo {servo_id}", op, int(angle_deg is not None), {1}, "one angle", " 90")
     try:
         key = keys.servo_command(servo_id)
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return _send(connect, key, servo_payload(op, angle_deg), moves=op != "stop", hold_s=hold_s)
+
+
+def _check_count(what: str, op: str, given: int, counts: set[int], takes: str, example: str = " 90 45 120") -> None:
+    """Raise ConfigError for another number of angles than `op` takes."""
+    if op == "stop":
+        counts, takes, example = {0}, "no angles", ""
+    if given not in counts:
+        shown = command(f"send {what} {op}{example}")
+        raise ConfigError(f"{op} takes {takes}, and there are {given}; for example: {shown}")
 
 
 def send_stop(connect: Connection) -> int:

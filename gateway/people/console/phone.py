@@ -49,11 +49,6 @@ def door(site: Site) -> Site:
     return Site(address, port, site.hosts)
 
 
-def link(at: Site, site: Site) -> str:
-    """Return the start of a link, before its token."""
-    return f"{at.url}/#{site.port},"
-
-
 class Door:
     """Serve only the page that explains the warning."""
 

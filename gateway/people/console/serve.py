@@ -177,7 +177,7 @@ def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.sock
     with listening(site, passed) as sockets, listening(door) if door else nullcontext(()) as doors:
         logs.set_up()  # from now on another thread writes the log: no slow reader delays this process
         found = Sessions(console_state(), site.port)
-        found.begin(phone.link(door, site) if door else f"{site.url}/?token=", owner.role, owner.common_name)
+        found.begin(f"{door.url}/#{site.port}," if door else f"{site.url}/?token=", owner.role, owner.common_name)
         asyncio.run(_run(options, site, (sockets, doors), found, owner, geometry))
 
 

@@ -93,7 +93,9 @@ class Drawing:
         """Return what to draw after a report (parsed JSON, on one of the gateway's keys) received at `time_ns`."""
         shows_joints = self.joints.take(topic, report)
         if topic == EVENT:
-            yield LOG, _log(report, time_ns)
+            where = "".join(f", {report[name]}" for name in ("source", "key") if report.get(name))
+            sentence = f"{report['kind']}: {report['detail']}{where}"
+            yield LOG, log_line(_LEVELS.get(report["kind"], LOG_INFO), sentence, time_ns)
         elif topic == STATE:
             yield from self.picture(time_ns)
             if self._due(DIAGNOSTICS, time_ns, DIAGNOSTICS_PERIOD_NS, report["mode"]):
@@ -109,7 +111,9 @@ class Drawing:
         if is_motion and self._due(FRAMES, time_ns, PICTURE_PERIOD_NS):
             yield from self.picture(time_ns)
         if shows_joints:
-            yield JOINT_COMMANDS, self._commands(time_ns)
+            rad, running = self.joints.rad, self.joints.running
+            at_rad = {each: rad.get(each, math.nan) if running.get(each) else math.nan for each in SERVO_IDS}
+            yield JOINT_COMMANDS, robot.joint_state(at_rad, time_ns)
             yield from self._marks_if_due(time_ns)
 
     def _due(self, topic: str, time_ns: int, period_ns: int, shown: object = None) -> bool:
@@ -124,11 +128,6 @@ class Drawing:
         running = dict(self.joints.running)
         if self._due(SERVOS_OFF, time_ns, MARKS_PERIOD_NS, running):
             yield SERVOS_OFF, robot.servos_off([each for each, runs in running.items() if not runs], time_ns)
-
-    def _commands(self, time_ns: int) -> Message:
-        rad, running = self.joints.rad, self.joints.running
-        at_rad = {each: rad.get(each, math.nan) if running.get(each) else math.nan for each in SERVO_IDS}
-        return robot.joint_state(at_rad, time_ns)
 
     def picture(self, time_ns: int) -> Iterator[Drawn]:
         """Return the robot as last commanded, and its simulated body if that is recent."""
@@ -178,17 +177,8 @@ _LEVELS: Final = {
 }  # fmt: skip
 
 
-def warning(sentence: str, time_ns: int) -> Message:
-    """Return a warning for the viewers' log that is not an event of the gateway."""
-    return _line(LOG_WARN, sentence, time_ns)
-
-
-def _log(event: Mapping[str, Any], time_ns: int) -> Message:
-    where = "".join(f", {event[name]}" for name in ("source", "key") if event.get(name))
-    return _line(_LEVELS.get(event["kind"], LOG_INFO), f"{event['kind']}: {event['detail']}{where}", time_ns)
-
-
-def _line(level: int, sentence: str, time_ns: int) -> Message:
+def log_line(level: int, sentence: str, time_ns: int) -> Message:
+    """Return a line for the viewers' log."""
     return ros.Log(robot.stamp(time_ns), level, "hexapod-gateway", sentence.replace("\0", "\ufffd"))
 
 

@@ -4,6 +4,7 @@ import re
 from array import array
 from bisect import bisect
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
@@ -62,13 +63,9 @@ class Incident:
 
 def is_id(name: str) -> bool:
     """Return whether this is an incident's id. An id is safe as a file's name."""
-    if not _ID.fullmatch(name):
-        return False
-    try:
-        time_of(name)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return _ID.fullmatch(name) is not None and time_of(name) is not None
+    return False
 
 
 def time_of(name: str) -> datetime:

@@ -2,7 +2,7 @@
 
 from array import array
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -83,7 +83,10 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     times_ns = records.times_ns
     taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
     decisions = _Decisions(records, taken)
-    notes = deque(sorted(_notes(incident, records, taken), key=lambda note: note.time_ns))
+    starts = (records[index] for index in taken if records.kinds[index] == form.START)
+    notes_before = [_noted(incident.zero_wall_ns, INCIDENT, incident.name)]
+    notes_before += (note for start in starts for note in _stops_before(start, incident))
+    notes = deque(sorted(notes_before, key=lambda note: note.time_ns))
     calibration = records.calibration_at(incident.begin_ns)
     if calibration is not None:  # so that the frames can be read, which have the servos' own angles
         begin_ns = incident.wall_ns(incident.begin_ns)
@@ -115,14 +118,6 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     yield from notes
     if killed_ns is not None:
         yield _killed(incident.wall_ns(killed_ns))
-
-
-def _notes(incident: Incident, records: Records, taken: Iterable[int]) -> Iterator[RecordedMessage]:
-    """Notes of the incident, and of what a start reports about the time before it."""
-    yield _noted(incident.zero_wall_ns, INCIDENT, incident.name)
-    for index in taken:
-        if records.kinds[index] == form.START:
-            yield from _stops_before(records[index], incident)
 
 
 class _Decisions:
@@ -189,7 +184,7 @@ def _message(
                     )
                     for servo_id, op in command.targets
                 ),
-                verdict=None if decided is None else _verdict(decided),
+                verdict=None if decided is None else getattr(decided.content, "verdict", ACCEPTED),
                 decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
             )
         case form.FrameWritten() as frame:
@@ -230,10 +225,6 @@ def _published(content: form.Calibrated | form.BodyState | form.EventPublished, 
             return keys.TELEMETRY, report_of(values, time, 0.0)
         case form.EventPublished() as event:
             return keys.EVENT, Event(time=time, **event._asdict())
-
-
-def _verdict(record: form.Record) -> str:
-    return record.content.verdict if isinstance(record.content, form.Decision) else ACCEPTED
 
 
 def _time(wall_ns: int) -> datetime:

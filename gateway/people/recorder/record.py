@@ -24,9 +24,9 @@ from gateway.own_command import install
 from gateway.people.client.live import is_of_physics
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
-from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, warning
+from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, log_line
 from gateway.people.ros2.commanded import CommandedJoints
-from gateway.people.ros2.messages import Message
+from gateway.people.ros2.messages import LOG_WARN, Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from schemas.calibration import Calibration
 from schemas.keys import CALIBRATION, CONFIG, EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
@@ -84,7 +84,7 @@ class Recording(ServerListener):
         self._file = foxglove.open_mcap(path, context=self._context, writer_options=options)
         found = {**about, "recorded_with": f"hexapod-gateway {__version__}"}
         self._file.write_metadata(METADATA, {name: json.dumps(value) for name, value in found.items()})
-        self._draw((self.drawing.description(), *self.drawing.picture(time_ns)), time_ns)
+        self.draw((self.drawing.description(), *self.drawing.picture(time_ns)), time_ns)
         self.flush()
 
     def serve(self, port: int) -> int:
@@ -106,13 +106,10 @@ class Recording(ServerListener):
         """Record a report (parsed JSON, on a key of `REPORTS`), and what is drawn for it."""
         data = json.dumps(report, separators=(",", ":"), ensure_ascii=False).encode()
         self._channels[key].log(data, log_time=time_ns)
-        self._draw(self.drawing.take(key, report, time_ns), time_ns)
+        self.draw(self.drawing.take(key, report, time_ns), time_ns)
 
-    def warn(self, sentence: str, time_ns: int) -> None:
-        """Add a warning to the viewers' log."""
-        self._draw([(LOG, warning(sentence, time_ns))], time_ns)
-
-    def _draw(self, drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
+    def draw(self, drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
+        """Record messages for viewers, by topic."""
         for topic, message in drawn:
             self._channels[topic].log(encode(message), log_time=time_ns)
 
@@ -126,7 +123,7 @@ class Recording(ServerListener):
         """Hand all data to the kernel: a killed recorder loses only later data. Raises OSError."""
         if self._asked:
             self._asked = False
-            self._draw([self.drawing.description()], time.time_ns())
+            self.draw([self.drawing.description()], time.time_ns())
         if self._file is not None:
             try:
                 self._file.flush()
@@ -324,7 +321,7 @@ class _Recorder:
             self._recording.close()
         except OSError as error:
             clear_line()
-            raise _DiskError(
+            raise GatewayError(
                 f"{self._path}: cannot be written any more ({error.strerror or error}). What came before can be read; "
                 f"once there is room, `mcap recover {self._path} -o FILE` makes a whole file of it"
             ) from error
@@ -367,7 +364,8 @@ class _Recorder:
 
     def _warn(self, sentence: str) -> None:
         hint(sentence)
-        self._recording.warn(sentence, self._reports.now_ns())
+        now_ns = self._reports.now_ns()
+        self._recording.draw([(LOG, log_line(LOG_WARN, sentence, now_ns))], now_ns)
 
     def _summary(self) -> str:
         counts = ", ".join(f"{self._counts[key]} {name}" for key, name in _NAMES.items())
@@ -380,7 +378,3 @@ class _Recorder:
             hint(f"{self._reports.dropped} reports are missing: the disk was too slow.")
         if self._reports.invalid:
             hint(f"{self._reports.invalid} messages on the gateway's keys were no reports, and are not in the file.")
-
-
-class _DiskError(GatewayError):
-    """The recording ended because the disk rejected a write."""

@@ -139,7 +139,10 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_BYTES:
             raise NoRingError(f"{path}: it is no black box")
-        _check_owner(found, path)
+        # In /dev/shm anybody may put a file where our link leads.
+        trusted = (path.lstat().st_uid, os.geteuid(), 0)
+        if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
         written = written_by_anyone(fd)  # first: a gateway that ends meanwhile has written all
         with os.fdopen(fd, "rb", closefd=False) as opened:
             return opened.read(found.st_size), written
@@ -158,13 +161,6 @@ def _copies(path: Path) -> Iterator["_Slots"]:
     for copy in found:
         with suppress(NoRingError, form.DamagedRingError):
             yield _Slots(_read_file(copy, path)[0])
-
-
-def _check_owner(found: os.stat_result, path: Path) -> None:
-    """Raise NoRingError for another user's file: in /dev/shm anybody may put one where our link leads."""
-    trusted = (path.lstat().st_uid, os.geteuid(), 0)
-    if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
 
 
 def _merged(ring: "_Slots", copies: Iterable["_Slots"]) -> tuple[Records, int, int]:
@@ -220,7 +216,7 @@ class _Decoded:
         return Records(self._times_ns, self._kinds, self._read, self._calibrations, self._gaps)
 
     def _read(self, index: int) -> form.Record:
-        return self._files[self._places[index]].record(self._numbers[index], self._parts[index])
+        return self._files[self._places[index]].decoded(self._numbers[index])[1][self._parts[index]]
 
 
 class _Slots:
@@ -259,10 +255,6 @@ class _Slots:
         except form.DamagedRingError:
             return None
         return content.calibration if isinstance(content, form.Calibrated) else None
-
-    def record(self, number: int, part: int) -> form.Record:
-        """Return a record that has been decoded before, when it was found."""
-        return self.decoded(number)[1][part]
 
     def decoded(self, number: int) -> tuple[int, list[form.Record]]:
         """Return a record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.

@@ -245,16 +245,9 @@ def _is_watchdogs(frame: RecordedMessage) -> bool:
     return frame.content.get("cause") == Cause.WATCHDOG
 
 
-class _Run(NamedTuple):
-    """Rejections of one source for one reason, on the same side of the incident."""
-
-    first_ns: int
-    last_ns: int
-    commands: int
-
-
 def _rejections(messages: list[RecordedMessage]) -> Iterator[Line]:
-    runs: dict[tuple[str, str, bool], _Run] = {}
+    """Yield a line for the rejections of each source for one reason, on the same side of the incident."""
+    runs: dict[tuple[str, str, bool], list[int]] = {}
     for message in messages:
         if _is_command(message) and not _taken(message):
             source, reason = message.content.get("source"), message.content["verdict"]
@@ -263,14 +256,12 @@ def _rejections(messages: list[RecordedMessage]) -> Iterator[Line]:
         else:
             continue
         case = _who(source), str(reason), message.time_ns > 0
-        found = runs.get(case, _Run(message.time_ns, message.time_ns, 0))
-        runs[case] = _Run(found.first_ns, message.time_ns, found.commands + 1)
-    for (who, reason, _), run in runs.items():
-        if run.commands == 1:
-            text = f"a command of {who} is rejected: {reason}"
-        else:
-            text = f"{run.commands} commands of {who} are rejected until {_at(run.last_ns)}: {reason}"
-        yield Line(run.first_ns, text)
+        runs.setdefault(case, []).append(message.time_ns)
+    for (who, reason, _), times_ns in runs.items():
+        text = f"a command of {who} is rejected: {reason}"
+        if len(times_ns) > 1:
+            text = f"{len(times_ns)} commands of {who} are rejected until {_at(times_ns[-1])}: {reason}"
+        yield Line(times_ns[0], text)
 
 
 # ---- what the gateway did
@@ -375,28 +366,24 @@ def _standing(stands: dict[int, int | None]) -> str:
     return "; ".join(f"{_named(numbers)} at {words}" for words, numbers in legs.items())
 
 
+_NOTES: Final = {
+    "start": "a gateway starts ({detail})",
+    "end": "the gateway ends: {detail}",
+    "mode": "mode {detail}",
+    "killed": "the gateway's last record; its process ended without a word",
+    "stop-servos": "stop-servos has written a Stop to each of the six legs, {detail}",
+    "left_out": "{detail} of {sender} were left out, more than the black box has room for",
+    "lag": "the loop was {detail} late",
+}
+"""By a note's `what`."""
+
+
 def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
     for message in messages:
-        detail = message.content.get("detail")
-        match message.content.get("what") if message.topic == RECORDER else None:
-            case "start":
-                text = f"a gateway starts ({detail})"
-            case "end":
-                text = f"the gateway ends: {detail}"
-            case "mode":
-                text = f"mode {detail}"
-            case "killed":
-                text = "the gateway's last record; its process ended without a word"
-            case "stop-servos":
-                text = f"stop-servos has written a Stop to each of the six legs, {detail}"
-            case "left_out":
-                sender = message.content.get("source") or "senders without a name"
-                text = f"{detail} of {sender} were left out, more than the black box has room for"
-            case "lag":
-                text = f"the loop was {detail} late"
-            case _:
-                continue
-        yield Line(message.time_ns, text)
+        content = message.content
+        if message.topic == RECORDER and (words := _NOTES.get(str(content.get("what")))) is not None:
+            sender = content.get("source") or "senders without a name"
+            yield Line(message.time_ns, words.format(detail=content.get("detail"), sender=sender))
 
 
 def frames_in(messages: Iterable[RecordedMessage]) -> Iterator[FrameIn]:

@@ -68,7 +68,8 @@ class Node(LifecycleNode):  # type: ignore[misc]
         self._threads: list[threading.Thread] = []
         self._begin: Callable[[], None]
         self._end: Callable[[str], None]
-        _log_somewhere()
+        if not os.access(os.environ.get("HOME", ""), os.W_OK):  # for a user without a home ROS 2 does not start
+            os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="hexapod-ros2-"))
         try:
             rclpy.init(
                 args=["hexapod-gateway", *ros_args],
@@ -137,7 +138,9 @@ class Node(LifecycleNode):  # type: ignore[misc]
                 read = deserialize_message(data, found)
             except RuntimeError as error:
                 return reject(f"it cannot be read: {error}")
-            return take(read, Arrived(_gid(info), info["source_timestamp"]))
+            sender = info.get("publisher_gid")  # rclpy before Kilted does not report it
+            gid = bytes(sender["data"][:_GID_BYTES]) if sender else b""
+            return take(read, Arrived(gid, info["source_timestamp"]))
 
         self._listen(topic, found, received, is_stream=kind in _STREAMS)
 
@@ -278,12 +281,6 @@ class Node(LifecycleNode):  # type: ignore[misc]
         return super().on_error(state)
 
 
-def _log_somewhere() -> None:
-    """Choose a writable folder for ROS 2's log files: it does not start for a user without a home."""
-    if not os.access(os.environ.get("HOME", ""), os.W_OK):
-        os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="hexapod-ros2-"))
-
-
 def ros_type(type_name: str) -> Any:
     """`std_msgs/msg/String` → rclpy's class. Raises ConfigError if its package is not installed."""
     package, kind, name = type_name.split("/")
@@ -341,12 +338,6 @@ def _present(find: Callable[[], Iterable[bytes]]) -> Present:
 def _keep_time_real(parameters: list[Any]) -> Any:
     simulated = any(each.name == "use_sim_time" and each.value for each in parameters)
     return SetParametersResult(successful=not simulated, reason=SIMULATED if simulated else "")
-
-
-def _gid(info: dict[str, Any]) -> bytes:
-    """Return the sender's GID; rclpy before Kilted does not report it."""
-    found = info.get("publisher_gid")
-    return bytes(found["data"][:_GID_BYTES]) if found else b""
 
 
 def _own_addresses() -> Iterator[str]:

@@ -13,7 +13,7 @@ from gateway.model.staleness import Staleness
 from gateway.people.ros2.driving import Driving, NotTakenError
 from gateway.people.ros2.node import Node
 from gateway.people.ros2.received import SILENT_S, Arrived, Rivals, presence
-from gateway.people.ros2.trajectory import JointNames, Trajectory, check_reach, positions, stamp_ns
+from gateway.people.ros2.trajectory import JointNames, Trajectory, check_reach, of_joints, stamp_ns
 from gateway.people.walking.gaits import NUMBERS
 from gateway.people.walking.motion import Velocity
 
@@ -83,7 +83,7 @@ class Topics:
     # ---- one for each topic
 
     def _joint_commands(self, message: Any, _: Arrived) -> None:
-        at_rad = positions(self.joints.servos(message.name), message.position)
+        at_rad = of_joints("position", self.joints.servos(message.name), message.position)
         check_reach(self._geometry, at_rad)
         self._driving.joints(at_rad)
 

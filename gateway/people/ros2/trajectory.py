@@ -68,11 +68,6 @@ class JointNames:
         return tuple(servos)
 
 
-def positions(servos: Sequence[int], positions_rad: Sequence[float]) -> dict[int, float]:
-    """Return servo → radians. Raises JointsError as `of_joints`."""
-    return of_joints("position", servos, positions_rad)
-
-
 def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
     """Return servo → value; `what` names a value in errors. Raises JointsError if one is missing or not finite."""
     if len(values) != len(servos):
@@ -164,7 +159,7 @@ class Trajectory:
                     raise JointsError(f"its time {at_s:g} s is not later than that of the point before it")
                 if not 0 <= at_s <= MAX_S:
                     raise JointsError(f"its time {at_s:g} s is not between 0 and {MAX_S:g} s")
-                at_rad = positions(servos, point.positions)
+                at_rad = of_joints("position", servos, point.positions)
                 check_reach(geometry, at_rad)
                 velocities = _bounded("velocity", servos, point.velocities, MAX_RAD_S, "rad/s")
                 _bounded("acceleration", servos, point.accelerations, MAX_RAD_S2, "rad/s²")

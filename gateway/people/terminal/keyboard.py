@@ -8,12 +8,15 @@ from typing import Final
 
 from gateway.people.terminal import on_end_signals
 
-_ESCAPE: Final = 0x1B
 REST_S: Final = 0.05
 """How soon the rest of an arrow key follows its first bytes, if they arrive apart (a slow SSH)."""
 _INCOMPLETE: Final = re.compile(rb"\x1b([\[O][0-9;<?]*)?\Z")
-_NAMES: Final = {0x1B: "escape", 0x0D: "enter", 0x0A: "enter", 0x7F: "backspace", 0x08: "backspace", 0x03: "ctrl-c"}
-_ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
+_PIECES: Final = re.compile(rb"\x1b[\[O]([0-9;<?]*)([@-~]?)|(.)", re.DOTALL)
+"""A control sequence (its parameters, its last byte), or another byte."""
+_NAMES: Final = {
+    b"\x1b": "escape", b"\r": "enter", b"\n": "enter", b"\x7f": "backspace", b"\b": "backspace", b"\x03": "ctrl-c",
+}  # fmt: skip
+_ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
 
 
 @contextlib.contextmanager
@@ -65,26 +68,11 @@ class Keyboard:
         if more and (incomplete := _INCOMPLETE.search(data)):
             self._begun, data = incomplete[0], data[: incomplete.start()]
         found: list[str] = []
-        place = 0
-        while place < len(data):
-            byte = data[place]
-            if byte == _ESCAPE and data[place + 1 : place + 2] in (b"[", b"O"):
-                end = _sequence_end(data, place + 1)
-                if end == place + 3:  # with a number in it, it is another key, or an arrow with Shift or Ctrl
-                    found += [_ARROWS[last]] if (last := chr(data[place + 2])) in _ARROWS else []
-                place = end
-                continue
-            if byte in _NAMES:
-                found.append(_NAMES[byte])
-            elif 0x20 <= byte < 0x7F:
-                found.append(chr(byte))
-            place += 1
+        for parameters, final, other in _PIECES.findall(data):
+            if other in _NAMES:
+                found.append(_NAMES[other])
+            elif b" " <= other <= b"~":
+                found.append(other.decode())
+            elif not parameters and final in _ARROWS:  # with a number it is another key, or an arrow with Shift or Ctrl
+                found.append(_ARROWS[final])
         return found
-
-
-def _sequence_end(data: bytes, place: int) -> int:
-    """Return the place after a control sequence. `place`: its `[` or `O`, before numbers and a letter or `~`."""
-    place += 1
-    while place < len(data) and data[place] in b"0123456789;<?":
-        place += 1
-    return place + 1 if place < len(data) and 0x40 <= data[place] < 0x7F else place

@@ -338,7 +338,7 @@ class Engine:
             x, y, _ = ways.between(left, lands, ways.across(part))
         height_m = min(LIFT_M, swing.left[2] * (1.0 - ways.across(part)) + self._lift_m * ways.up(part, self._climb))
         if swing.met_now(touches) and not swing.met:
-            state.touched(swing.late_s or (part - 1.0) * gait.swing_s)
+            state.lateness = state.lateness.after(swing.late_s or (part - 1.0) * gait.swing_s)
         swing = swing._replace(left=left, part=part)
         ends = swing.down(height_m, state.feet[leg][2], touches, seconds, state.waits_s, state.lateness.certain_s)
         state.feet[leg] = x, y, ends.height_m

@@ -144,7 +144,8 @@ class Ride:
         self._obeyed: Wish | None = None
         """The newest wish that was obeyed; None: the next counts as changed."""
         self._leaving = False
-        self._wants_again = False
+        self.wants_again = False
+        """Whether `start_again` was called, and its outcome is not known yet."""
         self._takes_over = running is not None and running.keys() == _ALL
         """Before the first command: begin only if all six legs still run."""
         self._found = False
@@ -223,14 +224,14 @@ class Ride:
 
     def start_again(self) -> None:
         """Go on after an error, by a person's decision. Only lost legs are started."""
-        self._wants_again = self.error is not None and not (self._once and self.over)
+        self.wants_again = self.error is not None and not (self._once and self.over)
 
     # ---- what the shell does
 
     def next(self, now_s: float, telemetry: Telemetry | None = None) -> RideStep:
         """Return the task to do now. `telemetry`: None if none is fresh."""
         self.apply_silences(now_s)
-        if self._wants_again:
+        if self.wants_again:
             return RideStep(RideTask.STOP if self.phase is Phase.FAILED and self._ours else RideTask.FIND)
         pose = _NO_LEGS
         if self.phase in (Phase.RUNS, Phase.HALTED):
@@ -280,7 +281,7 @@ class Ride:
     def found(self, robot: Robot, running: Pose, now_s: float) -> None:
         """Answer FIND: by the gateway's newest state these legs run, at these angles. Raises WalkError."""
         engine = self._engine
-        if not self._wants_again:
+        if not self.wants_again:
             if running or engine.posture not in DOWN:
                 engine.find(running)
             self._found, self._running = True, frozenset(running)
@@ -335,7 +336,7 @@ class Ride:
 
     def not_again(self, error: Exception) -> None:
         """`start_again` has failed; the ride stays as it was."""
-        self._wants_again = False
+        self.wants_again = False
         self._spend(error.lasting if isinstance(error, GatewayError) else str(error))
 
     def ended(self) -> None:
@@ -345,11 +346,6 @@ class Ride:
             self.phase = Phase.RESTS if self.over else Phase.STARTS
 
     # ---- its state
-
-    @property
-    def wants_again(self) -> bool:
-        """Whether `start_again` was called, and its outcome is not known yet."""
-        return self._wants_again
 
     @property
     def posture(self) -> Posture:
@@ -486,6 +482,6 @@ class Ride:
         self._spend(error.lasting)
 
     def _goes_on(self, now_s: float) -> None:
-        self.error, self._wants_again = None, False
+        self.error, self.wants_again = None, False
         self._said_s = self._pressed_s = now_s
         self._velocity = STILL

@@ -107,10 +107,6 @@ class State(Figure):
         new.swings, new.rests, new.rises = dict(self.swings), dict(self.rests), dict(self.rises)
         return new
 
-    def touched(self, late_s: float) -> None:
-        """Take a contact, `late_s` after its foot arrived at the expected ground (below 0: before)."""
-        self.lateness = self.lateness.after(late_s)
-
     def landed(self, leg: int, touches: bool | None, ends: Descent, over: Velocity) -> None:
         """End a swing. `touches`: whether its foot is felt on the ground; `over`: the velocity, if it hangs."""
         swing = self.swings.pop(leg)

@@ -213,23 +213,19 @@ class StopButtonRequest(Closed):
     sent_ms: SentMs
 
 
-class LinkForRequest(Closed):
-    """Request a link for a second device, such as a phone; answered by `LinkForMessage`."""
+class PlainRequest(Closed):
+    """A request without content.
 
-    type: Literal["link_for"]
-    id: Id
+    `link_for`: a link for a second device, such as a phone; answered by `LinkForMessage`.
+    `upright`: set a robot that is simulated with physics upright; answered by `AckMessage`.
+    """
 
-
-class UprightRequest(Closed):
-    """Set a robot that is simulated with physics upright; answered by `AckMessage`."""
-
-    type: Literal["upright"]
+    type: Literal["link_for", "upright"]
     id: Id
 
 
 FromPage = (
-    UprightRequest
-    | AliveMessage
+    AliveMessage
     | CommandRequest
     | StopAllRequest
     | ResetRequest
@@ -237,7 +233,7 @@ FromPage = (
     | CalibrateRequest
     | WalkWish
     | StopButtonRequest
-    | LinkForRequest
+    | PlainRequest
 )
 FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(discriminator="type")])
 

@@ -279,11 +279,11 @@ class Page:
             case messages.WalkWish():
                 if self._is_late(message.sent_ms, self._wishes) is None:
                     self._walks.take(message, self._lease.token if self._lease.mine else None)
-            case messages.UprightRequest():
+            case messages.PlainRequest(type="upright"):
                 self._ask(message.id, self._link.set_upright)
             case messages.StopButtonRequest():
                 self._button.take(message)
-            case messages.LinkForRequest():
+            case messages.PlainRequest():
                 self._tasks.check()
                 self._tasks.start(self._invite(message.id))
             case messages.CalibrateRequest():
