@@ -27,7 +27,9 @@ _BAD: Final = frozenset(
     }
 )
 """Events of a stop that nobody commanded leg by leg, or of one that may not have worked."""
-_WARN: Final = frozenset({Kind.COMMAND_REJECTED, Kind.BATTERY_LOW, Kind.SERVO_SILENT})
+_WARN: Final = frozenset(
+    {Kind.COMMAND_REJECTED, Kind.BATTERY_LOW, Kind.SERVO_SILENT, Kind.ESTOP_KEPT, Kind.ESTOP_NOT_KEPT}
+)
 
 UNCONFIRMED: Final = "STOP is not confirmed: switch the power off by hand."
 PATIENCE_NS: Final = 300_000_000

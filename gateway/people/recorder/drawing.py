@@ -22,13 +22,14 @@ from pydantic import ValidationError
 
 from gateway.geometry import Geometry, transforms
 from gateway.geometry.kinematics import BASE, FramePose
+from gateway.people.client.dangers import Tone, tone_of
 from gateway.people.ros2 import messages as ros
 from gateway.people.ros2 import robot
 from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.messages import LOG_ERROR, LOG_INFO, LOG_WARN, Message
 from schemas.keys import EVENT, SIM_BODY, STATE, TELEMETRY
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import BodyReport, GatewayState, Kind, Telemetry
+from schemas.telemetry import BodyReport, GatewayState, Telemetry
 
 INSTALLED: Final = find_spec("rosbags") is not None
 """A robot has no rosbags: it needs NumPy and a dozen more. There incidents are kept without ROS 2's messages."""
@@ -95,7 +96,7 @@ class Drawing:
         if topic == EVENT:
             where = "".join(f", {report[name]}" for name in ("source", "key") if report.get(name))
             sentence = f"{report['kind']}: {report['detail']}{where}"
-            yield LOG, log_line(_LEVELS.get(report["kind"], LOG_INFO), sentence, time_ns)
+            yield LOG, log_line(_LEVELS[tone_of(report["kind"])], sentence, time_ns)
         elif topic == STATE:
             yield from self.picture(time_ns)
             if self._due(DIAGNOSTICS, time_ns, DIAGNOSTICS_PERIOD_NS, report["mode"]):
@@ -159,22 +160,7 @@ class Drawing:
         return DESCRIPTION, robot.description(self._geometry)
 
 
-_LEVELS: Final = {
-    **dict.fromkeys(
-        (
-            Kind.COMMAND_REJECTED, Kind.WATCHDOG_EXPIRED, Kind.ESTOP_KEPT, Kind.ESTOP_NOT_KEPT, Kind.STOPPED_OUTSIDE,
-            Kind.BUS_MEDDLED, Kind.BATTERY_LOW, Kind.POWER_CUT, Kind.SERVO_SILENT,
-        ),
-        LOG_WARN,
-    ),
-    **dict.fromkeys(
-        (
-            Kind.ESTOP_ENGAGED, Kind.BUS_FAULT, Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED, Kind.FALLEN,
-            Kind.POWER_UNCONFIRMED, Kind.POWER_FAULT, Kind.SERVO_DRAWS, Kind.OFF_BUTTON,
-        ),
-        LOG_ERROR,
-    ),
-}  # fmt: skip
+_LEVELS: Final[dict[Tone, int]] = {"bad": LOG_ERROR, "warn": LOG_WARN, "plain": LOG_INFO}
 
 
 def log_line(level: int, sentence: str, time_ns: int) -> Message:

@@ -334,7 +334,9 @@ class _Recorder:
         while (now_s := time.monotonic()) < (end_s or now_s + 1):
             if now_s >= flush_s:
                 flush_s = now_s + FLUSH_S
-                self._flush()
+                self._recording.flush()
+                if self._table is not None:
+                    self._table.flush()
             if now_s >= progress_s:
                 progress_s = now_s + _PROGRESS_S
                 show_line(self._summary())
@@ -356,11 +358,6 @@ class _Recorder:
         self._recording.add(key, report, time_ns)
         if self._table is not None and key in (STATE, FRAME):
             self._table.add(self._recording.drawing.joints, time_ns)
-
-    def _flush(self) -> None:
-        self._recording.flush()
-        if self._table is not None:
-            self._table.flush()
 
     def _warn(self, sentence: str) -> None:
         hint(sentence)

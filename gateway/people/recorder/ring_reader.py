@@ -125,8 +125,12 @@ def read(path: Path) -> Content:
         ring = _Slots(data)
     except form.DamagedRingError as error:
         raise NoRingError(f"{path}: {error}") from error
-    records, damaged, missing = _merged(ring, _copies(path))
-    return Content(records, damaged, missing, written)
+    found = _Decoded()
+    for copy in _copies(path):  # their records that are older than all of the ring
+        found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
+    numbers = tuple(ring.numbers(ring.oldest, ring.newest + 1))
+    damaged = ring.damaged + found.take(ring, numbers)
+    return Content(found.records(), damaged, ring.newest - ring.oldest + 1 - len(numbers), written)
 
 
 def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
@@ -161,16 +165,6 @@ def _copies(path: Path) -> Iterator["_Slots"]:
     for copy in found:
         with suppress(NoRingError, form.DamagedRingError):
             yield _Slots(_read_file(copy, path)[0])
-
-
-def _merged(ring: "_Slots", copies: Iterable["_Slots"]) -> tuple[Records, int, int]:
-    """A ring's records, after those of its copies that are older than all of these."""
-    found = _Decoded()
-    for copy in copies:
-        found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
-    damaged = ring.damaged + found.take(ring, ring.numbers(ring.oldest, ring.newest + 1))
-    missing = ring.newest - ring.oldest + 1 - sum(1 for _ in ring.numbers(ring.oldest, ring.newest + 1))
-    return found.records(), damaged, missing
 
 
 class _Decoded:

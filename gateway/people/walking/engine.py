@@ -19,7 +19,7 @@ from gateway.people.walking import balance, gaits, tempo, ways
 from gateway.people.walking.balance import NOTHING, Felt, Senses
 from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried
 from gateway.people.walking.planning import Planner, balanced
-from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance
+from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance, largest
 from gateway.people.walking.swing import State, Swing
 from schemas.robot import LEGS
 from schemas.telemetry import Telemetry
@@ -386,9 +386,7 @@ class Engine:
         if self._cap[0] != key:
             self._cap = (
                 key,
-                tempo.largest(
-                    lambda part: self._stride_of(target.times(part)) * self._least_tempo <= tempo.TEMPO_SPARE
-                ),
+                largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= tempo.TEMPO_SPARE),
             )
         return self._cap[1]
 
@@ -399,7 +397,7 @@ class Engine:
 
     def _allowed(self, state: State, velocity: Velocity) -> float:
         """Return the part (0 to 1) of this velocity that keeps each standing foot in its disc until it is lifted."""
-        return tempo.largest(lambda part: self._stays(state, velocity.times(part)))
+        return largest(lambda part: self._stays(state, velocity.times(part)))
 
     def _begun(self, state: State, velocity: Velocity) -> float:
         """Return `_allowed` for a walk that begins. It first lifts the feet that would limit the velocity."""

@@ -22,6 +22,7 @@ _OFF: Final = 0.02
 """How far (radians) an axis may differ from the closed form's shape. Newton's method corrects the difference."""
 _CLOSE_M: Final = 1e-9
 _ITERATIONS: Final = 8
+_DAMPING: Final = 1e-10
 _PARALLEL: Final = 1e-12
 """Below this square of a distance (m²) the foot is on the first joint's axis, and any angle will do."""
 
@@ -144,31 +145,19 @@ class Limb:
 
 def _improved(angles: Angles, positions: LegPositions, off_m: Vector) -> Angles:
     """Return the angles after one step of Newton's method, slightly damped since a straight leg has no inverse."""
-    columns = [
+    one, two, three = (
         cross(axis, minus(positions.foot_m, joint_m))
         for axis, joint_m in zip(positions.axes, positions.joints_m, strict=True)
-    ]
-    damping = 1e-10
-    square = [[dot(a, b) + (damping if a is b else 0.0) for b in columns] for a in columns]
-    wanted = [dot(column, off_m) for column in columns]
-    one, two, three = _solved(square, wanted)
-    return angles[0] + one, angles[1] + two, angles[2] + three
-
-
-def _solved(matrix: list[list[float]], wanted: list[float]) -> Vector:
-    """Solve three linear equations by Cramer's rule."""
-    a, b, c = matrix[0], matrix[1], matrix[2]
-    columns = ((a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2]))
-    x, y, z = columns
-    right = (wanted[0], wanted[1], wanted[2])
-    determinant = dot(x, cross(y, z))
-    if determinant == 0.0:
-        return 0.0, 0.0, 0.0
-    return (
-        dot(right, cross(y, z)) / determinant,
-        dot(x, cross(right, z)) / determinant,
-        dot(x, cross(y, right)) / determinant,
     )
+    # The normal equations of J step = off, whose matrix is symmetric, by Cramer's rule.
+    x = dot(one, one) + _DAMPING, dot(one, two), dot(one, three)
+    y = x[1], dot(two, two) + _DAMPING, dot(two, three)
+    z = x[2], y[2], dot(three, three) + _DAMPING
+    right = dot(one, off_m), dot(two, off_m), dot(three, off_m)
+    across = cross(y, z)
+    steps = dot(right, across), dot(x, cross(right, z)), dot(x, cross(y, right))
+    first, second, third = (angle + step / dot(x, across) for angle, step in zip(angles, steps, strict=True))
+    return first, second, third
 
 
 # ---- vectors and rotations

@@ -1,7 +1,7 @@
 """The robot for its rides: geometry, range and speed of each servo, and where its feet can be. Pure."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -69,8 +69,19 @@ _REACH_STEP_M: Final = 0.01
 _HEIGHT: Final = 0.7
 """The usual height, as a part of the height at which the femur is level and the tibia upright."""
 _DIRECTIONS: Final = tuple((math.cos(angle), math.sin(angle)) for angle in (math.tau * k / 12 for k in range(12)))
-_HALVINGS: Final = 6
+_HALVINGS: Final = 7
 _CLEARANCE_M: Final = 0.003
+
+
+def largest(fits: Callable[[float], bool]) -> float:
+    """Return the largest part from 0 to 1 that fits; all smaller parts must fit, too."""
+    if fits(1.0):
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
 
 
 class Robot:
@@ -139,22 +150,24 @@ class Robot:
         if body.height_m < self.lying_m:
             raise WalkError(f"it cannot stand {_pose(body)}: it lies on the ground at {self.lying_m:.3f} m")
         wanted_m = STRIDE_RADIUS_M if walks else LEAST_RADIUS_M
-        fits: list[tuple[float, dict[int, Vector]]] = []
+        fits: list[dict[int, Vector]] = []
         why: WalkError | None = None
         for reach_m in self._reaches_m:
             feet = self._below(reach_m)
-            try:
-                self._check(body, feet, 0.0)
-                fits.append((reach_m, feet))
-                self._check(body, feet, wanted_m)
-            except WalkError as error:
-                why = why or error  # the first is of the place that needs the least force
-            else:
+            if (error := self._why_not(body, feet, 0.0)) is None:
+                fits.append(feet)
+                error = self._why_not(body, feet, wanted_m)
+            if error is None:
                 return Stance(body, MappingProxyType(feet), wanted_m)
+            why = why or error  # the first is of the place that needs the least force
         if not fits:
             raise WalkError(f"it cannot stand {_pose(body)}: {why}") from why
-        radius_m, feet = max(((self._radius_m(body, feet, wanted_m), feet) for _, feet in fits), key=lambda it: it[0])
-        return Stance(body, MappingProxyType(feet), radius_m, str(why))
+
+        def radius_m(feet: Mapping[int, Vector]) -> float:
+            return wanted_m * largest(lambda part: not self._why_not(body, feet, wanted_m * part))
+
+        widest = max(fits, key=radius_m)
+        return Stance(body, MappingProxyType(widest), radius_m(widest), str(why))
 
     def _widened(self, body: BodyPose) -> Mapping[int, Vector]:
         """Return places where feet keep `_WIDE_RADIUS_M` in each lean by WIDE_RAD; if there are none, the stance's."""
@@ -165,12 +178,8 @@ class Robot:
         ]
         for reach_m in self._reaches_m:
             feet = self._below(reach_m)
-            try:
-                for each in leaning:
-                    self._check(each, feet, _WIDE_RADIUS_M)
-            except WalkError:
-                continue
-            return MappingProxyType(feet)
+            if not any(self._why_not(each, feet, _WIDE_RADIUS_M) for each in leaning):
+                return MappingProxyType(feet)
         return self.stance(body).feet
 
     def _below(self, reach_m: float) -> dict[int, Vector]:
@@ -184,26 +193,18 @@ class Robot:
             for leg in LEGS
         }
 
-    def _radius_m(self, body: BodyPose, feet: Mapping[int, Vector], most_m: float) -> float:
-        """Return the radius, up to `most_m`, within which all feet reach."""
-        low, high = 0.0, most_m
-        for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            try:
-                self._check(body, feet, middle)
-            except WalkError:
-                high = middle
-            else:
-                low = middle
-        return low
-
-    def _check(self, body: BodyPose, feet: Mapping[int, Vector], radius_m: float) -> None:
+    def _why_not(self, body: BodyPose, feet: Mapping[int, Vector], radius_m: float) -> WalkError | None:
+        """Return why feet do not reach all of the discs with this radius, or None if they do."""
         turn = body.turn
-        for leg, (x, y, _) in feet.items():
-            for across, along in _DIRECTIONS if radius_m else _DIRECTIONS[:1]:
-                for up_m in (0.0, LIFT_M):
-                    point = x + radius_m * across, y + radius_m * along, up_m
-                    self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
+        try:
+            for leg, (x, y, _) in feet.items():
+                for across, along in _DIRECTIONS if radius_m else _DIRECTIONS[:1]:
+                    for up_m in (0.0, LIFT_M):
+                        point = x + radius_m * across, y + radius_m * along, up_m
+                        self.angles_deg(leg, body.seen(point, turn), _SPARE_DEG)
+        except WalkError as error:
+            return error
+        return None
 
     def _range(self, servo_id: int, ranges: Mapping[int, Range]) -> Range:
         """Return the range that both the servo and the joint allow."""

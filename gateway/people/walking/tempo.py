@@ -5,7 +5,6 @@ motion down.
 """
 
 import math
-from collections.abc import Callable
 from typing import Final
 
 from gateway.errors import WalkError
@@ -32,7 +31,6 @@ _QUICK_CLIMB: Final = 0.3
 """The part of a swing for that climb. Below 10 mm a foot, which may touch, moves straight up and down."""
 SPEED_SPARE: Final = 0.95
 """The usable part of a servo's speed: the gateway measures from its own last frame, whose time varies a little."""
-_HALVINGS: Final = 7
 STOPS_WITHIN: Final = 0.35
 """The part of a stride after which a walk that ends has velocity 0: its last swing then ends within the stride."""
 HALT_S: Final = 0.15
@@ -95,17 +93,6 @@ def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Ve
     part = max(0.0, left_s / state.brake_s)
     state.brake_s = max(0.0, left_s)
     return now.times(part) if part > _ALMOST else STILL
-
-
-def largest(fits: Callable[[float], bool]) -> float:
-    """Return the largest part from 0 to 1 that fits; all smaller parts must fit, too."""
-    if fits(1.0):
-        return 1.0
-    low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if fits(middle) else (low, middle)
-    return low
 
 
 MOST_M: Final = 20.0

@@ -226,7 +226,9 @@ class Page:
         try:
             message = messages.FROM_PAGE.validate_json(text)
         except ValidationError as error:
-            raise EndError(_first_fault(error)) from error
+            fault = error.errors(include_url=False, include_input=False)[0]
+            where = "".join(f"{part}: " for part in (".".join(map(str, fault["loc"])),) if part)
+            raise EndError(f"{where}{fault['msg']}") from error
         stops = isinstance(message, messages.StopAllRequest | messages.StopButtonRequest)
         if isinstance(message, messages.AliveMessage):
             self._is_late(message.now_ms)
@@ -379,9 +381,3 @@ class Page:
             self.outgoing.put(messages.AckMessage(id=press.id, took_ms=took_ms, ack=ack, error=error))
         if kind in self._leg_stops and not self._leg_stops[kind].unconfirmed:
             del self._leg_stops[kind]
-
-
-def _first_fault(error: ValidationError) -> str:
-    fault = error.errors(include_url=False, include_input=False)[0]
-    where = ".".join(str(part) for part in fault["loc"])
-    return f"{where}: {fault['msg']}" if where else fault["msg"]
