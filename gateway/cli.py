@@ -433,8 +433,8 @@ def _end(code: int) -> NoReturn:
 
     It would wait for those that still try to reach another host, and abort when a daemon returns from Zenoh.
     """
-    hosts = sys.modules.get("gateway.people.client.hosts")
-    if (hosts is not None and hosts.under_way()) or any(thread.daemon for thread in threading.enumerate()):
+    question = sys.modules.get("gateway.people.client.question")
+    if (question is not None and question.under_way()) or any(thread.daemon for thread in threading.enumerate()):
         atexit._run_exitfuncs()
         sys.stdout.flush()
         sys.stderr.flush()

@@ -28,8 +28,7 @@ from gateway.people.commands.options import Reach
 from gateway.people.console import phone
 from gateway.people.console.link import STACK_BYTES, GatewayLink
 from gateway.people.console.pages.page_messages import ROLES, Hello, Role, least
-from gateway.people.console.pages.page_stops import Stops, send_stopping
-from gateway.people.console.pages.page_tasks import EndError
+from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages, Shared
 from gateway.people.console.server.auth import Auth
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket

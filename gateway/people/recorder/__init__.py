@@ -30,10 +30,7 @@ def command(
         bool, typer.Option("--csv", help="Also write all commanded angles as a table: FILE with .csv.")
     ] = False,
     port: Annotated[
-        int,
-        typer.Option(
-            "--port", metavar="N", min=0, max=65535, help="The port of --live on 127.0.0.1; 0: any free port."
-        ),
+        int, typer.Option(metavar="N", min=0, max=65535, help="The port of --live on 127.0.0.1; 0: any free port.")
     ] = 8765,
     seconds: Annotated[
         float | None, typer.Option("--for", metavar="S", min=0, help="End after this many seconds.")

@@ -44,33 +44,24 @@ class NoRingError(GatewayError):
     """The black box cannot be read."""
 
 
+@dataclass(eq=False)
 class Records:
     """Records in the order in which they were written. Each is decoded at its use."""
 
-    def __init__(
-        self,
-        times_ns: Sequence[int],
-        kinds: Sequence[int],
-        read: Callable[[int], form.Record],
-        calibrations: Sequence[tuple[int, Calibration]] = (),
-        gaps: Collection[int] = (),
-    ) -> None:
-        """`read` makes the record at a place from 0 on; their times and types are known without that.
-
-        `calibrations`: those that were in force from a time on, besides the changes among the records.
-        `gaps`: the places before which the ring has overwritten records that no copy has.
-        """
-        self.gaps = gaps
-        self.times_ns = times_ns
-        self.kinds = kinds
-        self._read = read
-        self._in_force = calibrations
+    times_ns: Sequence[int]
+    kinds: Sequence[int]
+    read: Callable[[int], form.Record]
+    """Makes the record at a place from 0 on. Their times and types are known without that."""
+    calibrations: Sequence[tuple[int, Calibration]] = ()
+    """Those that were in force from a time on, besides the changes among the records."""
+    gaps: Collection[int] = ()
+    """The places before which the ring has overwritten records that no copy has."""
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
     def __getitem__(self, index: int) -> form.Record:
-        return self._read(range(len(self.times_ns))[index])
+        return self.read(range(len(self.times_ns))[index])
 
     def calibration_at(self, ns: int) -> Calibration | None:
         """Return the calibration in force at `ns`; None: unknown."""
@@ -99,10 +90,10 @@ class Records:
         places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
         changes = [self[index] for index in places]
         found = [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, form.Calibrated)]
-        return sorted([*self._in_force, *found], key=lambda each: each[0])
+        return sorted([*self.calibrations, *found], key=lambda each: each[0])
 
     def __iter__(self) -> Iterator[form.Record]:
-        return map(self._read, range(len(self)))
+        return map(self.read, range(len(self)))
 
 
 @dataclass(frozen=True, slots=True)

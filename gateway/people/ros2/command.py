@@ -20,16 +20,13 @@ def ros2(
         typer.Argument(metavar="[-- ROS_ARGS]", help="ROS 2's own arguments: -- --ros-args -r cmd_vel:=/cmd_vel_out"),
     ] = None,
     domain: Annotated[
-        int, typer.Option("--domain", metavar="N", min=0, max=232, envvar="ROS_DOMAIN_ID", help="The ROS domain.")
+        int, typer.Option(metavar="N", min=0, max=232, envvar="ROS_DOMAIN_ID", help="The ROS domain.")
     ] = 0,
     namespace: Annotated[
         str, typer.Option("--ros-namespace", metavar="NAME", help="Namespace of the topics and services; / for none.")
     ] = "/hexapod",
     joint_names: Annotated[
-        str,
-        typer.Option(
-            "--joint-names", metavar="PATTERN", help="Joint names in messages. The Elkapod's: leg{leg}_J{joint}."
-        ),
+        str, typer.Option(metavar="PATTERN", help="Joint names in messages. The Elkapod's: leg{leg}_J{joint}.")
     ] = "joint_{leg}{joint}",
     drive: Annotated[bool, typer.Option("--drive", help="Drive at once, without a call of the service drive.")] = False,
     allow_reset: Annotated[
@@ -39,25 +36,15 @@ def ros2(
     tf: Annotated[
         bool, typer.Option("--tf", help="Also publish /tf, for viewers without a robot_state_publisher.")
     ] = False,
-    joint_states_hz: Annotated[
-        float, typer.Option("--joint-states-hz", metavar="HZ", help="Most joint states a second, 1 to 50.")
-    ] = 50.0,
-    diagnostics_hz: Annotated[
-        float, typer.Option("--diagnostics-hz", metavar="HZ", help="Fewest diagnostics a second, 0.1 to 10.")
-    ] = 1.0,
+    joint_states_hz: Annotated[float, typer.Option(metavar="HZ", help="Most joint states a second, 1 to 50.")] = 50.0,
+    diagnostics_hz: Annotated[float, typer.Option(metavar="HZ", help="Fewest diagnostics a second, 0.1 to 10.")] = 1.0,
     base_frame: Annotated[
-        str,
-        typer.Option(
-            "--base-frame", metavar="NAME", help="Name of the body's frame in the URDF, /tf and measurements."
-        ),
+        str, typer.Option(metavar="NAME", help="Name of the body's frame in the URDF, /tf and measurements.")
     ] = "base",
-    imu_frame: Annotated[
-        str, typer.Option("--imu-frame", metavar="NAME", help="The frame of imu/data. Default: the body's.")
-    ] = "",
+    imu_frame: Annotated[str, typer.Option(metavar="NAME", help="The frame of imu/data. Default: the body's.")] = "",
     uncommanded_deg: Annotated[
         float | None,
         typer.Option(
-            "--uncommanded-deg",
             metavar="DEG",
             help="Angle in joint_states of servos that were never commanded, 0 to 180. Default: left out.",
         ),

@@ -1,33 +1,187 @@
-"""`ros2`: a session to the gateway, a node in ROS 2's graph, and the way from one to the other until the end."""
+"""`ros2`: a session to the gateway, a node in ROS 2's graph, and the way from one to the other until the end.
 
+The bridge publishes of the robot: joint states, what it measures, diagnostics, its description, and frames where they
+are wanted. While the gateway is silent, there are no joint states, and the diagnostics are stale.
+"""
+
+import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, UnansweredError
-from gateway.geometry import load
+from gateway.geometry import Geometry, load
 from gateway.own_command import install
-from gateway.people.client.subscriptions import subscribed
+from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
+from gateway.people.ros2 import messages as ros
+from gateway.people.ros2 import robot
+from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.driving import Driving
 from gateway.people.ros2.parameters import Parameters
 from gateway.people.ros2.trajectory import JointNames, JointsError
 from gateway.people.terminal import hint, on_end_signals, say
+from gateway.people.walking.motion import ORIGIN
+from schemas import keys
+from schemas.calibration import Calibration
+from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
 try:
     from gateway.people.ros2.follow_action import NAME, FollowAction
     from gateway.people.ros2.node import Node
-    from gateway.people.ros2.reports import CHANNELS, PERIOD_S, Reports
     from gateway.people.ros2.topics import Topics
 except ImportError as error:
     raise ConfigError(
         "the command ros2 needs ROS 2 for this Python: source its setup.bash, or "
         f"{install('rclpy')} (docs/ros2.md; {error})"
     ) from error
+
+PERIOD_S: Final = 0.02
+"""Period of `tick`: at most 50 joint states a second."""
+SILENT_S: Final = 1.0
+"""A gateway publishes its state ten times a second."""
+CHANGED_S: Final = 0.1
+"""Shorter period of diagnostics after a change of the mode or of what the bridge does."""
+OPEN: Final = "; the graph is open: all who reach it can drive the robot"
+CHANNELS: Final[dict[str, Any]] = {
+    keys.CALIBRATION: RingChannel(1),
+    keys.STATE: RingChannel(1),
+    keys.TELEMETRY: RingChannel(8),  # at its highest rate, those of four periods
+    keys.FRAME: RingChannel(256),  # of six legs at 50 Hz, those of 0.8 s
+}
+"""The gateway's keys that it reads; only the newest report counts."""
+
+R = TypeVar("R", bound=BaseModel)
+
+
+def _publisher(
+    node: Node, topic: str, kind: type[ros.Message], *, needed: bool = False
+) -> Callable[[ros.Message], None]:
+    """Return a publisher on a topic; None if this ROS 2 lacks the type. Raises ConfigError if the topic is `needed`."""
+    try:
+        return node.publisher(topic, kind)
+    except ConfigError:
+        if needed:
+            raise
+        return lambda _: None
+
+
+@dataclass(eq=False)
+class Reports:
+    """Publishes the gateway's reports as ROS 2 messages; for one thread."""
+
+    received: Mapping[str, Any]
+    """The rings of `CHANNELS`, by key."""
+    node: Node
+    geometry: Geometry
+    driving: Driving
+    topics: Topics
+    parameters: Parameters
+    states: States
+    hardware_id: str
+    with_tf: bool
+    is_open: bool
+    """Whether other machines may reach the graph."""
+
+    def __post_init__(self) -> None:
+        node, unknown_deg = self.node, self.parameters.uncommanded_deg
+        self._uncommanded_rad = {} if math.isnan(unknown_deg) else robot.all_at(self.geometry, unknown_deg)
+        self._joints = CommandedJoints(self.geometry)
+        self._state: GatewayState | None = None
+        self._received_s = self._diagnosed_s = self._published_s = 0.0
+        self._moved = False
+        """Whether a joint has moved since the latest joint states."""
+        self._diagnosed: object = None
+        self._joint_states = node.publisher("joint_states", ros.JointState)
+        self._diagnostics = node.publisher("diagnostics", ros.DiagnosticArray, always=True)
+        self._measured = {topic: node.publisher(topic, kind) for topic, kind in robot.MEASURED.items()}
+        self._tf = _publisher(node, "/tf", ros.TFMessage, needed=self.with_tf)
+        self._odom = _publisher(node, robot.ODOM, ros.Odometry)
+        self._at, self._way_m = ORIGIN, 0.0
+        """The last odometry, and the length of the way until then (m)."""
+        text = robot.description(self.geometry, self.topics.joints.of, self.parameters.base_frame)
+        node.publisher("robot_description", ros.String, latched=True)(text)
+
+    def begin(self, calibration: Calibration) -> None:
+        """Set the calibration in force at the start; later changes are received."""
+        self._joints.take(keys.CALIBRATION, calibration.model_dump(mode="json"))
+
+    def tick(self, now_s: float) -> None:
+        """Publish what was received since the last call. `now_s`: monotonic."""
+        self._take(keys.CALIBRATION, Calibration)
+        state = self._take(keys.STATE, GatewayState, self.states.join)
+        if state is not None:
+            self._moved = True
+            self._state, self._received_s = state, now_s
+            self.driving.receive(state)
+        while self._take(keys.FRAME, FrameRecord) is not None:
+            self._moved = True
+        time_ns, base = time.time_ns(), self.parameters.base_frame
+        while (telemetry := self._take(keys.TELEMETRY, Telemetry)) is not None:
+            for topic, message in robot.measured(telemetry, time_ns, base, self.parameters.measured_in):
+                self._measured[topic](message)
+        if self._moved and now_s - self._published_s >= 1 / self.parameters.joint_states_hz - PERIOD_S / 2:
+            self._moved, self._published_s = False, now_s
+            at_rad = self._uncommanded_rad | self._joints.rad
+            self._joint_states(robot.joint_state(at_rad, time_ns, self.topics.joints.of))
+            if self.with_tf:
+                self._tf(robot.frames(self.geometry, at_rad, time_ns, base))
+            self._walked(time_ns, base)
+        sign = (self._state and self._state.mode, self.driving.does, self.topics.latest_rejection)
+        if now_s - self._diagnosed_s >= (1 / self.parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
+            self._diagnosed_s, self._diagnosed = now_s, sign
+            statuses = (*self._gateway(now_s), self._bridge())
+            self._diagnostics(robot.diagnostic_array(statuses, time_ns, self.hardware_id))
+
+    def _walked(self, time_ns: int, base: str) -> None:
+        """Publish odometry and its frame while the bridge walks the robot."""
+        if (walked := self.driving.odometry) is None:
+            return
+        at, velocity = walked
+        turned_m = robot.A_TURN_M * abs(at.heading_rad - self._at.heading_rad)
+        self._way_m += math.hypot(at.x_m - self._at.x_m, at.y_m - self._at.y_m) + turned_m
+        self._at = at
+        self._odom(robot.odometry(at, velocity, self._way_m, time_ns, base))
+        self._tf(robot.odometry_frame(at, time_ns, base))
+
+    def _take(self, key: str, kind: type[R], read: Callable[[bytes], R | None] | None = None) -> R | None:
+        """Return the next valid report on a key: without access control anybody may publish there."""
+        sample = self.received[key].handler.try_recv()
+        if sample is None:
+            return None
+        try:
+            report = (read or kind.model_validate_json)(sample.payload.to_bytes())
+        except ValidationError:
+            return None
+        if report is not None:
+            self._joints.take(key, report.model_dump(mode="json"))
+        return report
+
+    def _gateway(self, now_s: float) -> tuple[ros.Message, ...]:
+        if self._state is None or now_s - self._received_s > SILENT_S:
+            return (robot.status("gateway", ros.STALE, "nothing is received from the gateway"),)
+        return robot.diagnostics(self._state)
+
+    def _bridge(self) -> ros.Message:
+        counts = {"taken": self.topics.taken, "rejected": self.topics.rejected}
+        return robot.status(
+            "ROS 2 bridge",
+            ros.WARN if self.is_open else ros.OK,
+            f"{self.driving.does}{OPEN if self.is_open else ''}",
+            drives=self.driving.drives,
+            open_graph=self.is_open,
+            **{f"{what} {topic}": count for what, found in counts.items() for topic, count in sorted(found.items())},
+            latest_rejection=self.topics.latest_rejection or None,
+        )
+
 
 _NAME: Final = "ros2"
 OPEN_NAME: Final = "ros2 (open graph)"
@@ -71,18 +225,15 @@ def serve(
             topics = Topics(node, driving, shape, joints, hint)
             node.serve("estop", driving.estop, always=True)
             received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
-            channels = dict(zip(CHANNELS, received, strict=True))
-            shown = node.parameters(parameters)
-            robot = namespace.strip("/") or node.get_name()
             reports = Reports(
-                channels,
+                dict(zip(CHANNELS, received, strict=True)),
                 node,
                 shape,
                 driving,
                 topics,
-                shown,
+                node.parameters(parameters),
                 client.states,
-                hardware_id=robot,
+                hardware_id=namespace.strip("/") or node.get_name(),
                 with_tf=with_tf,
                 is_open=is_open,
             )

@@ -4,6 +4,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -32,19 +33,19 @@ _MOST_SHOWN: Final = 200
 """Most reasons that get a line: other programs choose the names in some of them."""
 
 
+@dataclass(eq=False)
 class Topics:
     """The subscribed topics, with counts of taken and rejected messages."""
 
-    def __init__(
-        self, node: Node, driving: Driving, geometry: Geometry, joints: JointNames, show: Callable[[str], None]
-    ) -> None:
-        """`show` receives lines for a person, each reason once."""
-        self._driving = driving
-        self._geometry = geometry
-        self.joints = joints
-        self._node = node
-        self._present = node.senders("joint_trajectory")
-        self._show = show
+    node: Node
+    driving: Driving
+    geometry: Geometry
+    joints: JointNames
+    show: Callable[[str], None]
+    """Receives lines for a person, each reason once."""
+
+    def __post_init__(self) -> None:
+        self._present = self.node.senders("joint_trajectory")
         self._lock = threading.Lock()
         self._ages = Staleness(MAX_AGE_MS)
         walking = Rivals()
@@ -56,7 +57,7 @@ class Topics:
 
     def subscribe(self) -> None:
         """Take messages from now on; they move nothing before the bridge drives."""
-        stand = self._driving.stand
+        stand = self.driving.stand
         table: dict[str, tuple[str, Callable[[Any, Arrived], bool | None]]] = {
             "joint_commands": ("sensor_msgs/msg/JointState", self._joint_commands),
             "joint_trajectory": ("trajectory_msgs/msg/JointTrajectory", self._joint_trajectory),
@@ -69,7 +70,7 @@ class Topics:
         }
         for topic, (kind, take) in table.items():
             most = MAX_TRAJECTORY_BYTES if topic == "joint_trajectory" else _MAX_BYTES
-            self._node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
+            self.node.subscribe(topic, kind, most, partial(self._take, topic, take), partial(self.reject, topic))
 
     def record_alive(self) -> None:
         """Record that the process is alive. Call it at least ten times a second: else messages count as old."""
@@ -78,28 +79,28 @@ class Topics:
 
     def plan(self, message: Any) -> Trajectory:
         """Read a JointTrajectory that begins now, or at its stamp. Raises JointsError if it cannot be followed."""
-        return Trajectory.read(message, self.joints, self._geometry, time.monotonic(), time.time_ns())
+        return Trajectory.read(message, self.joints, self.geometry, time.monotonic(), time.time_ns())
 
     # ---- one for each topic
 
     def _joint_commands(self, message: Any, _: Arrived) -> None:
         at_rad = of_joints("position", self.joints.servos(message.name), message.position)
-        check_reach(self._geometry, at_rad)
-        self._driving.joints(at_rad)
+        check_reach(self.geometry, at_rad)
+        self.driving.joints(at_rad)
 
     def _joint_trajectory(self, message: Any, arrived: Arrived) -> None:
         if not message.points:
-            if not self._driving.drives:
-                raise NotTakenError(self._driving.does)
-            return self._driving.hold()
+            if not self.driving.drives:
+                raise NotTakenError(self.driving.does)
+            return self.driving.hold()
         is_there = presence(arrived.sender, self._present)
         if not is_there():
             raise NotTakenError("its sender is not seen in the graph (any more), and could not take it back")
-        return self._driving.follow(self.plan(message), is_there)
+        return self.driving.follow(self.plan(message), is_there)
 
     def _go(self, twist: Any) -> bool:
         velocity = Velocity.checked(twist.linear.x, twist.linear.y, twist.angular.z)
-        self._driving.go(velocity)
+        self.driving.go(velocity)
         return velocity.moves
 
     def _gait(self, number: int) -> None:
@@ -107,14 +108,19 @@ class Topics:
         if gait is None:
             known = ", ".join(f"{each} {name}" for each, name in NUMBERS.items())
             raise NotTakenError(f"there is no gait {number}; there are {known}")
-        self._driving.walk_as(gait)
+        self.driving.walk_as(gait)
 
     # ---- all of them
 
     def _take(self, topic: str, take: Callable[[Any, Arrived], bool | None], message: Any, arrived: Arrived) -> None:
         """`take` returns False for a message that claims nothing: others may publish, too."""
         try:
-            self._check_age(arrived)
+            _check_time(arrived.time_ns, "was sent at a time")
+            with self._lock:
+                now_ns = time.monotonic_ns()
+                old = self._ages.too_old(arrived.sender.hex(), arrived.time_ns / 1e6, now_ns, now_ns)
+            if old is not None:  # a link held it back
+                raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
             header = getattr(message, "header", None)
             if header is not None and (time_ns := stamp_ns(header)):
                 _check_time(time_ns, "has a stamp")
@@ -128,15 +134,6 @@ class Topics:
         else:
             self.taken[topic] += 1
 
-    def _check_age(self, arrived: Arrived) -> None:
-        """Raise NotTakenError if a link held the message back, or its sender's clock was never set."""
-        _check_time(arrived.time_ns, "was sent at a time")
-        with self._lock:
-            now_ns = time.monotonic_ns()
-            old = self._ages.too_old(arrived.sender.hex(), arrived.time_ns / 1e6, now_ns, now_ns)
-        if old is not None:
-            raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
-
     def reject(self, topic: str, why: str) -> None:
         """Count a rejected message, and show each reason once."""
         self.rejected[topic] += 1
@@ -144,7 +141,7 @@ class Topics:
         sign = self.latest_rejection.translate(_WITHOUT_DIGITS)
         if sign not in self._shown and len(self._shown) < _MOST_SHOWN:
             self._shown.add(sign)
-            self._show(f"not taken: {self.latest_rejection}")
+            self.show(f"not taken: {self.latest_rejection}")
 
 
 def _check_time(time_ns: int, what: str) -> None:

@@ -8,8 +8,7 @@ import pytest
 from gateway.errors import DisconnectedError
 from gateway.people.client.confirmed_stop import AGAIN_NS
 from gateway.people.console.pages.page_messages import Stopping
-from gateway.people.console.pages.page_stops import Stops, send_stopping
-from gateway.people.console.pages.page_tasks import Outgoing
+from gateway.people.console.pages.page_tasks import Outgoing, Stops, send_stopping
 from schemas.telemetry import Ack, Report
 
 pytestmark = pytest.mark.virtual_time

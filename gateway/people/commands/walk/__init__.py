@@ -25,31 +25,24 @@ def _gaits() -> list[str]:
 def walk(
     *,
     forward: Annotated[
-        float, typer.Option("--forward", metavar="M_S", help="Speed forward, in metres a second; below 0: backward.")
+        float, typer.Option(metavar="M_S", help="Speed forward, in metres a second; below 0: backward.")
     ] = 0.0,
     left: Annotated[
-        float,
-        typer.Option("--left", metavar="M_S", help="Speed to the left, in metres a second; below 0: to the right."),
+        float, typer.Option(metavar="M_S", help="Speed to the left, in metres a second; below 0: to the right.")
     ] = 0.0,
     turn: Annotated[
         float,
-        typer.Option(
-            "--turn", metavar="RAD_S", help="Speed of turning to the left, in radians a second; below 0: to the right."
-        ),
+        typer.Option(metavar="RAD_S", help="Speed of turning to the left, in radians a second; below 0: to the right."),
     ] = 0.0,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", metavar="S", min=0, max=3600, help="Walk this long, without a person.")
+        float | None, typer.Option(metavar="S", min=0, max=3600, help="Walk this long, without a person.")
     ] = None,
     gait: Annotated[
         str,
-        typer.Option(
-            "--gait",
-            autocompletion=_gaits,
-            help="The order in which legs step: tripod (the fastest), ripple or wave.",
-        ),
+        typer.Option(autocompletion=_gaits, help="The order in which legs step: tripod (the fastest), ripple or wave."),
     ] = "tripod",
     height: Annotated[
-        float | None, typer.Option("--height", metavar="M", help="Height of the body above the ground, in metres.")
+        float | None, typer.Option(metavar="M", help="Height of the body above the ground, in metres.")
     ] = None,
     adapt: AdaptOption = False,
     geometry: OtherShapeOption = None,

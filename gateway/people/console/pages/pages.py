@@ -32,8 +32,7 @@ from gateway.people.console.link import GatewayLink, LinkReceiver
 from gateway.people.console.pages import page_messages as messages
 from gateway.people.console.pages.page_calibration import PageCalibration
 from gateway.people.console.pages.page_lease import PageLease, StopButton
-from gateway.people.console.pages.page_stops import Stops, now_ns
-from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks
+from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTasks, Stops, now_ns
 from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
 from gateway.people.walking.words import robot_now
 from schemas import keys
