@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from datetime import datetime
 from enum import Enum, auto
-from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import zenoh
@@ -240,19 +240,19 @@ class Live:
 
 
 def _later(name: str) -> Any:
-    """Return a method that has the receiver's method of this name called on the loop."""
-    return lambda on_loop, *arguments: on_loop._put(getattr(on_loop._receiver, name), *arguments)
+    """Return a method that has the receivers' method of this name called on the loop."""
+    return lambda on_loop, *arguments: on_loop._put(name, *arguments)
 
 
 class OnLoop(Receiver):
-    """Calls a receiver on an event loop, in order: the newest of each kind, and at most 256 events, so that a flood
+    """Calls receivers on an event loop, in order: the newest of each kind, and at most 256 events, so that a flood
     takes no memory."""
 
-    def __init__(self, loop: "AbstractEventLoop", receiver: Receiver) -> None:
+    def __init__(self, loop: "AbstractEventLoop", *receivers: Receiver) -> None:
         self._loop = loop
-        self._receiver = receiver
+        self._receivers = receivers
         self._lock = threading.Lock()
-        self._waiting: dict[str, Callable[[], None]] = {}
+        self._waiting: dict[str, tuple[object, ...]] = {}
         self._events: deque[Event] = deque()
         self._left_out = 0
 
@@ -272,14 +272,14 @@ class OnLoop(Receiver):
             if len(self._events) > KEPT_EVENTS:
                 self._events.popleft()
                 self._left_out += 1
-        self._put(self._deliver_events)
+        self._put("received_event")
 
-    def _put(self, take: Callable[..., None], *arguments: object) -> None:
-        """Call `take` on the loop with these arguments, after the waiting calls."""
+    def _put(self, name: str, *arguments: object) -> None:
+        """Call the receivers' method of this name on the loop, after the waiting calls."""
         with self._lock:
             announced = bool(self._waiting)
-            self._waiting.pop(take.__name__, None)
-            self._waiting[take.__name__] = partial(take, *arguments)
+            self._waiting.pop(name, None)
+            self._waiting[name] = arguments
         if not announced:
             with suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._deliver)
@@ -287,13 +287,11 @@ class OnLoop(Receiver):
     def _deliver(self) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, {}
-        for call in waiting.values():
-            call()
-
-    def _deliver_events(self) -> None:
-        with self._lock:
             events, self._events = self._events, deque()
             left_out, self._left_out = self._left_out, 0
-        for event in events:
-            self._receiver.received_event(event, left_out)
-            left_out = 0
+        for name, arguments in waiting.items():
+            calls = [arguments]
+            if name == "received_event":
+                calls = [(each, 0 if number else left_out) for number, each in enumerate(events)]
+            for receiver, call in product(self._receivers, calls):
+                getattr(receiver, name)(*call)

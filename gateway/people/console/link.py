@@ -22,7 +22,7 @@ from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import LinkMessage
 from gateway.people.console.pages.presence import GatewayPresence
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
+from schemas.telemetry import Ack, GatewayState
 
 T = TypeVar("T")
 
@@ -51,18 +51,16 @@ class ReadyThreads:
         return await asyncio.get_running_loop().run_in_executor(self.executor, function)
 
 
-class LinkReceiver(Receiver):
-    """Receives on the event loop what the gateway publishes, and changes of the link to it."""
-
-    def link_changed(self, link: LinkMessage) -> None:
-        """The link has changed. A page stops driving by itself 500 ms after the newest state."""
-
-
 class GatewayLink(Receiver):
     """`Live` on an event loop, with the link's status."""
 
-    def __init__(self, reach: Reach, source: str, receiver: LinkReceiver) -> None:
-        """`source` is the name of the console's emergency stops."""
+    def __init__(
+        self, reach: Reach, source: str, receiver: Receiver, link_changed: Callable[[LinkMessage], None]
+    ) -> None:
+        """`source` is the name of the console's emergency stops. `receiver` and `link_changed` are called on the loop.
+
+        A page stops driving by itself 500 ms after the newest state.
+        """
         connect, zenoh_config, timeout_s = reach
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
         self._stop_all = ReadyThreads(REQUESTS_AT_ONCE, "STOP ALL")
@@ -71,9 +69,9 @@ class GatewayLink(Receiver):
         loop = asyncio.get_running_loop()
         loop.set_default_executor(self._questions.executor)
         self._spare = Spare()
-        self._receiver = receiver
+        self._link_changed = link_changed
         reasons = partial(why.unanswered, connect=connect, zenoh_config=zenoh_config)
-        self._live = Live(partial(self._connect, source=source), OnLoop(loop, self), reasons)
+        self._live = Live(partial(self._connect, source=source), OnLoop(loop, self, receiver), reasons)
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
         self._presence = GatewayPresence()
@@ -121,8 +119,9 @@ class GatewayLink(Receiver):
         """Open the session and watch it, until cancelled. Raises errors that waiting does not resolve."""
         self._live.start()
         while not self._failed.done():
-            if self._opened.is_set():
-                self._watch()
+            if self._opened.is_set() and self._live.is_silent(time.monotonic_ns()):
+                self._presence.fell_silent(linked=self.client().connected)
+                self._announce()
             await asyncio.wait([self._failed], timeout=CHECK_EVERY_S)
         self._failed.result()
 
@@ -149,25 +148,11 @@ class GatewayLink(Receiver):
         self._announce()
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
+        del state, received_ns  # the pages' own
         self._presence.received_state()
-        self._receiver.received_state(state, received_ns)
         self._announce()
-
-    def received_body(self, body: BodyReport) -> None:
-        self._receiver.received_body(body)
-
-    def received_telemetry(self, telemetry: Telemetry) -> None:
-        self._receiver.received_telemetry(telemetry)
-
-    def received_event(self, event: Event, left_out: int = 0) -> None:
-        self._receiver.received_event(event, left_out)
-
-    def _watch(self) -> None:
-        if self._live.is_silent(time.monotonic_ns()):
-            self._presence.fell_silent(linked=self.client().connected)
-            self._announce()
 
     def _announce(self) -> None:
         if self._presence.link != self._announced:
             self._announced = self._presence.link
-            self._receiver.link_changed(self._announced)
+            self._link_changed(self._announced)

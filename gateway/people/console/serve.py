@@ -202,7 +202,7 @@ async def _run(
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     loop.set_exception_handler(_report)
     pages = Pages(owner.common_name, found.revoke)
-    gateway = GatewayLink(options.reach, owner.person, pages)
+    gateway = GatewayLink(options.reach, owner.person, pages, pages.link_changed)
     stops = Stops(gateway.estop, send_stopping)
     console = Console(
         found,

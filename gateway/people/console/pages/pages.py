@@ -28,7 +28,8 @@ from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.client.dangers import PowerAlarm, power_now, tone_of
-from gateway.people.console.link import GatewayLink, LinkReceiver
+from gateway.people.client.live import Receiver
+from gateway.people.console.link import GatewayLink
 from gateway.people.console.pages import page_messages as messages
 from gateway.people.console.pages.page_calibration import PageCalibration
 from gateway.people.console.pages.page_lease import PageLease, StopButton
@@ -72,7 +73,7 @@ class Shared:
     new_link: Callable[[], str]
 
 
-class Pages(LinkReceiver):
+class Pages(Receiver):
     """All open pages, each of which is sent what the gateway publishes.
 
     All sessions end when the gateway reports that this console's own certificate is revoked, which it does before it
