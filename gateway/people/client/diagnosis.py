@@ -244,7 +244,10 @@ def _unreachable(host: str, port: int, error: OSError) -> Finding:
 
 def _tls(connection: socket.socket, host: str, identity: Identity, end_s: float) -> Iterator[Finding]:
     try:
-        context = _context(identity)
+        context = ssl.create_default_context(cafile=None if identity.ca is None else str(identity.ca))
+        context.check_hostname = identity.verify_name
+        if identity.certificate is not None:
+            context.load_cert_chain(str(identity.certificate), None if identity.key is None else str(identity.key))
     except (OSError, ssl.SSLError) as error:
         yield Finding(Stage.CERTIFICATE, f"the files of your certificate do not go together ({error})", _NEW_BUNDLE)
         return
@@ -270,14 +273,6 @@ _NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, a
 _SHOWS_NONE: Final = "the robot wants a certificate, and you show none"
 _GIVE_CERTIFICATE: Final = "give --zenoh-config NAME.json5, which `hexapod-gateway certs issue` made"
 _NO_TLS: Final = "does the gateway use certificates? Without them it is tcp/…, and on its own machine only"
-
-
-def _context(identity: Identity) -> ssl.SSLContext:
-    context = ssl.create_default_context(cafile=None if identity.ca is None else str(identity.ca))
-    context.check_hostname = identity.verify_name
-    if identity.certificate is not None:
-        context.load_cert_chain(str(identity.certificate), None if identity.key is None else str(identity.key))
-    return context
 
 
 def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:

@@ -257,14 +257,19 @@ class Stream:
                         self._lease.check()
                     self._check()
                 if angles.keys() <= self._started:
-                    self._publish(angles)
+                    payload = {"source": self._client.name, "legs": setpoints("set", angles)}
+                    self._client.publish(keys.LEGS_COMMAND, payload)
+                    self._doubt.sent(time.monotonic())
                 else:
                     self._start(angles)
             except (StoppedError, RejectedError, DisconnectedError) as error:
                 self._raise(error)
 
     def _raise(self, error: StoppedError | RejectedError | DisconnectedError) -> NoReturn:
-        lost = self._lost_lease(error)
+        lost = error if isinstance(error, LeaseLostError) else None
+        may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
+        if lost is None and may_be and self._lease is not None:  # a takeover stops all legs and rejects later commands
+            lost = self._lease.confirm()
         if lost is not None:
             self._over = lost
             raise lost from (None if lost is error else error)
@@ -287,17 +292,6 @@ class Stream:
         if (why := stopped.unready(state)) is not None:
             return stopped.until_reset(why, self._client.reset_command)
         return None if self._client.carried_lease else stopped.not_free(state)
-
-    def _lost_lease(self, error: GatewayError) -> LeaseLostError | None:
-        """Return the lease's loss, if it caused the error: a takeover stops all legs and rejects later commands."""
-        if isinstance(error, LeaseLostError):
-            return error
-        may_be = isinstance(error, StoppedError) or (isinstance(error, RejectedError) and error.reason in NOT_OURS)
-        return self._lease.confirm() if may_be and self._lease is not None else None
-
-    def _publish(self, angles: LegAngles) -> None:
-        self._client.publish(keys.LEGS_COMMAND, {"source": self._client.name, "legs": setpoints("set", angles)})
-        self._doubt.sent(time.monotonic())
 
     def _start(self, angles: LegAngles) -> None:
         new = {leg: each for leg, each in angles.items() if leg not in self._started}

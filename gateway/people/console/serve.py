@@ -217,7 +217,11 @@ async def _run(
     for each in (serving, watching):
         each.add_done_callback(lambda _: ended.set())
     realtime.freeze_gc()
-    _say_where(site, found, options.card)
+    say(f"For a{'nother' if os.isatty(1) else ''} browser: {site.link_command}")
+    if os.isatty(1):  # a journal, or another reader of this output, would keep a link and show it to others
+        show(found.new_link(options.card))
+    else:
+        say(f"The console is at {site.url}")
     shown = _opened(site, found, options.card) if options.open_browser else nullcontext()
     # Not by the loop's own handlers of signals, which Windows does not have.
     with on_end_signals(lambda: loop.call_soon_threadsafe(ended.set)), shown:
@@ -239,15 +243,6 @@ async def _run(
 def _report(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """Log one line as asyncio's exception handler; its own would render a traceback on the loop."""
     _log.error("%s: %r", context.get("message"), context.get("exception"))
-
-
-def _say_where(site: Site, found: Sessions, card: str) -> None:
-    """Print a link to a terminal only: a journal, or another reader of this output, keeps it and shows it to others."""
-    say(f"For a{'nother' if os.isatty(1) else ''} browser: {site.link_command}")
-    if os.isatty(1):
-        show(found.new_link(card))
-    else:
-        say(f"The console is at {site.url}")
 
 
 @contextmanager

@@ -46,7 +46,12 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
         spec.compiler.fusestatic = False
         spec.body(BASE).add_freejoint()
         friction = [assumed.friction, 0.005, 0.0001]
-        _weigh_and_cover(spec, assumed.mass_kg / MASSES.total_kg, friction)
+        share = assumed.mass_kg / MASSES.total_kg
+        for body in spec.bodies:
+            body.mass *= share
+            body.inertia = body.inertia * share
+            for geom in body.geoms:
+                geom.contype, geom.conaffinity, geom.friction = _ROBOT, _FLOOR, friction
         _lay_ground(spec, assumed.terrain, friction)
         for servo_id in SERVO_IDS:
             name = joint_name(servo_id)
@@ -61,14 +66,6 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
     model.opt.cone, model.opt.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, _FRICTION_RATIO
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # a divergence is reported first
     return model
-
-
-def _weigh_and_cover(spec: Any, share: float, friction: list[float]) -> None:
-    for body in spec.bodies:
-        body.mass *= share
-        body.inertia = body.inertia * share
-        for geom in body.geoms:
-            geom.contype, geom.conaffinity, geom.friction = _ROBOT, _FLOOR, friction
 
 
 def _lay_ground(spec: Any, terrain: Terrain, friction: list[float]) -> None:
@@ -142,17 +139,6 @@ class Body(NamedTuple):
     def upright(self) -> bool:
         """Whether the robot has not fallen over."""
         return self.tilt_deg <= FALLEN_DEG
-
-
-class _Depth(NamedTuple):
-    """How deep one part of the robot is inside another."""
-
-    depth_m: float
-    inner: str
-    outer: str
-
-    def __str__(self) -> str:
-        return f"{self.inner} is in {self.outer} {1000 * self.depth_m:.0f} mm deep"
 
 
 class World:
@@ -239,8 +225,8 @@ class World:
 
     def overlap(self) -> str | None:
         """Return a sentence about legs that are inside each other: nothing keeps the legs of a model apart."""
-        legs = [each for each in self._depths() if "leg" in each.outer and "leg" in each.inner]
-        return f"{max(legs)}: look at its geometry" if legs else None
+        legs = [sentence for _, sentence in sorted(self._depths()) if sentence.count("leg") > 1]
+        return f"{legs[-1]}: look at its geometry" if legs else None
 
     def fault(self) -> str | None:
         """Return why the simulation since the last call is invalid, in a sentence. Then the robot lies at its start."""
@@ -260,7 +246,7 @@ class World:
             joints_rad = {servo_id: float(self._kept[_FREE + place]) for servo_id, place in self._places.items()}
         deepest = max(self._depths(), default=None)
         self.lie_down(joints_rad)
-        inside = f"; {deepest}" if deepest is not None else ""
+        inside = f"; {deepest[1]}" if deepest is not None else ""
         return (
             f"the simulation exploded after {time_s:.1f} s{fast}{inside}. The robot lies down anew; look at its "
             "geometry, mass and torque"
@@ -285,8 +271,8 @@ class World:
         tips_m, contacts_m = self.data.geom_xpos[list(self.feet)], self.data.contact.pos
         return np.linalg.norm(tips_m[:, np.newaxis] - contacts_m, axis=2) < _END_M
 
-    def _depths(self) -> Iterator["_Depth"]:
-        """Yield how deep parts are inside other parts or the ground; parts of one leg may overlap."""
+    def _depths(self) -> Iterator[tuple[float, str]]:
+        """Yield how deep (m) parts are in others or the ground, and a sentence. Parts of one leg may overlap."""
         model = self.model
         types = model.geom_contype.copy(), model.body_contype.copy()
         model.geom_contype[:] = model.body_contype[:] = 3  # each other, too
@@ -296,7 +282,7 @@ class World:
             contact = self.data.contact[number]
             first, second = map(self._owner, contact.geom)
             if contact.dist < -_DEEP_M and first != second:
-                yield _Depth(-float(contact.dist), first, second)
+                yield -contact.dist, f"{first} is in {second} {-1000 * contact.dist:.0f} mm deep"
 
     def _owner(self, geom: int) -> str:
         name = self.model.body(self.model.geom_bodyid[geom]).name

@@ -117,8 +117,11 @@ def read(path: Path) -> Content:
     except form.DamagedRingError as error:
         raise NoRingError(f"{path}: {error}") from error
     found = _Decoded()
-    for copy in _copies(path):  # their records that are older than all of the ring
-        found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
+    with suppress(OSError):
+        for file in copies_of(path.resolve()):  # oldest first; of each its records that are older than all of the ring
+            with suppress(NoRingError, form.DamagedRingError):  # cut off, or another user's
+                copy = _Slots(_read_file(file, path)[0])
+                found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
     numbers = tuple(ring.numbers(ring.oldest, ring.newest + 1))
     damaged = ring.damaged + found.take(ring, numbers)
     return Content(found.records(), damaged, ring.newest - ring.oldest + 1 - len(numbers), written)
@@ -145,17 +148,6 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
         raise NoRingError(f"{path}: {error.strerror}") from error
     finally:
         os.close(fd)
-
-
-def _copies(path: Path) -> Iterator["_Slots"]:
-    """Yield the copies in a ring's folder, oldest first, without those that are cut off or another user's."""
-    try:
-        found = copies_of(path.resolve())
-    except OSError:
-        return
-    for copy in found:
-        with suppress(NoRingError, form.DamagedRingError):
-            yield _Slots(_read_file(copy, path)[0])
 
 
 class _Decoded:

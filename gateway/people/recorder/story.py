@@ -11,7 +11,7 @@ from gateway.model.frames import Frame, Op
 from gateway.people.recorder.incidents import kind_of
 from gateway.people.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER, RecordedMessage
 from gateway.people.ros2.commanded import UserAngles
-from gateway.text import visible
+from gateway.text import legs_named, visible
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Telemetry
@@ -99,7 +99,11 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
         if _is_command(message):
             if _moves(message):
                 moved_ns.append(message.time_ns)
-        elif _is_headline(message):
+        elif message.topic == keys.FRAME:
+            reported += [message] if _is_watchdogs(message) else []
+        elif message.topic == keys.EVENT:
+            reported += [message] if str(message.content.get("kind")) in _ENDINGS else []
+        elif message.topic == RECORDER and message.content.get("what") in (INCIDENT, "lag", "killed"):
             reported.append(message)
     zero = _zero(reported)
     happened = {kind_of(str(zero.content.get("detail"))): ""}
@@ -114,7 +118,7 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
     legs = sorted(_stopped_legs(frames_in(reported), zero.time_ns))
     words = {ending: f"{WORDS.get(ending, ending)}{by}" for ending, by in happened.items()}
     if legs and "watchdog" in words:
-        words["watchdog"] += f": {_named(legs)}"
+        words["watchdog"] += f": {legs_named(legs)}"
     first = words.pop(worst)
     if worst in ("watchdog", "landing"):
         first = _stood_still(reported, moved_ns, zero.time_ns) or first
@@ -124,14 +128,6 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
 def _zero(messages: Iterable[RecordedMessage]) -> RecordedMessage:
     """The note about the incident itself."""
     return next(each for each in messages if each.topic == RECORDER and each.content.get("what") == INCIDENT)
-
-
-def _is_headline(message: RecordedMessage) -> bool:
-    if message.topic == keys.FRAME:
-        return message.content.get("cause") == Cause.WATCHDOG
-    kind = message.content.get("kind") if message.topic == keys.EVENT else None
-    note = message.content.get("what") if message.topic == RECORDER else None
-    return str(kind) in _ENDINGS or note in (INCIDENT, "lag", "killed")
 
 
 def _stood_still(notes: Sequence[RecordedMessage], moved_ns: Sequence[int], zero_ns: int) -> str:
@@ -179,12 +175,6 @@ def _who(source: Any) -> str:
     return str(source) if source else "somebody without a name"
 
 
-def _named(legs: list[int]) -> str:
-    if legs == list(LEGS):
-        return "all six legs"
-    return f"leg{'s' if len(legs) > 1 else ''} {', '.join(map(str, legs))}"
-
-
 def _asked(message: RecordedMessage, leg: int) -> str:
     """anna, set 90 45 120"""
     parts: list[str] = []
@@ -208,7 +198,7 @@ def _summary(messages: list[RecordedMessage]) -> Iterator[str]:
             legs.setdefault(who, set()).update(_legs_of(message))
     for who, count in counts.most_common():
         commands = f"{count} command{'s' if count > 1 else ''}"
-        yield f"Before it, {who} sent {commands} for {_named(sorted(legs[who]))}."
+        yield f"Before it, {who} sent {commands} for {legs_named(sorted(legs[who]))}."
 
 
 def _commands(messages: list[RecordedMessage], frames: Sequence[FrameIn], name: str) -> Iterator[Line]:
@@ -307,7 +297,7 @@ def _stops_in_one_line(group: Sequence[FrameIn]) -> Line:
     late = first.content.get("late_us")
     after = "" if late is None else f", {late:.0f} µs after the deadline"
     why = "" if cause == Cause.REPEAT else f" ({cause})"
-    return Line(first.time_ns, f"{written} {_named(legs)}{why}{after}{until}")
+    return Line(first.time_ns, f"{written} {legs_named(legs)}{why}{after}{until}")
 
 
 def _landings(messages: Iterable[RecordedMessage], frames: Iterable[FrameIn]) -> Iterator[Line]:
@@ -363,7 +353,7 @@ def _standing(stands: dict[int, int | None]) -> str:
         if angles != [None] * 3:
             words = " ".join("off" if angle is None else f"{angle / 100:g}" for angle in angles)
             legs.setdefault(words, []).append(leg)
-    return "; ".join(f"{_named(numbers)} at {words}" for words, numbers in legs.items())
+    return "; ".join(f"{legs_named(numbers)} at {words}" for words, numbers in legs.items())
 
 
 _NOTES: Final = {

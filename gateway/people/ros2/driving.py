@@ -30,7 +30,7 @@ _NOT_OURS: Final = (
     "this emergency stop did not come through ROS alone, or not while the bridge drove; leave it at the robot, or "
     "start the bridge with --allow-reset"
 )
-M = TypeVar("M", bound=Motion)
+M = TypeVar("M", JointCommands, Following, Walking)
 
 
 class NotTakenError(Exception):

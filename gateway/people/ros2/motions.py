@@ -11,7 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 from gateway.errors import GatewayError, StoppedError, WalkError
 from gateway.geometry import Geometry
@@ -32,18 +32,6 @@ LONGEST_SIT_S: Final = 30.0
 STARTS_WHOLE: Final = "this robot starts as a whole: what starts it has to name all 18 joints"
 REPLACED: Final = "a newer trajectory has replaced it"
 DOES_NOT_STAND: Final = "the robot does not stand; a velocity, or cmd_base_height, makes it stand up"
-
-
-class Motion(Protocol):
-    """One motion, from its first message until its servos are stopped."""
-
-    title: str
-
-    def check(self, now_s: float) -> bool:
-        """Return whether the motion continues. Raises the error that ended it. Call it at least ten times a second."""
-
-    def end(self, *, sits: bool) -> None:
-        """Stop the servos that the motion started; with `sits`, lie down first if possible. Raises GatewayError."""
 
 
 class JointCommands:
@@ -83,7 +71,7 @@ class JointCommands:
         return True
 
     def end(self, *, sits: bool) -> None:
-        """See Motion; it cannot sit, since nobody knows how the robot stands."""
+        """Stop the legs. It cannot sit, since nobody knows how the robot stands."""
         del sits
         self._stream.close()
 
@@ -372,3 +360,7 @@ def next_start(legs: dict[int, Degrees], started: frozenset[int], *, whole: bool
         raise JointsError(STARTS_WHOLE)
     new = new if whole else new[:1]
     return {leg: angles for leg, angles in legs.items() if leg in started or leg in new}
+
+
+Motion = JointCommands | Following | Walking
+"""`check` returns whether it continues, and raises the error that ended it. `end` stops the servos that it started."""

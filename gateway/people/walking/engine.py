@@ -244,20 +244,15 @@ class Engine:
         if self._next_gait is not None:
             self.gait_name, self._gait = self._next_gait, gaits.gait(self._next_gait)
             self._next_gait = None
-            self._step_within_reach()
+            # No velocity would lift feet that the former gait left outside of this gait's discs.
+            outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
+            if outside and not state.sits:
+                state.moves, state.rests, state.part = self._planner.way(state, self._stance), {}, 0.0
         if self._wanted:
             wanted = self._wanted.popleft()
             self._stance = wanted or self._stance
             state.moves, state.rests = self._planner.way(state, wanted), {}
             state.sits, state.part = wanted is None, 0.0
-
-    def _step_within_reach(self) -> None:
-        """Step feet back into this gait's discs if the former gait left them outside: no velocity would lift them."""
-        state = self._state
-        outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
-        if outside and not state.sits:
-            state.moves, state.rests = self._planner.way(state, self._stance), {}
-            state.part = 0.0
 
     def _lower(self, legs: Iterable[int]) -> None:
         state = self._state
@@ -315,8 +310,11 @@ class Engine:
             state.clock = (state.clock + (0.0 if began else seconds / gait.period_s)) % 1.0
         for leg, swing in list(state.swings.items()):
             self._swing(state, leg, swing, seconds, felt.feet.get(leg))
-        if velocity.moves and not self.lost:
-            self._lift(state)
+        standing = [leg for leg in LEGS if leg not in state.swings]
+        due = [leg for leg in standing if self._is_due(leg, state.clock)] if velocity.moves and not self.lost else []
+        stay = [leg for leg in standing if leg not in due]
+        if due and len(stay) >= _LEAST_FEET and balanced(self.robot, state, stay):  # else those that are due wait
+            state.swings.update({leg: Swing(state.feet[leg]) for leg in due})
 
     def _swing(self, state: State, leg: int, swing: Swing, seconds: float, touches: bool | None) -> None:
         """Move a foot from the line on which the ground carried it to the line on which it will land.
@@ -346,15 +344,6 @@ class Engine:
             state.swings[leg] = ends.swing
             return
         state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
-
-    def _lift(self, state: State) -> None:
-        """Lift the feet that are due, if the others carry the robot; else they wait."""
-        due = [leg for leg in LEGS if leg not in state.swings and self._is_due(leg, state.clock)]
-        if not due:
-            return
-        stay = [leg for leg in LEGS if leg not in state.swings and leg not in due]
-        if len(stay) >= _LEAST_FEET and balanced(self.robot, state, stay):
-            state.swings.update({leg: Swing(state.feet[leg]) for leg in due})
 
     def _is_due(self, leg: int, clock: float) -> bool:
         return gaits.phase(self._quick, leg, clock + _ALMOST) < (1 - self._quick.duty) / 2

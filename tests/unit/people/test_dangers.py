@@ -9,8 +9,10 @@ import pytest
 from gateway.errors import UnansweredError
 from gateway.people.client.dangers import (
     PATIENCE_NS,
+    SHOWN_NS,
     UNCONFIRMED,
     PowerAlarm,
+    StopStatus,
     confirmed_off,
     power_now,
     tone_of,
@@ -18,7 +20,6 @@ from gateway.people.client.dangers import (
 from gateway.people.client.stopped import ALL_STOPPED
 from gateway.people.commands.send import command_report, estop_report
 from gateway.people.console.pages.pages import Page, Pages
-from gateway.people.terminal.stop_status import SHOWN_NS, StopStatus
 from schemas.telemetry import Ack, GatewayState, Kind, Mode, PowerReport
 from tests.support.published import event, state
 from tests.unit.people.test_console_pages import OpenPage

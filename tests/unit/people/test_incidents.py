@@ -90,11 +90,11 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
         "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
         "0.000 s  watchdog: no command for leg 3 in 250 ms; it is stopped",
         "0.000 s  Stop written to leg 3 (watchdog)",
-        "0.000 s  Stop repeated for legs 1, 2, 4, 5, 6, the last at 0.000 s",
+        "0.000 s  Stop repeated for legs 1, 2, 4, 5 and 6, the last at 0.000 s",
         "0.000 s  mode idle",
-        "+20.0 ms  Stop repeated for all six legs, the last at +20.0 ms",
-        "+40.0 ms  Stop repeated for all six legs, the last at +40.0 ms",
-        "+60.0 ms  Stop repeated for all six legs, the last at +60.0 ms",
+        "+20.0 ms  Stop repeated for all legs, the last at +20.0 ms",
+        "+40.0 ms  Stop repeated for all legs, the last at +40.0 ms",
+        "+60.0 ms  Stop repeated for all legs, the last at +60.0 ms",
     ]
 
 

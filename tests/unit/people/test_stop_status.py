@@ -8,8 +8,8 @@ from rich.text import Text
 
 from gateway.errors import DisconnectedError
 from gateway.people.client.confirmed_stop import UntilConfirmed
+from gateway.people.client.dangers import KEY_PATIENCE_NS, SHOWN_NS, Remark, StopStatus
 from gateway.people.commands.walk.screen import SMALL_ROWS, fitted
-from gateway.people.terminal.stop_status import PATIENCE_NS, SHOWN_NS, Remark, StopStatus
 from schemas.telemetry import Ack
 
 MS = 1_000_000
@@ -39,8 +39,8 @@ def test_a_stop_that_was_not_written_whole_is_an_alarm_that_stays(ack: Ack) -> N
 
 def test_a_stop_that_nobody_confirms_is_an_alarm_until_somebody_does() -> None:
     stop = pressed()
-    assert stop.alarm(PATIENCE_NS - 1) is None
-    assert stop.alarm(PATIENCE_NS) is not None, "before the request's own time is over"
+    assert stop.alarm(KEY_PATIENCE_NS - 1) is None
+    assert stop.alarm(KEY_PATIENCE_NS) is not None, "before the request's own time is over"
     stop.unanswered()
     assert text(stop, MS).startswith("NOT STOPPED, NO ANSWER for 0 s: switch the servos' power off")
     assert "NO ANSWER for 60 s" in text(stop, 60_000 * MS)

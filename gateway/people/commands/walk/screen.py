@@ -23,6 +23,7 @@ from rich.text import Text
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import UntilConfirmed
+from gateway.people.client.dangers import ALARM, Remark, StopStatus
 from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
@@ -30,7 +31,6 @@ from gateway.people.commands.reach import Connection
 from gateway.people.commands.walk.script import went
 from gateway.people.terminal import hint
 from gateway.people.terminal.keyboard import REST_S, Keyboard, keys_at_once, wake_on_signals
-from gateway.people.terminal.stop_status import ALARM, Remark, StopStatus
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.words import ground_now

@@ -159,7 +159,11 @@ class HttpListener:
             try:
                 accepted, _ = await loop.sock_accept(listening)
                 self._allowance.take(time.monotonic_ns())
-                self._make_room()
+                if len(self._who("nobody", "files")) >= MAX_CONNECTIONS:
+                    # End the oldest of the address that has most places, first without a session.
+                    rivals = self._who("nobody") or self._who("files")
+                    have = Counter(each.address for each in rivals)
+                    next(each for each in rivals if have[each.address] == max(have.values())).abort()
                 await loop.connect_accepted_socket(lambda: Connection(self._server, self._tls, self._open), accepted)
             except Exception as error:  # for want of descriptors or memory
                 _log.warning("a connection could not be accepted: %s; all without a session are ended", error)
@@ -169,13 +173,6 @@ class HttpListener:
 
     def _who(self, *serves: str) -> list[Connection]:
         return [each for each in self._open if each.serves in serves]
-
-    def _make_room(self) -> None:
-        """Where no place is left, end the oldest of the address that has most of them, first without a session."""
-        if len(self._who("nobody", "files")) >= MAX_CONNECTIONS:
-            rivals = self._who("nobody") or self._who("files")
-            have = Counter(each.address for each in rivals)
-            next(each for each in rivals if have[each.address] == max(have.values())).abort()
 
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         connection = cast("Connection", request.protocol)
