@@ -10,17 +10,8 @@ from gateway.errors import ConfigError, UnreachedError
 from gateway.host.directories import console_state
 from gateway.own_command import install
 from gateway.people.commands.options import Reach
+from gateway.people.console.server import site
 from gateway.people.console.server.sessions import Sessions, kept
-from gateway.people.console.server.site import (
-    CONSOLE_PORT,
-    DEFAULT_ADDRESS,
-    Options,
-    address_in,
-    address_of,
-    free_address,
-    inherited,
-    site,
-)
 from gateway.people.terminal import hint, say
 
 NEEDS: Final = ("aiohttp", "segno")
@@ -29,7 +20,7 @@ ANSWERS_S: Final = 1.0
 CALIBRATION_CARD: Final = "cal"
 
 
-def console(options: Options) -> NoReturn:
+def console(options: site.Options) -> NoReturn:
     """Serve the page until the process is asked to end. Raises GatewayError.
 
     On systemd's socket; without one at `listen`; without both on a free port.
@@ -38,13 +29,13 @@ def console(options: Options) -> NoReturn:
     from gateway.people.console import phone  # noqa: PLC0415 (does not load without them)
     from gateway.people.console.serve import serve  # noqa: PLC0415 (likewise)
 
-    passed = inherited()
+    passed = site.inherited()
     if options.phone:
         options = phone.prepared(options, console_state())
-    address = address_in(passed, options.listen) if passed else options.listen or free_address()
-    place = site(address, options.cert, options.key)
-    if not passed and options.listen is None and place.port != CONSOLE_PORT:
-        hint(f"Port {CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
+    address = site.address_in(passed, options.listen) if passed else options.listen or site.free_address()
+    place = site.site(address, options.cert, options.key)
+    if not passed and options.listen is None and place.port != site.CONSOLE_PORT:
+        hint(f"Port {site.CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
     serve(options, options.role, place, passed)
 
 
@@ -53,7 +44,7 @@ def calibration(reach: Reach) -> int:
     if reach.connect is None and reach.zenoh_config is None and _answering() is not None:
         return link(None, CALIBRATION_CARD)
     hint("A console starts for the guide; Ctrl-C ends it.")
-    console(Options(reach, open_browser=True, card=CALIBRATION_CARD))
+    console(site.Options(reach, open_browser=True, card=CALIBRATION_CARD))
 
 
 def link(listen: str | None, card: str = "") -> int:
@@ -64,7 +55,9 @@ def link(listen: str | None, card: str = "") -> int:
     _need_extra()
     from gateway.people.console.serve import show  # noqa: PLC0415 (likewise)
 
-    address, port = (_answering() or (DEFAULT_ADDRESS, CONSOLE_PORT)) if listen is None else address_of(listen)
+    address, port = (
+        (_answering() or (site.DEFAULT_ADDRESS, site.CONSOLE_PORT)) if listen is None else site.address_of(listen)
+    )
     made = Sessions(console_state(), port).new_link(card)
     try:
         socket.create_connection((address, port), ANSWERS_S).close()
@@ -78,10 +71,10 @@ def link(listen: str | None, card: str = "") -> int:
 
 def _answering() -> tuple[str, int] | None:
     for each in kept(console_state()):
-        for address in (DEFAULT_ADDRESS, urlsplit(each.before_token).hostname) if each.before_token else ():
+        for address in (site.DEFAULT_ADDRESS, urlsplit(each.before_token).hostname) if each.before_token else ():
             with suppress(OSError):
                 socket.create_connection((address, each.port), ANSWERS_S).close()
-                return address or DEFAULT_ADDRESS, each.port
+                return address or site.DEFAULT_ADDRESS, each.port
     return None
 
 
