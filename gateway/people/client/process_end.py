@@ -13,9 +13,9 @@ import os
 import signal
 import sys
 import threading
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 from weakref import WeakSet
 
 _SIGNALS: Final = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
@@ -44,17 +44,11 @@ def _is_no_signal(record: logging.LogRecord) -> bool:
     return True
 
 
-class Closable(Protocol):
-    """The part of a client that is used here."""
-
-    def __exit__(self, *raised: Any) -> None: ...
-
-
-_open: WeakSet[Closable] = WeakSet()
+_open: WeakSet[AbstractContextManager[Any]] = WeakSet()
 _lock: Final = threading.Lock()
 
 
-def close_at_the_end(client: Closable) -> None:
+def close_at_the_end(client: AbstractContextManager[Any]) -> None:
     """Close `client` when all threads of the program have ended, apart from Zenoh's and daemons."""
     with _lock:
         _open.add(client)

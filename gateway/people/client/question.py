@@ -130,7 +130,15 @@ class Search:
                     self.error = one_line(error)
                     break
             else:
-                self._offer(session)
+                with self._lock:
+                    late = self._over.is_set()
+                    if not late:
+                        self._session = session
+                        self._end()
+                if late:
+                    _close(session)
+                else:
+                    self._found(session)
                 break
             if place + 1 < len(self._begin):
                 self._begin[place + 1].set()
@@ -141,17 +149,6 @@ class Search:
             nothing_left = not self._trying and not self._over.is_set()
         if nothing_left:
             self._found(None)
-
-    def _offer(self, session: zenoh.Session) -> None:
-        with self._lock:
-            late = self._over.is_set()
-            if not late:
-                self._session = session
-                self._end()
-        if late:
-            _close(session)
-        else:
-            self._found(session)
 
 
 class _Thread(threading.Thread):

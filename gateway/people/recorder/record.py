@@ -162,21 +162,13 @@ class Table:
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
         """Raises FileExistsError, OSError."""
-        self._file = path.open("w" if overwrite else "x", newline="", encoding="ascii")
-        self._writer = csv.writer(self._file)
+        self.file = path.open("w" if overwrite else "x", newline="", encoding="ascii")
+        self._writer = csv.writer(self.file)
         self._writer.writerow(["time_s", *(f"servo_{servo_id}_deg" for servo_id in SERVO_IDS)])
 
     def add(self, joints: CommandedJoints, time_ns: int) -> None:
         angles = (joints.deg.get(each) if joints.running.get(each) else None for each in SERVO_IDS)
         self._writer.writerow([f"{time_ns / 1e9:.6f}", *angles])
-
-    def flush(self) -> None:
-        """Hand all to the kernel. Raises OSError."""
-        self._file.flush()
-
-    def close(self) -> None:
-        """Raises OSError."""
-        self._file.close()
 
 
 class ReportQueue:
@@ -299,7 +291,7 @@ def _open(
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
     if rows is not None:
-        opened.callback(rows.close)
+        opened.callback(rows.file.close)
     return rows
 
 
@@ -336,7 +328,7 @@ class _Recorder:
                 flush_s = now_s + FLUSH_S
                 self._recording.flush()
                 if self._table is not None:
-                    self._table.flush()
+                    self._table.file.flush()
             if now_s >= progress_s:
                 progress_s = now_s + _PROGRESS_S
                 show_line(self._summary())

@@ -149,14 +149,14 @@ def test_a_table_has_the_commanded_angles_and_a_gap_where_a_servo_is_off(path: P
     for number, report in enumerate((start, {"bytes": stop_leg(3).to_bytes().hex()})):
         list(drawing.take(keys.FRAME, report, START_NS + number))
         table.add(drawing.joints, START_NS + number)
-    table.flush()
+    table.file.flush()
     with path.with_suffix(".csv").open(newline="") as file:
         on, off = csv.DictReader(file)
     assert on.pop("time_s") == "1700000000.000000"
     assert {name: angle for name, angle in on.items() if angle} == {"servo_32_deg": "90.0"}
     assert list(on) == [f"servo_{servo_id}_deg" for servo_id in SERVO_IDS]
     assert set(off.values()) == {"", off["time_s"]}
-    table.close()
+    table.file.close()
 
 
 def test_the_queue_leaves_out_what_is_no_report() -> None:
