@@ -17,9 +17,9 @@ from typing import Any, ClassVar, Concatenate, Final, Generic, ParamSpec, Self, 
 
 from gateway.errors import LeaseLostError, ZenohError
 from gateway.people.client.blocking import Client
-from gateway.people.client.button import Button
 from gateway.people.client.lease import Lease
 from gateway.people.client.pace import Jitter
+from gateway.people.client.requests import Button
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Terminated, Walk
 from gateway.people.walking.motion import WalkState

@@ -24,7 +24,6 @@ from gateway.errors import (
 )
 from gateway.own_command import command
 from gateway.people.client import stopped
-from gateway.people.client.button import Button
 from gateway.people.client.lease import Lease
 from gateway.people.client.payloads import (
     calibration_payload,
@@ -37,7 +36,7 @@ from gateway.people.client.payloads import (
 )
 from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, EstopAck, Hosts, Question
-from gateway.people.client.requests import ButtonRequests, Identity, LeaseRequests
+from gateway.people.client.requests import Button, ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
 from gateway.people.client.subscriptions import NO_CONFIG, States, reports
 from gateway.zenoh_config import client_config, get, one_line

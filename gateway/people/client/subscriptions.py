@@ -52,14 +52,7 @@ class States:
 
     def reads(self, take: Callable[[GatewayState], object]) -> Callable[[zenoh.Sample], None]:
         """Return a subscriber's callback that calls `take` with each valid state."""
-
-        def receive(sample: zenoh.Sample) -> None:
-            with suppress(ValidationError):
-                state = self.join(sample.payload.to_bytes())
-                if state is not None:
-                    take(state)
-
-        return receive
+        return reads(self.join, take)
 
     def _receive(self, wanted: str, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
@@ -71,13 +64,19 @@ class States:
 
 def reports(model: type[R], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
     """Return a subscriber's callback that calls `take` with each valid report."""
+    return reads(model.model_validate_json, take)
+
+
+def reads(read: Callable[[bytes], R | None], take: Callable[[R], object]) -> Callable[[zenoh.Sample], None]:
+    """Return a subscriber's callback that calls `take` with what `read` finds, unless it raises ValidationError."""
 
     def receive(sample: zenoh.Sample) -> None:
         try:
-            report = model.model_validate_json(sample.payload.to_bytes())
+            found = read(sample.payload.to_bytes())
         except ValidationError:
             return
-        take(report)
+        if found is not None:
+            take(found)
 
     return receive
 

@@ -1,5 +1,7 @@
-"""A command's output (results on stdout, remarks on stderr), its questions, and its end by signals."""
+"""A command's output (results on stdout, remarks on stderr), its questions, its keys, and its end by signals."""
 
+import os
+import re
 import shutil
 import signal
 import sys
@@ -61,3 +63,73 @@ def on_end_signals(end: Callable[[], object]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+REST_S: Final = 0.05
+"""How soon the rest of an arrow key follows its first bytes, if they arrive apart (a slow SSH)."""
+_INCOMPLETE: Final = re.compile(rb"\x1b([\[O][0-9;<?]*)?\Z")
+_PIECES: Final = re.compile(rb"\x1b[\[O]([0-9;<?]*)([@-~]?)|(.)", re.DOTALL)
+"""A control sequence (its parameters, its last byte), or another byte."""
+_NAMES: Final = {
+    b"\x1b": "escape", b"\r": "enter", b"\n": "enter", b"\x7f": "backspace", b"\b": "backspace", b"\x03": "ctrl-c",
+}  # fmt: skip
+_ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
+
+
+@contextmanager
+def keys_at_once(terminal: int) -> Iterator[None]:
+    """Deliver keys one by one without echo, Ctrl-C as a key; Ctrl-S has no effect. Restores the terminal."""
+    import termios  # the module also loads on Windows, which lacks this
+
+    before = termios.tcgetattr(terminal)
+    during = termios.tcgetattr(terminal)
+    during[0] &= ~(termios.IXON | termios.IXOFF)
+    during[3] &= ~(termios.ICANON | termios.ECHO | termios.ISIG)
+    during[6][termios.VMIN], during[6][termios.VTIME] = 1, 0
+    termios.tcsetattr(terminal, termios.TCSANOW, during)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(terminal, termios.TCSANOW, before)
+
+
+@contextmanager
+def wake_on_signals() -> Iterator[tuple[int, int]]:
+    """Yield a descriptor that becomes readable at an end signal, and one to write to for the same effect."""
+    readable, writable = os.pipe()
+    try:
+        with on_end_signals(lambda: os.write(writable, b".")):
+            yield readable, writable
+    finally:
+        os.close(readable)
+        os.close(writable)
+
+
+class Keyboard:
+    """Translates a terminal's bytes into keys: "a", "left", "enter", "escape"; others are left out.
+
+    An arrow key begins with the byte of Escape. So bytes that may be the beginning of one wait for the rest.
+    """
+
+    def __init__(self) -> None:
+        self._begun = b""
+
+    @property
+    def waits(self) -> bool:
+        """Whether bytes wait for their rest. Call `keys` with no data if none follows within REST_S."""
+        return bool(self._begun)
+
+    def keys(self, data: bytes) -> list[str]:
+        """Return the keys in the bytes of one read. Empty: no more bytes follow those that wait."""
+        more, data, self._begun = bool(data), self._begun + data, b""
+        if more and (incomplete := _INCOMPLETE.search(data)):
+            self._begun, data = incomplete[0], data[: incomplete.start()]
+        found: list[str] = []
+        for parameters, final, other in _PIECES.findall(data):
+            if other in _NAMES:
+                found.append(_NAMES[other])
+            elif b" " <= other <= b"~":
+                found.append(other.decode())
+            elif not parameters and final in _ARROWS:  # with a number it is another key, or an arrow with Shift or Ctrl
+                found.append(_ARROWS[final])
+        return found

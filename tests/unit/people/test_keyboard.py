@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.people.commands.walk.screen import REPEATED_S, SPEEDS, Keypad
-from gateway.people.terminal import on_end_signals
-from gateway.people.terminal.keyboard import Keyboard
+from gateway.people.terminal import Keyboard, on_end_signals
 from gateway.people.walking.motion import STILL
 
 PIECES = st.binary(max_size=4) | st.sampled_from([b"\x1b", b"[", b"\x1b[", b"\x1b[1;", b"\x1bO", b" "])

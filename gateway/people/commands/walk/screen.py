@@ -29,8 +29,7 @@ from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
 from gateway.people.commands.walk.script import went
-from gateway.people.terminal import hint
-from gateway.people.terminal.keyboard import REST_S, Keyboard, keys_at_once, wake_on_signals
+from gateway.people.terminal import REST_S, Keyboard, hint, keys_at_once, wake_on_signals
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.words import ground_now
