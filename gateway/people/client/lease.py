@@ -85,7 +85,8 @@ class Lease:
         self._lock = threading.Lock()
         self._renewal = Renewal()
         """Changed only with the lock held."""
-        self._token: str | None = None
+        self.token: str | None = None
+        """The token in our commands. It stays after a loss, so that the gateway rejects them. @private"""
         self._giving = threading.RLock()
         """Held during a hand-over, whose answer alone decides who holds the lease."""
         self._asked_s = 0.0
@@ -126,7 +127,7 @@ class Lease:
         Raises LeaseLostError if we no longer hold it, and LeaseError if `to` has not asked.
         """
         self.check()
-        token = self._token
+        token = self.token
         if token is None:
             raise LeaseError(Reason.NOT_HOLDER, "this lease is not held")
         with self._giving:
@@ -160,14 +161,14 @@ class Lease:
             raise
         self.holder, self.verified = ack.holder or self._client.name, bool(ack.verified)
         with self._lock:
-            self._token = ack.lease
+            self.token = ack.lease
             self._renewal.granted(ack.ttl_ms or TTL_MS, self._asked_s)
         self._client.carry(self)
         self._thread.start()
 
     def release(self) -> None:
         """Give it back, if it is held. Without an answer it expires by itself. @private"""
-        token = self._token if self.held else None
+        token = self.token if self.held else None
         self._end(Holds.RELEASED)
         if token is not None:
             with suppress(ZenohError):
@@ -176,11 +177,6 @@ class Lease:
             self._thread.join(RELEASE_S)  # Python aborts if it returns from Zenoh while the program ends
 
     # ---- for the client and its streams
-
-    @property
-    def token(self) -> str | None:
-        """The token in our commands. It stays after a loss, so that the gateway rejects them. @private"""
-        return self._token
 
     @property
     def elsewhere(self) -> bool:
@@ -222,7 +218,7 @@ class Lease:
                 self._on_lost(self.lost)
 
     def _renew(self, timeout_s: float) -> None:
-        token, asked_s = self._token, time.monotonic()
+        token, asked_s = self.token, time.monotonic()
         if token is None:
             return
         self._renewal.asked(asked_s)
@@ -266,7 +262,7 @@ class Lease:
     def _end(self, how: Holds) -> None:
         with self._lock:
             self._renewal.end(how)
-            self._token = None
+            self.token = None
         self._news.set()
         self._unsubscribe()
 
@@ -285,7 +281,7 @@ class LentLease(Lease):
 
     def __init__(self, client: LeaseClient, token: str) -> None:
         super().__init__(client)
-        self._token = token
+        self.token = token
         self._renewal.granted(TTL_MS, -math.inf)
 
     def release(self) -> None:

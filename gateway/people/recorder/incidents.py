@@ -52,10 +52,6 @@ class Incident:
     killed_ns: int | None = None
     """When the gateway wrote its last record, if it ended during the incident without recording its end."""
 
-    @property
-    def zero_wall_ns(self) -> int:
-        return self.wall_ns(self.zero_ns)
-
     def wall_ns(self, ns: int) -> int:
         """Return ns since 1970 at monotonic time `ns`, at least 0: a machine without a clock begins in 1970."""
         return max(0, ns + self.wall_offset_ns)

@@ -84,7 +84,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
     decisions = _Decisions(records, taken)
     starts = (records[index] for index in taken if records.kinds[index] == form.START)
-    notes_before = [_noted(incident.zero_wall_ns, INCIDENT, incident.name)]
+    notes_before = [_noted(incident.wall_ns(incident.zero_ns), INCIDENT, incident.name)]
     notes_before += (note for start in starts for note in _stops_before(start, incident))
     notes = deque(sorted(notes_before, key=lambda note: note.time_ns))
     calibration = records.calibration_at(incident.begin_ns)

@@ -175,7 +175,7 @@ class Driving:
             try:
                 motion.command(at_rad)
             except RejectedError as error:
-                if motion.is_over:
+                if motion.stream.is_over:
                     raise
                 raise NotTakenError(str(error)) from error
 

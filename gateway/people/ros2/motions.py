@@ -44,11 +44,11 @@ class JointCommands:
 
     def __init__(self, client: Client, geometry: Geometry) -> None:
         self._geometry = geometry
-        self._stream = client.stream(HZ)
+        self.stream = client.stream(HZ)
         state = client.state()
         self._silent_s = state.watchdog.stops_after_ms / 1000 + MARGIN_S
         self._whole = state.wire.whole_robot
-        self._stream.open()
+        self.stream.open()
         self._started: frozenset[int] = frozenset()
         self._received_s = time.monotonic()
 
@@ -56,14 +56,9 @@ class JointCommands:
         """Send servo → radians, of whole legs. Raises as `Stream.send`; JointsError if they cannot start it."""
         legs = legs_deg(self._geometry, at_rad)
         sent = next_start(legs, self._started, whole=self._whole)
-        self._stream.send({**sent})
+        self.stream.send({**sent})
         self._started |= sent.keys()
         self._received_s = time.monotonic()
-
-    @property
-    def is_over(self) -> bool:
-        """Whether an error has ended the stream."""
-        return self._stream.is_over
 
     def check(self, now_s: float) -> bool:
         if now_s - self._received_s > self._silent_s:
@@ -73,7 +68,7 @@ class JointCommands:
     def end(self, *, sits: bool) -> None:
         """Stop the legs. It cannot sit, since nobody knows how the robot stands."""
         del sits
-        self._stream.close()
+        self.stream.close()
 
 
 class Course:

@@ -51,7 +51,8 @@ class Engine:
         self._lift_m, self._climb = LIFT_M, ways.CLIMB
         self._least_tempo = tempo.least(robot)
         self._next_gait: str | None = None
-        self._stance = robot.stance(BodyPose(robot.usual_m))
+        self.stance = robot.stance(BodyPose(robot.usual_m))
+        """The stance in which the robot stands and walks."""
         self._planner = Planner(robot)
         self.commanded = STILL
         self.scaled = STILL
@@ -116,7 +117,7 @@ class Engine:
 
     def stand(self, stance: Stance | None = None) -> None:
         """End the walk, and go to this stance (`Robot.stance`; None: the latest)."""
-        self._wanted.append(stance or self._stance)
+        self._wanted.append(stance or self.stance)
 
     def sit(self) -> None:
         """End the walk and lie down, so that the servos may be stopped."""
@@ -215,11 +216,6 @@ class Engine:
         return self._state.odometry
 
     @property
-    def stance(self) -> Stance:
-        """The stance in which the robot stands and walks."""
-        return self._stance
-
-    @property
     def body(self) -> BodyPose:
         """The body's pose above the ground."""
         return self._state.body
@@ -227,7 +223,7 @@ class Engine:
     @property
     def corrected_rad(self) -> float:
         """The body's lean against its feet, which keeps it level (radians)."""
-        return max(abs(now - asked) for now, asked in zip(self.body[1:], self._stance.body[1:], strict=True))
+        return max(abs(now - asked) for now, asked in zip(self.body[1:], self.stance.body[1:], strict=True))
 
     @property
     def hanging(self) -> frozenset[int]:
@@ -245,12 +241,12 @@ class Engine:
             self.gait_name, self._gait = self._next_gait, gaits.gait(self._next_gait)
             self._next_gait = None
             # No velocity would lift feet that the former gait left outside of this gait's discs.
-            outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self._stance.feet.items())
+            outside = any(math.dist(state.feet[leg], rest) > self._within_m for leg, rest in self.stance.feet.items())
             if outside and not state.sits:
-                state.moves, state.rests, state.part = self._planner.way(state, self._stance), {}, 0.0
+                state.moves, state.rests, state.part = self._planner.way(state, self.stance), {}, 0.0
         if self._wanted:
             wanted = self._wanted.popleft()
-            self._stance = wanted or self._stance
+            self.stance = wanted or self.stance
             state.moves, state.rests = self._planner.way(state, wanted), {}
             state.sits, state.part = wanted is None, 0.0
 
@@ -281,7 +277,7 @@ class Engine:
         """Level the body, and let it climb with its feet."""
         state.hanging -= {leg for leg, touches in felt.feet.items() if touches}
         self._leans_rad = min(balance.LEANS_RAD, self._leans_rad + balance.LEANS_MORE_RAD_S * seconds)
-        state.body = balance.levelled(state.body, self._stance.body, felt, self._leans_rad, seconds)
+        state.body = balance.levelled(state.body, self.stance.body, felt, self._leans_rad, seconds)
         state.rise(seconds)
         down_m = balance.lowered_by(
             [foot[2] for leg, foot in state.feet.items() if leg not in state.swings and leg not in state.hanging],
@@ -327,9 +323,9 @@ class Engine:
         if ways.across(swing.part) == 1.0:  # above its landing place: it comes straight down
             x, y, _ = carried(state.feet[leg], velocity, seconds)
         else:
-            rest, wide = self._stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
+            rest, wide = self.stance.feet[leg], min(1.0, self.corrected_rad / WIDE_RAD)
             if wide:  # the more the body leans against its feet, the further out they rest
-                rest = ways.between(rest, self.robot.widened(self._stance.body)[leg], wide)
+                rest = ways.between(rest, self.robot.widened(self.stance.body)[leg], wide)
             state.rests[leg] = rest
             landing = carried(state.rests[leg], velocity, -(gait.stance_s + state.paused_s) / 2)
             lands = carried(landing, velocity, -(1.0 - part) * gait.swing_s)
@@ -366,12 +362,12 @@ class Engine:
         if not velocity.moves:
             return 0.0
         half_s = self._gait.stance_s / 2
-        rests = self._stance.feet.values()
+        rests = self.stance.feet.values()
         return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
 
     def _capped(self, target: Velocity) -> float:
         """Return the part (0 to 1) of this velocity whose strides fit into the discs."""
-        key = target, self._stance, self._gait
+        key = target, self.stance, self._gait
         if self._cap[0] != key:
             self._cap = (
                 key,
@@ -382,7 +378,7 @@ class Engine:
     @property
     def _within_m(self) -> float:
         """Return how far (m) from its resting place a foot may stand."""
-        return self._stance.radius_m / ways.outward(self._gait.swing_s, self._gait.stance_s)
+        return self.stance.radius_m / ways.outward(self._gait.swing_s, self._gait.stance_s)
 
     def _allowed(self, state: State, velocity: Velocity) -> float:
         """Return the part (0 to 1) of this velocity that keeps each standing foot in its disc until it is lifted."""
@@ -400,7 +396,7 @@ class Engine:
         for leg, foot in state.feet.items():
             if leg in state.swings or leg in self.lost or self._is_due(leg, state.clock):
                 continue
-            rest = state.rests.get(leg, self._stance.feet[leg])
+            rest = state.rests.get(leg, self.stance.feet[leg])
             left_s = (1.0 - gaits.phase(self._quick, leg, state.clock)) * self._quick.period_s
             if math.dist(carried(foot, velocity, left_s), rest) > max(within_m, math.dist(foot, rest)):
                 return False
