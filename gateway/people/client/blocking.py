@@ -38,7 +38,7 @@ from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, EstopAck, Hosts, Question
 from gateway.people.client.requests import Button, ButtonRequests, Identity, LeaseRequests
 from gateway.people.client.stream import Stream
-from gateway.people.client.subscriptions import NO_CONFIG, States, reports
+from gateway.people.client.subscriptions import NO_CONFIG, States, reads, reports
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
@@ -404,7 +404,7 @@ class Client(metaclass=_Brief):
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` (on a Zenoh thread) for each published state, until the returned subscriber is undeclared."""
-        take = self.states.reads(lambda found: None if self._closed else callback(found))
+        take = reads(self.states.join, lambda found: None if self._closed else callback(found))
         with self._open_session() as session:
             return session.declare_subscriber(keys.STATE, take)
 

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from gateway.errors import GatewayError, UnansweredError
 from gateway.people.client.blocking import Client
 from gateway.people.client.silence import CHECK_EVERY_S, Silence
-from gateway.people.client.subscriptions import KEPT_EVENTS, reports
+from gateway.people.client.subscriptions import KEPT_EVENTS, reads, reports
 from schemas import keys
 from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Telemetry
 
@@ -178,7 +178,7 @@ class Live:
         self._receiver.opened()
         session, ring = client.session, zenoh.handlers.RingChannel
         # Only the newest state counts, but every event.
-        self._read(session.declare_subscriber(keys.STATE, ring(2)), client.states.reads(self._take_state))
+        self._read(session.declare_subscriber(keys.STATE, ring(2)), reads(client.states.join, self._take_state))
         events = session.declare_subscriber(keys.EVENT, ring(KEPT_EVENTS))
         self._read(events, reports(Event, self._receiver.received_event))
         body = reports(BodyReport, self._receiver.received_body)

@@ -50,10 +50,6 @@ class States:
                 self._session.get(keys.CONFIG, partial(self._receive, state.config), timeout=_ANSWER_S)
         return None
 
-    def reads(self, take: Callable[[GatewayState], object]) -> Callable[[zenoh.Sample], None]:
-        """Return a subscriber's callback that calls `take` with each valid state."""
-        return reads(self.join, take)
-
     def _receive(self, wanted: str, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             with suppress(ValidationError):

@@ -19,8 +19,6 @@ from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say
 from schemas.telemetry import Ack, GatewayState, Mode, Reason
 
-_WAIT: Final = "wait until it is idle"
-
 _MAX_SOURCE: Final = 64
 
 Connection = Callable[[], AbstractContextManager[Client]]
@@ -54,22 +52,15 @@ def _connected(connect: str | None, zenoh_config: Path | None, timeout_s: float,
             raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error
 
 
-def why_not_at_rest(state: GatewayState) -> str | None:
-    """Return one sentence with what to do, or None if the robot is at rest."""
-    if state.mode == Mode.IDLE:
-        return None
+def check_at_rest(state: GatewayState) -> None:
+    """Raise ConfigError, with what to do, unless the robot is at rest."""
     remedies = {
         str(Mode.ACTIVE): f"a servo runs; stop it first ({command('stop')})",
         str(Mode.ESTOPPED): f"leave the emergency stop first ({command('reset')})",
     }
-    return f"the gateway is {state.mode}, and nothing is moved: {remedies.get(str(state.mode), _WAIT)}"
-
-
-def check_at_rest(state: GatewayState) -> None:
-    """Raise ConfigError unless the robot is at rest."""
-    why_not = why_not_at_rest(state)
-    if why_not is not None:
-        raise ConfigError(why_not)
+    if state.mode != Mode.IDLE:
+        remedy = remedies.get(str(state.mode), "wait until it is idle")
+        raise ConfigError(f"the gateway is {state.mode}, and nothing is moved: {remedy}")
 
 
 def show_differences(config: Path | None = None) -> None:

@@ -13,7 +13,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any, Final, NamedTuple, NoReturn
+from typing import Final, NamedTuple, NoReturn
 from urllib.parse import urlsplit
 
 import segno
@@ -200,7 +200,8 @@ async def _run(
 ) -> NoReturn:
     """`sockets`: the console's, and those of the page without TLS that explains the warning to a phone."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
-    loop.set_exception_handler(_report)
+    # One line: asyncio's own handler would render a traceback on the loop.
+    loop.set_exception_handler(lambda _, about: _log.error("%s: %r", about.get("message"), about.get("exception")))
     pages = Pages(owner.common_name, found.revoke)
     gateway = GatewayLink(options.reach, owner.person, pages, pages.link_changed)
     stops = Stops(gateway.estop, send_stopping)
@@ -238,11 +239,6 @@ async def _run(
     # The interpreter's own end would wait for threads that ask a gateway which does not answer.
     logs.close()
     os._exit(0)
-
-
-def _report(_: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Log one line as asyncio's exception handler; its own would render a traceback on the loop."""
-    _log.error("%s: %r", context.get("message"), context.get("exception"))
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Final, NamedTuple, Self
 
 from gateway.geometry import MAX_SPEED_DEG_S, Geometry, joint_name
@@ -164,8 +165,12 @@ class Trajectory:
                 velocities = _bounded("velocity", servos, point.velocities, MAX_RAD_S, "rad/s")
                 _bounded("acceleration", servos, point.accelerations, MAX_RAD_S2, "rad/s²")
                 points.append(Waypoint(at_s, at_rad, velocities or None))
-                if number > 1:
-                    _check_between(geometry, *points[-2:])
+                for before, after in pairwise(points[-2:]):
+                    for servo_id in servos:
+                        way = _JointCubic.of(before, after, servo_id)
+                        _check_speed(servo_id, way.fastest() / (after.at_s - before.at_s), "on the way there")
+                        for part in way.turns():
+                            check_reach(geometry, {servo_id: way.at(part)})
             except JointsError as error:
                 raise JointsError(f"point {number}: {error}") from error
         return cls(tuple(points), now_s - _elapsed_s(message, points[-1].at_s, since_1970_ns))
@@ -251,15 +256,6 @@ class _JointCubic(NamedTuple):
         if self.cube and 0 < (middle := -self.square / (3 * self.cube)) < 1:
             parts.append(middle)
         return max((self.speed(part) for part in parts), key=abs)
-
-
-def _check_between(geometry: Geometry, before: Waypoint, after: Waypoint) -> None:
-    """Raise JointsError if a servo would go too far or too fast on the way to `after`."""
-    for servo_id in after.positions_rad:
-        way = _JointCubic.of(before, after, servo_id)
-        _check_speed(servo_id, way.fastest() / (after.at_s - before.at_s), "on the way there")
-        for part in way.turns():
-            check_reach(geometry, {servo_id: way.at(part)})
 
 
 def _check_speed(servo_id: int, speed_rad_s: float, where: str) -> None:

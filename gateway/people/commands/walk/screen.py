@@ -24,7 +24,7 @@ from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import UntilConfirmed
 from gateway.people.client.dangers import ALARM, Remark, StopStatus
-from gateway.people.client.subscriptions import reports, subscribed
+from gateway.people.client.subscriptions import reads, reports, subscribed
 from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
@@ -168,7 +168,8 @@ class WalkScreen:
         """Drive until q (the robot sits down first), Ctrl-C or a signal (it stops at once). Return the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
-        taken = {wire.STATE: self._client.states.reads(self._take_state), wire.EVENT: reports(Event, self._take_event)}
+        take_state = reads(self._client.states.join, self._take_state)
+        taken = {wire.STATE: take_state, wire.EVENT: reports(Event, self._take_event)}
         terminal, drawer = sys.stdin.fileno(), threading.Thread(target=self._draw, name="draw", daemon=True)
         with (
             subscribed(self._client.session, taken),
