@@ -36,7 +36,7 @@ def console(options: site.Options) -> NoReturn:
     place = site.site(address, options.cert, options.key)
     if not passed and options.listen is None and place.port != site.CONSOLE_PORT:
         hint(f"Port {site.CONSOLE_PORT} is taken by another program, so the console listens on {place.port}.")
-    serve(options, options.role, place, passed)
+    serve(options, place, passed)
 
 
 def calibration(reach: Reach) -> int:

@@ -161,13 +161,13 @@ class Owner(NamedTuple):
     common_name: str
 
 
-def serve(options: Options, role: Role, site: Site, passed: Sequence[socket.socket]) -> NoReturn:
+def serve(options: Options, site: Site, passed: Sequence[socket.socket]) -> NoReturn:
     """Serve until SIGTERM or Ctrl-C, and end the process with 0. Raises ConfigError, AddressTakenError, ZenohError.
 
-    `role`: what pages may do at most. `passed`: systemd's sockets; empty: the console binds its own.
+    `passed`: systemd's sockets; empty: the console binds its own.
     """
     owner = _owner(options.reach)
-    owner = owner._replace(role=least(owner.role, role))
+    owner = owner._replace(role=least(owner.role, options.role))
     geometry = load(options.geometry)
     descriptors.ensure(DESCRIPTORS, "the console")
     realtime.limit_malloc_arenas()

@@ -12,9 +12,9 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 
-from gateway.people.ros2.driving import Driving, NotTakenError
+from gateway.people.ros2.driving import NotTakenError
 from gateway.people.ros2.goals import CANCELLED, REPLACED, SUCCESSFUL, Followed, GoalResult, error_code
-from gateway.people.ros2.node import Node, ros_type
+from gateway.people.ros2.node import ros_type
 from gateway.people.ros2.received import presence
 from gateway.people.ros2.topics import Topics
 from gateway.people.ros2.trajectory import JointsError
@@ -29,19 +29,17 @@ _RESULT_KEPT_S: Final = 60
 class FollowAction:
     """The action server. The executor calls it, on one thread for each goal until it ends."""
 
-    def __init__(self, node: Node, driving: Driving, topics: Topics) -> None:
+    def __init__(self, topics: Topics) -> None:
         """Raises ConfigError if this ROS 2 has no control_msgs."""
-        self._node = node
-        self._driving = driving
         self._topics = topics
         self._lock = threading.Lock()
         self._newest: Any = None
         """The handle of the goal that is followed."""
         self._type = ros_type("control_msgs/action/FollowJointTrajectory")
         self._point = ros_type("trajectory_msgs/msg/JointTrajectoryPoint")
-        self._callers = node.callers(f"{NAME}/_action/send_goal")
+        self._callers = topics.node.callers(f"{NAME}/_action/send_goal")
         self._server = ActionServer(
-            node,
+            topics.node,
             self._type,
             NAME,
             self._execute,
@@ -52,9 +50,9 @@ class FollowAction:
         )
 
     def _may_begin(self, _: Any) -> Any:
-        if self._driving.drives:
+        if self._topics.driving.drives:
             return GoalResponse.ACCEPT
-        self._topics.reject(NAME, self._driving.does)
+        self._topics.reject(NAME, self._topics.driving.does)
         return GoalResponse.REJECT
 
     def _execute(self, handle: Any) -> Any:
@@ -68,7 +66,7 @@ class FollowAction:
             self._topics.taken[NAME] += 1
             ends, result = self._follow(handle, followed)
             if ends is not handle.succeed:
-                self._driving.hold(followed.plan)
+                self._topics.driving.hold(followed.plan)
         ends()
         return self._type.Result(**result._asdict())
 
@@ -80,7 +78,7 @@ class FollowAction:
                 raise JointsError("its sender is not seen in the graph (any more), and could not cancel it")
             plan = self._topics.plan(handle.request.trajectory)
             followed = Followed(handle.request, self._topics.joints, plan)
-            self._driving.follow(plan, is_there)
+            self._topics.driving.follow(plan, is_there)
             self._newest = handle
         return followed
 
@@ -88,7 +86,7 @@ class FollowAction:
         """Wait for the end of the goal, and return its result."""
         while True:
             now_s = time.monotonic()
-            progress = self._driving.progress(followed.plan)
+            progress = self._topics.driving.progress(followed.plan)
             if handle.is_cancel_requested:
                 return handle.canceled, CANCELLED
             if handle is not self._newest:
@@ -106,5 +104,5 @@ class FollowAction:
         ways = {"desired": desired, "actual": actual, "error": error}
         points = {name: self._point(positions=way, time_from_start=elapsed) for name, way in ways.items()}
         feedback = self._type.Feedback(joint_names=followed.names, **points)
-        feedback.header.stamp = self._node.get_clock().now().to_msg()
+        feedback.header.stamp = self._topics.node.get_clock().now().to_msg()
         return feedback

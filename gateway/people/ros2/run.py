@@ -18,7 +18,7 @@ from pydantic import BaseModel, ValidationError
 from zenoh.handlers import RingChannel
 
 from gateway.errors import ConfigError, UnansweredError
-from gateway.geometry import Geometry, load
+from gateway.geometry import load
 from gateway.own_command import install
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
@@ -80,9 +80,6 @@ class Reports:
 
     received: Mapping[str, Any]
     """The rings of `CHANNELS`, by key."""
-    node: Node
-    geometry: Geometry
-    driving: Driving
     topics: Topics
     parameters: Parameters
     states: States
@@ -92,9 +89,9 @@ class Reports:
     """Whether other machines may reach the graph."""
 
     def __post_init__(self) -> None:
-        node, unknown_deg = self.node, self.parameters.uncommanded_deg
-        self._uncommanded_rad = {} if math.isnan(unknown_deg) else robot.all_at(self.geometry, unknown_deg)
-        self._joints = CommandedJoints(self.geometry)
+        node, unknown_deg = self.topics.node, self.parameters.uncommanded_deg
+        self._uncommanded_rad = {} if math.isnan(unknown_deg) else robot.all_at(self.topics.geometry, unknown_deg)
+        self._joints = CommandedJoints(self.topics.geometry)
         self._state: GatewayState | None = None
         self._received_s = self._diagnosed_s = self._published_s = 0.0
         self._moved = False
@@ -107,7 +104,7 @@ class Reports:
         self._odom = _publisher(node, robot.ODOM, ros.Odometry)
         self._at, self._way_m = ORIGIN, 0.0
         """The last odometry, and the length of the way until then (m)."""
-        text = robot.description(self.geometry, self.topics.joints.of, self.parameters.base_frame)
+        text = robot.description(self.topics.geometry, self.topics.joints.of, self.parameters.base_frame)
         node.publisher("robot_description", ros.String, latched=True)(text)
 
     def begin(self, calibration: Calibration) -> None:
@@ -121,7 +118,7 @@ class Reports:
         if state is not None:
             self._moved = True
             self._state, self._received_s = state, now_s
-            self.driving.receive(state)
+            self.topics.driving.receive(state)
         while self._take(keys.FRAME, FrameRecord) is not None:
             self._moved = True
         time_ns, base = time.time_ns(), self.parameters.base_frame
@@ -133,9 +130,9 @@ class Reports:
             at_rad = self._uncommanded_rad | self._joints.rad
             self._joint_states(robot.joint_state(at_rad, time_ns, self.topics.joints.of))
             if self.with_tf:
-                self._tf(robot.frames(self.geometry, at_rad, time_ns, base))
+                self._tf(robot.frames(self.topics.geometry, at_rad, time_ns, base))
             self._walked(time_ns, base)
-        sign = (self._state and self._state.mode, self.driving.does, self.topics.latest_rejection)
+        sign = (self._state and self._state.mode, self.topics.driving.does, self.topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self.parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
             statuses = (*self._gateway(now_s), self._bridge())
@@ -143,7 +140,7 @@ class Reports:
 
     def _walked(self, time_ns: int, base: str) -> None:
         """Publish odometry and its frame while the bridge walks the robot."""
-        if (walked := self.driving.odometry) is None:
+        if (walked := self.topics.driving.odometry) is None:
             return
         at, velocity = walked
         turned_m = robot.A_TURN_M * abs(at.heading_rad - self._at.heading_rad)
@@ -175,8 +172,8 @@ class Reports:
         return robot.status(
             "ROS 2 bridge",
             ros.WARN if self.is_open else ros.OK,
-            f"{self.driving.does}{OPEN if self.is_open else ''}",
-            drives=self.driving.drives,
+            f"{self.topics.driving.does}{OPEN if self.is_open else ''}",
+            drives=self.topics.driving.drives,
             open_graph=self.is_open,
             **{f"{what} {topic}": count for what, found in counts.items() for topic, count in sorted(found.items())},
             latest_rejection=self.topics.latest_rejection or None,
@@ -227,9 +224,6 @@ def serve(
             received = at_the_end.enter_context(subscribed(client.session, CHANNELS))
             reports = Reports(
                 dict(zip(CHANNELS, received, strict=True)),
-                node,
-                shape,
-                driving,
                 topics,
                 node.parameters(parameters),
                 client.states,
@@ -241,7 +235,7 @@ def serve(
                 reports.begin(client.calibration())
             topics.subscribe()
             try:
-                FollowAction(node, driving, topics)
+                FollowAction(topics)
             except ConfigError as error:
                 hint(f"no action {NAME}: {error}")
             node.serve("reset", partial(driving.reset, of_anybody=allow_reset))
