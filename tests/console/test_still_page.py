@@ -1,5 +1,6 @@
 """The driving page stands still: whatever appears or is said, nothing moves under a thumb, and no line is cut off."""
 
+import datetime as dt
 from typing import Any, Final
 
 import pytest
@@ -203,10 +204,16 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
         "asked for while it walks": ([walk("walking")], lease(source, asked_by="bert (page 2)")),
         "ended": ([walk(None, detail=f"leg 1 was stopped by somebody: {why}; {why}")], lease(source)),
         "stop buttons": ([], {**lease(source), "buttons": {"required": 2, "alive": 1, "names": [LONG]}}),
-        "stopped by somebody": (
-            [],
-            {**lease(source), "mode": "estopped", "estop_source": LONG, "estop_since": "2026-11-26T12:03:11Z"},
-        ),
+        **{
+            f"stopped by somebody{since}": (
+                [],
+                {**lease(source), "mode": "estopped", "estop_source": LONG, "estop_since": at.isoformat()},
+            )
+            for since, at in (
+                ("", dt.datetime.now(dt.UTC)),
+                (" long ago", dt.datetime(2026, 11, 26, 12, 3, tzinfo=dt.UTC)),
+            )
+        },
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
         "measured": ([MEASURED], lease(source)),
         "by sensors": ([MEASURED, walk("walking", ground=FELT)], lease(source)),

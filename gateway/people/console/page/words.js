@@ -80,11 +80,11 @@ export function undriven(legs, who) {
   return moved.length ? `${UNDRIVEN}${moved.join(", ")}` : "nobody";
 }
 
-/** `12:03`, and the day if it was another one. @param {string} time RFC 3339 */
+/** `12:03`; of another day `26 Nov`, for which a phone has room. @param {string} time RFC 3339 */
 export function clock(time) {
   const at = new Date(time);
-  const day = Math.abs(Date.now() - at.getTime()) < DAY_MS ? "" : `${at.toLocaleDateString("en-GB", { day: "numeric", month: "short" })}, `;
-  return `${day}${at.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" })}`;
+  if (Math.abs(Date.now() - at.getTime()) < DAY_MS) return at.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" });
+  return at.toLocaleDateString("en-GB", { day: "numeric", month: "short" });
 }
 
 /** The gateway's names for why it rejects a command. @type {Record<string, string>} */
