@@ -186,6 +186,7 @@ def walk(posture: str | None, detail: str = "", limit: str = "", ground: str = "
 
 def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, Any]]]:
     """By name: what the console says, and how the newest state differs. `source`: who this page is."""
+    now = dt.datetime.now(dt.UTC)
     why = "the servo 12 would stand at 190.5 degrees, and may go from 0 to 180"
     gone = "the console has lost the gateway: no answer at tls/hexapod.local:7447 for 12 s, and the name is known"
     return {
@@ -209,10 +210,7 @@ def situations(source: str) -> dict[str, tuple[list[dict[str, Any]], dict[str, A
                 [],
                 {**lease(source), "mode": "estopped", "estop_source": LONG, "estop_since": at.isoformat()},
             )
-            for since, at in (
-                ("", dt.datetime.now(dt.UTC)),
-                (" long ago", dt.datetime(2026, 11, 26, 12, 3, tzinfo=dt.UTC)),
-            )
+            for since, at in (("", now), (" long ago", now - dt.timedelta(days=40)))
         },
         "a bus fault": ([], {**lease(LONG, asked_by=LONG), "mode": "bus_fault"}),
         "measured": ([MEASURED], lease(source)),

@@ -39,7 +39,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "tx: { lease: 1000 },\n      // Limit",
             "tx: { lease: 10000 },\n      // Limit",
         ),
-        ByHand("a second host is never tried", "for host in hosts])\n", "for host in hosts[:1]])\n"),
+        ByHand("a second host is never tried", "json.dumps(endpoints))", "json.dumps(endpoints[:1]))"),
         ByHand("a laptop listens, too", 'mode: "client",', 'mode: "peer",'),
     ),
     "gateway/robot/zenoh_io/inbox.py": (
