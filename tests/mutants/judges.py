@@ -34,7 +34,6 @@ _INBOX: Final = (*_tests("zenoh", "inbox_wakeups inbox_parts"), *_robot("ownersh
 _SUPERVISOR: Final = (
     *_robot("supervisor_at_rest supervisor supervisor_stops supervisor_faults supervisor_speed supervisor_takeover"),
     *_robot("supervisor_landing supervisor_calibration supervisor_whole body_limits power_rule"),
-    *_tests("zenoh", "supervisor_outside"),
     *_robot("lease buttons latch"),
     f"{_BACKLOG}::test_the_fourth_message_in_one_slot_is_a_burst_and_no_start_of_it_is_ever_sent",
     f"{_BACKLOG}::test_a_scene",
@@ -88,7 +87,7 @@ JUDGES: Final = {
     "gateway/robot/core/supervisor.py": _SUPERVISOR,
     "gateway/robot/core/interlock.py": _SUPERVISOR,
     "gateway/robot/core/watchdog.py": (*_SUPERVISOR, *_robot("supervisor_landing")),
-    "gateway/robot/core/outside.py": (*_SUPERVISOR, *_tests("zenoh", "supervisor_outside")),
+    "gateway/robot/core/outside.py": _SUPERVISOR,
     "gateway/robot/core/power_rule.py": _robot("power_rule power_conductor"),
     "gateway/robot/core/lease.py": _robot("lease lease_conductor"),
     "gateway/robot/core/buttons.py": _robot("buttons lease_conductor"),

@@ -1,4 +1,4 @@
-"""A power board and the gateway's side of it on one CAN link that loses, delays, alters and pauses, in virtual time."""
+"""A power board and the gateway's side of it on one CAN link that loses, delays and alters, in virtual time."""
 
 import random
 from collections.abc import Callable, Iterator
@@ -27,14 +27,12 @@ class Link:
     """Carries frames both ways, and calls each side when it is due."""
 
     def __init__(self, *, faults: float = 0.0, seed: int = 0, pass_ns: int = 1_500_000, confirm_ms: int = CONFIRM_MS):
-        """`faults`: the share of the board's answers that are lost, delayed by up to 100 ms, cut short, or altered."""
+        """`faults`: the share of the board's answers that are lost, or delayed by up to 100 ms."""
         self.now_ns = 0
         self.ours = PowerBoard(SERVO_IDS, confirm_ns=confirm_ms * NS_PER_MS)
         self.board = SimulatedBoard(pass_ns=pass_ns)
         self.random = random.Random(seed)  # noqa: S311
         self.faults = faults
-        self.alters = True
-        """Faults are also frames that are not as the board sent them; false: they are late, or none come."""
         self.altered: Callable[[CanFrame], CanFrame] = lambda frame: frame
         """What we receive in place of an answer."""
         self.hangs = False
@@ -44,15 +42,11 @@ class Link:
         """The board answers questions, and gets no mask."""
         self.second: SimulatedBoard | None = None
         """Another one on the bus."""
-        self.held: list[CanFrame] | None = None
-        """A list: the link to us pauses, and keeps the board's frames."""
         self.sent: list[tuple[int, CanFrame]] = []
         """What we sent, and when."""
         self.answers: list[tuple[int, CanFrame]] = []
         """What the board sent, and when."""
         self.news: list[tuple[int, News | Confirmed]] = []
-        self.watch: Callable[[], None] = lambda: None
-        """Called after each event."""
         self._flying: list[tuple[int, int, bool, CanFrame]] = []
         self._order = count()
         self._look_ns = 0
@@ -113,14 +107,6 @@ class Link:
         self._answered(self.board.take(frame, self.now_ns))
         self.ours.receive(frame, self.now_ns)
 
-    def pause(self) -> None:
-        self.held = []
-
-    def resume(self) -> None:
-        held, self.held = self.held or [], None
-        for frame in held:
-            self.ours.receive(frame, self.now_ns)
-
     def _next_ns(self) -> int:
         due_ns = [self.board.due_ns, self._look_ns]
         if not self.hangs:
@@ -134,7 +120,6 @@ class Link:
         assert self._at_once < MOST_AT_ONCE
         self.now_ns = max(self.now_ns, at_ns)
         self._happen()
-        self.watch()
 
     def _happen(self) -> None:
         while self._flying and self._flying[0][0] <= self.now_ns:
@@ -143,8 +128,6 @@ class Link:
                 self._answered(self.board.take(frame, self.now_ns))
             elif to_board:
                 pass
-            elif self.held is not None:
-                self.held.append(frame)
             else:
                 self.ours.receive(frame, self.now_ns)
         self._answered(self.board.advance(self.now_ns))
@@ -161,27 +144,16 @@ class Link:
     def _answered(self, frames: list[CanFrame]) -> None:
         for frame in frames:
             self.answers.append((self.now_ns, frame))
-            received, late_ns = self._faulty(frame) if self.random.random() < self.faults else (frame, 0)
-            if self.cable and received is not None:
-                at_ns = self.now_ns + FLIGHT_NS + late_ns
-                heappush(self._flying, (at_ns, next(self._order), False, self.altered(received)))
-
-    def _faulty(self, frame: CanFrame) -> tuple[CanFrame | None, int]:
-        """What becomes of an answer, and how much later it comes (ns)."""
-        match self.random.randrange(4 if self.alters else 2):
-            case 0:
-                return None, 0
-            case 1:
-                return frame, self.random.randrange(100 * NS_PER_MS)
-            case 2:
-                return CanFrame(frame.id, frame.data[:-1] or b"\0"), 0
-            case _:
-                return CanFrame(frame.id, self.random.randbytes(len(frame.data))), 0
+            faulty = self.random.random() < self.faults
+            lost = faulty and self.random.random() < 0.5
+            at_ns = self.now_ns + FLIGHT_NS + (self.random.randrange(100 * NS_PER_MS) if faulty else 0)
+            if self.cable and not lost:
+                heappush(self._flying, (at_ns, next(self._order), False, self.altered(frame)))
 
 
-def fed(*, pass_ns: int = 1_500_000) -> Link:
+def fed() -> Link:
     """A link whose board feeds all servos, and is at rest."""
-    link = Link(pass_ns=pass_ns)
+    link = Link()
     link.want(ALL_SERVOS)
     link.run(1500)
     assert link.fed() == link.ours.status.supplied == ALL_SERVOS

@@ -211,6 +211,11 @@ def test_a_legal_command_with_one_value_replaced(command: tuple[str, dict[str, A
     check_intake(parsed(key), raw, decode(parsed(key), raw, JSON))
 
 
+def test_a_key_that_is_none_is_rejected_with_what_is_wrong_with_it() -> None:
+    received = Received("hexapod/leg/7/cmd", "hexapod/leg/7/cmd", None, Verb.PUT, b"{}", 2, JSON, None, 0)
+    assert read(received) == Rejection(Reason.INVALID, "leg 7 does not exist; legs are 1 to 6")
+
+
 def test_of_a_key_of_the_senders_own_making_little_is_looked_at_and_less_repeated_and_no_token() -> None:
     token = "0123456789abcdef" * 2
     assert echo_of("x" * 101) == "x" * 100

@@ -53,7 +53,6 @@ def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, 
 
 def test_lost_answers_to_questions_are_no_silence_and_all_is_measured() -> None:
     link = Link(faults=0.2, seed=1)
-    link.alters = False  # an error frame that was altered is an unknown error
     link.run(20_000)
     assert link.events(Kind.POWER_UNCONFIRMED) == []
     assert len(link.ours.status.currents_ma) == 18

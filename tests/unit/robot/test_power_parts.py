@@ -6,7 +6,6 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
-    ALL,
     ASK_CURRENTS,
     ASK_ERROR,
     ASK_RAILS,
@@ -14,7 +13,6 @@ from gateway.model.power_board import (
     CONVERTER_OVERCURRENT,
     SERVO_OVERCURRENT,
     TWO_BOARDS,
-    UNREADABLE,
     BoardError,
     CanFrame,
 )
@@ -270,21 +268,6 @@ def test_to_delete_anew_begins_with_a_question(errors: BoardErrors) -> None:
     assert frames(errors, range(10)) == [(5, ASK_ERROR)]
 
 
-def test_an_error_that_cannot_be_read_blocks_all_and_is_reported_once(errors: BoardErrors) -> None:
-    assert errors.shown(BoardError(UNREADABLE), 0)[1:] == (ALL, True)
-    assert errors.shown(BoardError(UNREADABLE), 1)[1:] == (0, False)
-    errors.deleted(2)
-    assert errors.mask == 0
-
-
-def test_two_boards_are_no_error_of_a_board_and_end_with_a_reset(errors: BoardErrors) -> None:
-    assert errors.shown(BoardError(TWO_BOARDS), 0)[1:] == (ALL, True)
-    errors.none_left()
-    assert (errors.mask, errors.two_boards) == (ALL, True)
-    errors.delete(1)
-    assert (errors.mask, errors.two_boards) == (0, False)
-
-
 # ---- Which outputs the power board has confirmed to be off, and who hears of it when
 
 
@@ -390,18 +373,6 @@ def test_a_stopped_servo_may_draw_while_it_settles_and_no_more_than_idle_after()
     robot.measure(900, ms=500, runs=True)
     assert robot.measure(900, ms=300, runs=False) == []
     assert robot.measure(150, ms=5000, runs=False) == []
-
-
-def test_one_measurement_alone_takes_no_supply() -> None:
-    robot = Robot()
-    robot.measure(0, ms=1000, runs=False)
-    for _ in range(10):
-        assert robot.measure(5000, ms=1, runs=False) == []
-        assert robot.measure(20, ms=1, runs=False) == []
-
-
-def test_what_was_never_started_is_judged_too() -> None:
-    assert len(Robot().measure(900, ms=600, runs=False)) == 1
 
 
 @pytest.mark.parametrize(("ma", "ms", "events"), [(0, 900, 0), (0, 3000, 1), (4, 3000, 1), (5, 3000, 0), (8, 3000, 0)])

@@ -1,4 +1,4 @@
-"""The gateway's own Stops: the watchdog, the repeats, the emergency stop."""
+"""The gateway's own Stops: the watchdog, the repeats, the emergency stop, and beside `stop-servos`."""
 
 from typing import Final
 
@@ -163,6 +163,43 @@ SCENES: Final = {
         rules repeats=1
         5000 leg 2 stop
         5020 leg 1 start 90 | stop | stop → repeat 2 stop; command 1 start 90 | stop | stop; completed 2""",
+    # Stops that `stop-servos` sends, which the supervisor did not.
+    "beside stop-servos all count as stopped and get a stop from here too": """
+        100 legs 36 start 90
+        101 leg 3 set 80
+        102 outside begins → repeat 1-6 stop; rejected 2 servo_stopped; announce stopped_outside
+        running none
+        mode idle
+        due never""",
+    "starts and sets are rejected until stop-servos has ended and stops are taken": """
+        100 outside begins
+        110 leg 1 start 90 → rejected 1 servo_stopped
+        mentions once it has ended
+        111 servo 11 set 90 → rejected 2 servo_stopped
+        112 leg 1 stop → command 1 stop; completed 3
+        120 outside ends → nothing
+        130 servo 11 set 90 → rejected 4 servo_stopped  # it does not run
+        131 leg 1 start 90 → command 1 start 90; completed 5""",
+    "stop-servos is announced once and again the next time": """
+        100 outside begins → repeat 1-6 stop; announce stopped_outside
+        200 outside begins → repeat 1-6 stop
+        300 outside ends
+        400 outside begins → …; announce stopped_outside""",
+    "the stops beside stop-servos are repeated although it has ended": """
+        rules repeats=2
+        20 time
+        40 time
+        100 outside begins
+        105 outside ends
+        120 time → repeat 1-6 stop
+        140 time → repeat 1-6 stop
+        due never""",
+    "beside stop-servos and a bus fault nothing is sent until the bus answers": """
+        100 leg 1 start 90
+        110 fail
+        120 outside begins → announce stopped_outside
+        130 open → startup 1-6 stop; …
+        140 leg 1 start 90 → rejected 2 servo_stopped""",
 }
 
 
