@@ -19,6 +19,7 @@ from tests.support.bridged import LONG_S, clean, commanded, does, keeps, rejecti
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running, states
+from tests.support.meanwhile import meanwhile
 from tests.support.rclpy_peer import (
     COMMANDS,
     DIAGNOSTICS,
@@ -156,23 +157,12 @@ def test_a_flood_keeps_no_emergency_stop_waiting_and_ros_leaves_its_own_alone(
 ) -> None:
     with RclpyPeer() as flooding:
         flooding.advertise(COMMANDS, JointState)
-        ended = threading.Event()
-
-        def flood() -> None:
-            while not ended.is_set():
-                flooding.publish(COMMANDS, resting())
-
-        thread = threading.Thread(target=flood)
-        thread.start()
-        try:
+        with meanwhile(lambda: flooding.publish(COMMANDS, resting())):
             keeps(lambda: None, lambda: len(running(watcher)) == 6)
             first = watcher.state().estop
             for number in (1, 2):
                 assert driven.call("/hexapod/estop")[0]
                 assert watcher.state().estop == first + number
-        finally:
-            ended.set()
-            thread.join()
     states(watcher).wait(lambda state: state.lease.holder is None)
     assert driven.call("/hexapod/reset")[0]
     assert watcher.state().mode == Mode.IDLE

@@ -1,13 +1,12 @@
 """What a robot that measures publishes, for tests of what people and programs make of it."""
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Final
 
 from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Battery, Imu, Telemetry
+from tests.support.meanwhile import meanwhile
 from tests.support.published import WALL
 
 MEASURED: Final = Telemetry(
@@ -39,19 +38,6 @@ LEANING: Final = MEASURED.model_copy(
 _PERIOD_S: Final = 0.1
 
 
-@contextmanager
-def measures(client: Client, telemetry: Telemetry) -> Iterator[None]:
+def measures(client: Client, telemetry: Telemetry) -> AbstractContextManager[None]:
     """A robot that measures this, ten times a second."""
-    ended = threading.Event()
-
-    def publish() -> None:
-        while not ended.wait(_PERIOD_S):
-            client.session.put(keys.TELEMETRY, telemetry.model_dump_json())
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
+    return meanwhile(lambda: client.session.put(keys.TELEMETRY, telemetry.model_dump_json()), _PERIOD_S)

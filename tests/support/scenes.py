@@ -12,8 +12,10 @@ line continues in the next one, from its arrow on. A first line `rules repeats=2
 
 import ast
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
+
+import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, MappingChange
@@ -49,6 +51,16 @@ def play(scene: str) -> Scenes:
     rules = rules_of(lines.pop(0).removeprefix("rules")) if lines[0].startswith("rules ") else None
     opened = lines[:1] != ["unopened"]
     return Scenes(rules, opened=opened).play("\n".join(lines if opened else lines[1:]))
+
+
+def scene_test(scenes: Mapping[str, str], before: str = "") -> Callable[[str], None]:
+    """Return a test that plays each of these scenes with a new robot, behind the lines `before`."""
+
+    @pytest.mark.parametrize("scene", scenes.values(), ids=scenes)
+    def test_a_scene(scene: str) -> None:
+        play(before + scene)
+
+    return test_a_scene
 
 
 def lines_of(scene: str) -> list[str]:

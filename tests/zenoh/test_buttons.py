@@ -1,8 +1,6 @@
 """Stop buttons on a real gateway: programs that are one, attacks, certificates, and a restart."""
 
 import json
-import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
+from tests.support.meanwhile import meanwhile
 from tests.support.secured import Secured
 
 TIMEOUT_MS = 2000
@@ -35,27 +34,6 @@ gateway = gateway_fixture(SETTINGS)
 robot = client_fixture("kitchen")
 
 
-class Pressing:
-    """Checks in meanwhile, as a person's device does."""
-
-    def __init__(self, alive: Callable[[], object]) -> None:
-        self._ended = threading.Event()
-        self._alive = alive
-        self._thread = threading.Thread(target=self._run)
-
-    def _run(self) -> None:
-        while not self._ended.wait(TIMEOUT_MS / 1000 / 6):
-            self._alive()
-
-    def __enter__(self) -> None:
-        self._alive()
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-
 def ask(session: zenoh.Session, do: str, **fields: Any) -> ButtonAck:
     """One request as any Zenoh program sends it."""
     (reply,) = session.get(keys.BUTTON, payload=json.dumps({"do": do, **fields}), timeout=5)
@@ -70,7 +48,7 @@ def test_a_program_is_a_button_and_its_silence_stops_all_legs(robot: Client) -> 
         assert (button.name, button.timeout_ms) == ("kitchen", TIMEOUT_MS)
         assert robot.start_leg(3, POSE, check=False).reason == Reason.NO_BUTTON, "it has not checked in yet"
         assert (button.alive().alive, robot.state().buttons.names) == (1, ("kitchen",))
-        with Pressing(button.alive):
+        with meanwhile(button.alive, TIMEOUT_MS / 1000 / 6):
             assert robot.start_leg(3, POSE).accepted
         silent = heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
         assert (silent.source, silent.legs) == ("kitchen", tuple(LEGS))

@@ -1,10 +1,10 @@
 """`record` against a real gateway: what is in the file, also after the recorder was killed."""
 
+import itertools
 import json
 import os
 import random
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +23,7 @@ from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames, states
 from tests.support.mcap_file import checked, whole
+from tests.support.meanwhile import meanwhile
 
 KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
 """50 in the long form."""
@@ -39,22 +40,12 @@ robot = client_fixture("a gait")
 @contextmanager
 def walking(robot: Client) -> Iterator[None]:
     """Six legs move at 50 Hz meanwhile."""
-    ended = threading.Event()
-
-    def walk() -> None:
-        with robot.stream(HZ) as stream:
-            for step in range(1_000_000):
-                if ended.is_set():
-                    return
-                stream.set(dict.fromkeys(range(1, 7), (90 + step % 20, 45, 120)))
-
-    thread = threading.Thread(target=walk)
-    thread.start()
-    try:
+    step = itertools.count()
+    with (
+        robot.stream(HZ) as stream,
+        meanwhile(lambda: stream.set(dict.fromkeys(range(1, 7), (90 + next(step) % 20, 45, 120)))),
+    ):
         yield
-    finally:
-        ended.set()
-        thread.join()
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from gateway.allowance import NS_PER_MS
 from gateway.robot.core.backlog import START_WAIT_NS
 from schemas import keys
 from tests.support.robot import Robot, leg
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 
 pytestmark = pytest.mark.virtual_time
 
@@ -139,8 +139,4 @@ SCENES: Final = {
         104 leg 1 start 90 + leg 2 stop → command 2 stop; rejected 5 stale stopped
         105 leg 1 stop → command 1 stop; completed 6""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)

@@ -10,7 +10,7 @@ from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
-from tests.support.scenes import Scenes, play
+from tests.support.scenes import Scenes, play, scene_test
 from tests.support.steps import all_stopped
 
 TIMEOUT_MS = 1000
@@ -111,11 +111,7 @@ SCENES: Final = {
         10 end
         11 button alive kitchen 2 → stopping""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 def test_a_name_registers_once_and_the_newer_registration_is_alive_for_as_long_as_the_older_was() -> None:

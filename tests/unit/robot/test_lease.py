@@ -6,7 +6,7 @@ import pytest
 
 from gateway.robot.core.events import Do, LeaseRequest, RequestAnswer
 from gateway.robot.core.lease import MOST_ASKERS
-from tests.support.scenes import Scenes, play
+from tests.support.scenes import Scenes, play, scene_test
 
 BERT: Final = "bert"
 HELD: Final = """
@@ -121,11 +121,7 @@ SCENES: Final = {
         0 end
         20 lease acquire anna (fresh anna) → repeat 1-6 stop; stopping""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 ANNA_HOLDS_IT: Final = {
@@ -184,8 +180,4 @@ ANNA_HOLDS_IT: Final = {
         due never
         3 lease take bert (fresh bert) → stopping""",
 }
-
-
-@pytest.mark.parametrize("scene", ANNA_HOLDS_IT.values(), ids=ANNA_HOLDS_IT)
-def test_a_scene_in_which_anna_holds_it(scene: str) -> None:
-    play(HELD + scene)
+test_a_scene_in_which_anna_holds_it = scene_test(ANNA_HOLDS_IT, HELD)

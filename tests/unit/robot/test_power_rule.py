@@ -5,14 +5,12 @@ Each step is judged by the oracle.
 
 from typing import Final
 
-import pytest
-
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import SETS, STARTS
 from gateway.robot.core.events import BusOpened, Command, PowerSeen, TimePassed, Transmit
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 
 BOARD: Final = "rules power=True\n 5 board\n"
 """The board has answered."""
@@ -117,11 +115,7 @@ SCENES: Final = {
         1830 board silent
             → watchdog 3 stop; watchdog 1-6 stop; rejected 2 no_power; rejected 3 no_power""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 WITH_A_BOARD: Final = {
@@ -153,11 +147,7 @@ WITH_A_BOARD: Final = {
         30 board → nothing
         running none""",
 }
-
-
-@pytest.mark.parametrize("scene", WITH_A_BOARD.values(), ids=WITH_A_BOARD)
-def test_a_scene_with_a_board_that_answers(scene: str) -> None:
-    play(BOARD + scene)
+test_a_scene_with_a_board_that_answers = scene_test(WITH_A_BOARD, BOARD)
 
 
 WITH_LEG_3_FED: Final = {
@@ -195,8 +185,4 @@ WITH_LEG_3_FED: Final = {
         70 board (doubt servo 11 is not off) → nothing
         mode stopping""",
 }
-
-
-@pytest.mark.parametrize("scene", WITH_LEG_3_FED.values(), ids=WITH_LEG_3_FED)
-def test_a_scene_in_which_leg_3_runs(scene: str) -> None:
-    play(FED + scene)
+test_a_scene_in_which_leg_3_runs = scene_test(WITH_LEG_3_FED, FED)

@@ -6,7 +6,7 @@ import pytest
 
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import WatchdogState
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 from tests.support.steps import Steps, leg_to, servo_to
 
 
@@ -155,8 +155,4 @@ SCENES: Final = {
         351 leg 1 start 90 (key put leg/1) → watchdog 1 stop; announce watchdog_expired; rejected 2 servo_stopped
         352 leg 1 start 90 (key put leg/1) → rejected 3 servo_stopped""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)

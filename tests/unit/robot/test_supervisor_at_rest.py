@@ -10,7 +10,7 @@ from gateway.robot.core.leg import Rules
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.robot import leg, started_and_quiet
-from tests.support.scenes import Scenes, play
+from tests.support.scenes import Scenes, play, scene_test
 from tests.support.steps import leg_to
 from tests.support.transfers import on_wire
 
@@ -77,11 +77,7 @@ SCENES: Final = {
         860 leg 1 stop
         1900 leg 1 start 90 → command 1 start 90; completed 5""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 def test_a_round_uses_no_rate_slot_and_the_state_says_what_it_said() -> None:

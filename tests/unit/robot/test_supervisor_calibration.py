@@ -11,7 +11,7 @@ from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.core.events import CalibrationSaved
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import IllegalEvent
-from tests.support.scenes import Scenes, play
+from tests.support.scenes import Scenes, play, scene_test
 
 MIRRORED = RobotCalibration(3, {32: ServoMapping(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
 """90 is 97 on its wire, and 10 is 177."""
@@ -127,11 +127,7 @@ SCENES: Final = {
         259 end
         260 {TURN_32} → rejected 6 stopping""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 @pytest.mark.parametrize("number", [0, 2])

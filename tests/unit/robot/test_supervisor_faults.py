@@ -21,7 +21,7 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
-from tests.support.scenes import play
+from tests.support.scenes import scene_test
 from tests.support.steps import Steps, leg_to, servo_to
 from tests.support.transitions import TRANSITIONS
 
@@ -176,8 +176,4 @@ SCENES: Final = {
         120 time → repeat 1-6 stop
         due never""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)

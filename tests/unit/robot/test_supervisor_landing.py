@@ -7,7 +7,7 @@ import pytest
 from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from schemas.telemetry import Mode, WatchdogState
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 from tests.support.steps import Steps, all_stopped, leg_to
 
 TIMEOUT_MS, LANDING_MS = 250, 1000
@@ -152,8 +152,4 @@ SCENES: Final = {
         700 servo 31 start 90
         950 time → watchdog 3 stop; rejected 7 stale; announce watchdog_expired""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)

@@ -5,7 +5,7 @@ from typing import Final
 import pytest
 
 from gateway.robot.core.events import Rejected
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 from tests.support.steps import Steps
 
 RUNS: Final = "rules max_speed_cdeg_s={31: 10000}\n 1 leg 3 start 90\n"
@@ -51,11 +51,7 @@ SCENES: Final = {
         41 servo 32 set 80
         51 servo 31 set 180 → command 31 set 92; …""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 @pytest.mark.parametrize("stop", ["60 servo 31 stop", "60 estop", "400 pass"])

@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 
 # ---- 4, the watchdog
 
@@ -201,8 +201,4 @@ SCENES: Final = {
         130 open → startup 1-6 stop; …
         140 leg 1 start 90 → rejected 2 servo_stopped""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)

@@ -6,7 +6,7 @@ from typing import Final
 
 import pytest
 
-from tests.support.scenes import play
+from tests.support.scenes import play, scene_test
 from tests.support.steps import Steps, servo_to
 
 RULES: Final = "rules takeover_cdeg_s=18000\n"
@@ -96,11 +96,7 @@ SCENES: Final = {
         220 servo 31 set 160 (source bert)
         960 pass → …; watchdog 31 set 90; …""",
 }
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_a_scene(scene: str) -> None:
-    play(scene)
+test_a_scene = scene_test(SCENES)
 
 
 STOPPED: Final = """rules power=True, angles_first=True, takeover_cdeg_s=18000
