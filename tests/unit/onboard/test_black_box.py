@@ -1,5 +1,6 @@
-"""`incidents` at folders and disks that do not let it."""
+"""`incidents`: its commands, and folders and disks that do not let it."""
 
+import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from gateway.onboard import black_box
 from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
+from tests.support.command import run_here
 from tests.support.full_disk import disk_that_takes
 from tests.support.robot import WALL_NS
 
@@ -23,6 +25,27 @@ NAME = "20260921-141320-123-watchdog"
 
 def settings(folder: Path) -> Settings:
     return Settings.of({"state": {"path": str(folder)}})
+
+
+def test_an_incident_is_listed_shown_and_exported_by_its_name_or_as_the_last(folder: Path, tmp_path: Path) -> None:
+    config, file = tmp_path / "gateway.toml", tmp_path / "stop.mcap"
+    config.write_text(f'state.path = "{folder}"\n')
+    ring = RecordRing(paths.prepare(folder), 100)
+    ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
+    ring.close()
+
+    def run(*arguments: str) -> tuple[int, str]:
+        done = run_here("incidents", *arguments, "--config", str(config))
+        return done.returncode, done.stdout
+
+    code, story = run("show", "last")
+    assert (code, story.startswith(f"{NAME}: ")) == (0, True)
+    assert run("show", NAME) == (0, story)
+    assert json.loads(run("show", NAME, "--json")[1]) == {"id": NAME, "story": story.splitlines()}
+    assert [each["id"] for each in json.loads(run("list", "--json")[1])] == [NAME]
+    assert run("export", "last", str(file)) == (0, f"{NAME} is in {file}\n")
+    assert run("export", "last", str(file))[0] == 2, "it exists"
+    assert [run("show", name)[0] for name in ("yesterday", "20200101-000000-000-estop")] == [1, 1]
 
 
 @contextmanager

@@ -80,6 +80,8 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     robot = recorded(folder)
     await asyncio.sleep(1)
     await silence(robot)
+    ((incident,), _) = incidents(folder)
+    assert robot.events(Kind.WATCHDOG_EXPIRED)[0].incident == robot.conductor.reports.state().incident == incident.name
     lines = told(folder)
     assert (
         lines[0]
