@@ -1,23 +1,20 @@
 """The inbox part by part: depths, order, channels, threads. A session's own messages take the same rings."""
 
 import asyncio
-import json
 import queue
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from functools import partial
 from types import SimpleNamespace
 
 import pytest
 import zenoh
 
-from gateway.robot.core.message import Received, Reply
+from gateway.robot.core.message import Received
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.zenoh_io.inbox import READER_DEPTH, Inbox
-from gateway.robot.zenoh_io.questions import MOST_OF_TOKEN, TokenCheck
-from gateway.robot.zenoh_io.receiver import OwnersTask, Reader
-from schemas.keys import BUTTON, ESTOP, LEASE, leg_command, servo_command
+from gateway.robot.zenoh_io.inbox import Inbox
+from schemas.keys import ESTOP, LEASE, leg_command, servo_command
 
 LEG_1, SERVO_11 = leg_command(1), servo_command(11)
 PATIENCE_S = 20.0
@@ -26,14 +23,7 @@ PATIENCE_S = 20.0
 class Held:
     """An inbox. `takes`: it takes all that there is whenever it rings; else what a tick would take is looked at."""
 
-    def __init__(
-        self,
-        opened: zenoh.Session,
-        *,
-        takes: bool = False,
-        readers: Mapping[str, Reader] | None = None,
-        tokens: Mapping[str, TokenCheck] | None = None,
-    ) -> None:
+    def __init__(self, opened: zenoh.Session, *, takes: bool = False) -> None:
         self.wakeups = asyncio.Event()
         self.taken: list[str] = []
         self.estops: list[Received] = []
@@ -47,8 +37,8 @@ class Held:
             self.owner,
             on_wakeup=self.tick if takes else self.wake,
             on_estop=self._stop,
-            readers=readers or {LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
-            tokens=tokens or {},
+            readers={LEASE: lambda _query, _ns, reply: partial(reply, b"read")},
+            tokens={},
             on_estop_received=lambda: self.estop_received_by.put(threading.current_thread().name),
         )
 
@@ -133,39 +123,6 @@ async def test_the_second_way_to_stop_does_not_wait_for_the_state(
         assert not held.estops, "the first way waits"
     await held.until(lambda: len(held.estops) == 1)
     del asked
-
-
-async def test_questions_with_a_token_are_all_read_though_they_come_faster_than_they_are_read(
-    session: zenoh.Session,
-) -> None:
-    """Each key that has tokens has a deep ring of its own; both are emptied, and their threads end."""
-    gate, blocked = threading.Event(), threading.Semaphore(0)
-
-    def read(_query: zenoh.Query, _received_ns: int, reply: Reply) -> OwnersTask:
-        blocked.release()
-        assert gate.wait(PATIENCE_S)
-        return partial(reply, b"read")
-
-    keys = (LEASE, BUTTON)
-    before = set(threading.enumerate())
-    tokens: dict[str, TokenCheck] = dict.fromkeys(keys, lambda _token: True)
-    held = Held(session, readers=dict.fromkeys(keys, read), tokens=tokens)
-    asked = []
-    for key in keys:
-        asked.append(session.get(key, timeout=PATIENCE_S))
-        await asyncio.to_thread(blocked.acquire, timeout=PATIENCE_S)
-        for number in range(2 * READER_DEPTH):
-            asked.append(session.get(key, payload=json.dumps({"lease": f"{number:032x}"}), timeout=PATIENCE_S))
-    repeated = json.dumps({"lease": "f" * 32})
-    again = [session.get(key, payload=repeated, timeout=PATIENCE_S) for key in keys for _ in range(MOST_OF_TOKEN + 2)]
-    gate.set()
-    for replies in asked:
-        assert len(await asyncio.to_thread(list, replies)) == 1
-    answered = sum([len(await asyncio.to_thread(list, replies)) for replies in again])
-    assert answered == len(keys) * MOST_OF_TOKEN, "and none displaces another"
-    await held.close()
-    left = {thread.name for thread in set(threading.enumerate()) - before if thread.is_alive()}
-    assert not {name for name in left if not name.startswith("asyncio")}, "no thread is left behind"
 
 
 async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: Held) -> None:
