@@ -37,19 +37,6 @@ def angles(frame: bytes | None) -> set[float]:
 # ---- what is said when
 
 
-def test_a_whole_start_has_its_angles_in_two_frames_before_the_uarts_start() -> None:
-    commanded = Commanded()
-    assert angles(commanded.frame()) == {90.0}
-    assert commanded.left() is None
-    commanded.take(starts())
-    assert angles(commanded.frame()) == {80.0}
-    assert commanded.left() is None
-    assert commanded.frame()
-    assert commanded.left() == START
-    assert commanded.frame()
-    assert commanded.left() is None, "once"
-
-
 @pytest.mark.parametrize("behind", ["the first frame", "the second frame, on its way"])
 def test_no_start_comes_after_a_shutdown(behind: str) -> None:
     commanded = Commanded()

@@ -168,10 +168,6 @@ def test_any_bytes_are_judged(payload: bytes, key: str) -> None:
 MIXED: dict[str, Any] = {"servos": [STOP, SET, SET]}
 
 
-def _limited() -> dict[str, Any]:
-    return {"limits": {"servos": {"32": {"max_deg": 100}}}}
-
-
 @pytest.mark.virtual_time
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
 async def test_the_stops_of_a_stale_command_come(verb: Verb) -> None:
@@ -188,15 +184,6 @@ async def test_the_stops_of_a_stale_command_come(verb: Verb) -> None:
     assert stopped(robot) == {31}
     (rejection,) = robot.events(Kind.COMMAND_REJECTED)
     assert (rejection.reason, rejection.legs) == (Reason.STALE, (3,))
-
-
-@pytest.mark.virtual_time
-async def test_the_stops_of_a_command_beyond_a_joints_limit_come() -> None:
-    robot = await running(**_limited())
-    ack = robot.ask(LEG_3, {"servos": [STOP, {"op": "set", "angle_deg": 120}, SET]})
-    assert (ack.reason, ack.stopped, ack.written) == (Reason.JOINT_LIMIT, True, None)
-    assert stopped(robot) == {31}
-    assert "written" not in (ack.detail or "")
 
 
 @pytest.mark.virtual_time

@@ -60,7 +60,8 @@ SCENES: Final = {
         3 leg 1 start 20 → command 1 start 20; completed 3
         30 servo 12 set 160 → command 12 set 160; completed 4
         60 servo 11 set 180 → command 11 set 180; completed 5
-        61 leg 1 stop → command 1 stop; completed 6  # a stop has no angle""",
+        61 leg 1 stop | set 170 | set 80 → command 11 stop; rejected 6 joint_limit stopped
+        62 leg 1 stop → command 1 stop; completed 7  # a stop has no angle""",
     "a single joint waits to be energised like a leg": """
         rules start_pause_ms=50
         100 leg 1 start 90
