@@ -1,15 +1,18 @@
-"""The console between real pages and a real gateway: what is shown, what is sent, and who is let in."""
+"""The console between real pages and a real gateway: what is shown, what is sent, who drives, and who is let in."""
 
+import itertools
+import re
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from gateway.people.walking.gaits import GAITS
 from schemas.robot import LEGS
-from tests.support.console_process import NOBODY, Console, Page, SignedIn
+from tests.support.console_process import NOBODY, TRIES, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway, free_port
 
@@ -17,20 +20,29 @@ LEG_3 = "hexapod/leg/3/cmd"
 START = {"servos": [{"op": "start", "angle_deg": angle} for angle in (90, 45, 120)]}
 SET = {"servos": [{"op": "set", "angle_deg": angle} for angle in (91, 46, 121)]}
 STOP = {"servos": [{"op": "stop"}] * 3}
+TTL_MS: Final = 3000
+NUMBERS: Final = itertools.count(1000)
 
 
-gateway = gateway_fixture(patient())
+gateway = gateway_fixture(patient(5000, lease={"ttl_ms": TTL_MS}))
 console = console_fixture()
 session = session_fixture()
 
 
 @pytest.fixture
 def page(console: Console, session: SignedIn) -> Iterator[Page]:
-    """A page on a robot that is at rest."""
+    """A page on a robot that is at rest, while nobody drives."""
     with console.page(session) as opened:
+        opened.state(lambda state: state["lease"]["holder"] is None)
         state = opened.state(lambda state: state["mode"] in ("idle", "estopped"))
         if state["mode"] == "estopped":
             assert opened.reset(state["estop"])["ack"]["accepted"]
+        yield opened
+
+
+@pytest.fixture
+def other(console: Console, session: SignedIn) -> Iterator[Page]:
+    with console.page(session) as opened:
         yield opened
 
 
@@ -54,20 +66,60 @@ def test_a_page_sees_and_drives(page: Page) -> None:
     page.state(lambda state: state["mode"] == "idle")
 
 
-def test_stop_all_and_reset(page: Page, console: Console, session: SignedIn) -> None:
+def test_stop_all_and_reset(page: Page, other: Page) -> None:
     assert page.ask(LEG_3, START)["ack"]["accepted"]
     stopped = page.stop_all()
     assert stopped["stop_frames"] == len(LEGS)
     assert stopped["latency_us"] > 0
-    with console.page(session) as other:
-        other.wait("state", lambda message: message["state"]["estop"] == stopped["estop"])
-        assert other.state()["mode"] == "estopped"
-        assert other.wait("event", lambda message: message["event"]["kind"] == "estop_engaged")
-        again = other.stop_all()
-        assert again["estop"] == stopped["estop"] + 1
+    other.wait("state", lambda message: message["state"]["estop"] == stopped["estop"])
+    assert other.state()["mode"] == "estopped"
+    assert other.wait("event", lambda message: message["event"]["kind"] == "estop_engaged")
+    again = other.stop_all()
+    assert again["estop"] == stopped["estop"] + 1
     ack = page.reset(stopped["estop"])["ack"]
     assert (ack["accepted"], ack["reason"]) == (False, "estopped"), "not the one that the other page asked for"
     assert page.reset(again["estop"])["ack"]["accepted"]
+
+
+# ---- who drives: the lease is one WebSocket's, lives by that page's own requests, and ends with it
+
+
+def lease(page: Page, do: str) -> dict[str, Any]:
+    """Ask for something about the lease, again where a busy gateway did not answer in time; the answer."""
+    for number in itertools.islice(NUMBERS, TRIES):
+        page.send(type="lease", id=number, do=do)
+        answer = page.answer("lease", number)
+        if answer["accepted"] is not None:
+            break
+    return answer
+
+
+def test_the_token_stays_in_the_server(page: Page, other: Page) -> None:
+    """No message to any page has it: 32 hex digits in a row."""
+    assert lease(page, "acquire")["mine"]
+    assert page.ask(LEG_3, START)["ack"]["accepted"]
+    assert page.ask(LEG_3, STOP)["ack"]["accepted"]
+    assert lease(page, "renew")["mine"]
+    assert not lease(page, "release")["mine"]
+    other.state()
+    heard = page.heard + other.heard
+    assert any('"mine":true' in text for text in heard)
+    assert not [text for text in heard if re.search("[0-9a-f]{32}", text)]
+
+
+def test_only_the_page_itself_renews_it(page: Page, other: Page) -> None:
+    """A page that is frozen has an open socket, and loses the lease all the same."""
+    began = datetime.now(UTC)
+    assert lease(page, "acquire")["mine"]
+    for _ in range(3):
+        other.state()
+        assert lease(page, "renew")["mine"]
+    other.event("lease_expired", since=began)
+    for _ in range(10):  # a second later it is over by the console's own clock, too
+        other.state()
+    lost = lease(page, "renew")
+    assert (lost["mine"], lost["accepted"]) == (False, False)
+    assert (lost["end"], lost["silent_s"] * 1000 > TTL_MS) == ("page_silent", True)
 
 
 # ---- who gets in
