@@ -14,9 +14,9 @@ import zenoh
 from gateway.robot.core.message import Received
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.inbox import Inbox
-from schemas.keys import ESTOP, LEASE, leg_command, servo_command
+from schemas.keys import ESTOP, LEASE, leg_command
 
-LEG_1, SERVO_11 = leg_command(1), servo_command(11)
+LEG_1 = leg_command(1)
 PATIENCE_S = 20.0
 
 

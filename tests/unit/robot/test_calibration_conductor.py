@@ -72,19 +72,6 @@ async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: py
     assert (state.revision, state.fault, state.kept) == (1, None, False)
 
 
-async def test_no_answer_and_no_change_before_it_is_on_the_disk() -> None:
-    robot = await on_disk(disk := Disk())
-    answers = robot.calibrate(OWN)
-    assert (answers, told(robot).revision) == ([], 0)
-    assert robot.ask(LEG_3, START).reason == Reason.SERVO_STOPPED, "it would start under the old numbers"
-    assert robot.ask(keys.leg_command(1), START).accepted, "another leg's numbers do not change"
-    disk.write()
-    assert answers[0].accepted
-    assert robot.conductor.reports.state().calibration.kept
-    assert robot.ask(LEG_3, START).accepted
-    assert robot.frames[-1][1].servos[0][1].angle_cdeg == 97_50
-
-
 async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -129,26 +116,6 @@ async def test_what_comes_after_the_end_changes_nothing() -> None:
     robot.conductor.close()
     disk.write()
     assert robot.calibrate(OWN) == answers == []
-
-
-async def test_one_that_cannot_be_trusted_starts_nothing_until_a_person_takes_the_default() -> None:
-    robot = Robot({}, keep=(disk := Disk()))
-    robot.conductor.supervisor.calibrating.load(RobotCalibration(7), "calibration.toml: is not TOML")
-    robot.conductor.start()
-    robot.conductor.reports.announce_start()
-    assert robot.conductor.reports.state().calibration.fault == "calibration.toml: is not TOML"
-    assert robot.controller.energised == set()
-    for ack in (robot.ask(LEG_3, START), robot.calibrate(OWN)[0]):
-        assert ack.reason == Reason.SERVO_STOPPED
-        assert "is not TOML" in str(ack.detail)
-        assert "calibrate accept-default" in str(ack.detail)
-    assert robot.ask(LEG_3, STOP).accepted
-    answers = robot.calibrate({"accept_default": True})
-    assert robot.ask(LEG_3, START).reason == Reason.SERVO_STOPPED, "it is not kept yet"
-    disk.write()
-    assert answers[0].accepted
-    assert (told(robot).revision, robot.conductor.reports.state().calibration.fault) == (8, None)
-    assert robot.ask(LEG_3, START).accepted
 
 
 async def test_what_is_no_command_is_answered_and_told() -> None:

@@ -25,26 +25,6 @@ pytestmark = pytest.mark.virtual_time
 LEG_3 = keys.leg_command(3)
 
 
-async def test_two_laptops_on_one_leg_are_both_named() -> None:
-    robot = Robot()
-    robot.conductor.start()
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
-    robot.put(LEG_3, leg("set", 2, 2, 3, source="anna"))
-    assert not robot.events(Kind.SOURCE_CHANGED), "the leg was nobody's before"
-    assert robot.conductor.reports.state().legs[2].source == "anna"
-    robot.put(LEG_3, leg("set", 3, 2, 3), source="0123abc")
-    (event,) = robot.events(Kind.SOURCE_CHANGED)
-    assert (event.source, event.detail) == ("0123abc", "leg 3 is commanded by 0123abc, and was by anna")
-    assert event.legs == (3,)
-    robot.put(LEG_3, {"servos": [{"op": "stop"}] * 3, "source": "ben"})
-    assert robot.events(Kind.SOURCE_CHANGED)[-1].detail == "leg 3 is commanded by ben, and was by 0123abc"
-    assert [each.source for each in robot.conductor.reports.state().legs] == [None, None, "ben", None, None, None]
-    robot.put(LEG_3, leg("start", 1, 2, 3, source="anna"))
-    assert len(robot.events(Kind.SOURCE_CHANGED)) == 2, "a stopped leg is taken from nobody"
-    await asyncio.sleep(1)
-    assert robot.conductor.reports.state().legs[2].source is None, "the watchdog has stopped it"
-
-
 @pytest.mark.virtual_time
 @pytest.mark.parametrize(
     "key", ["hexapod/leg/{}/cmd", "hexapod/{}/cmd", "hexapod/" + "x" * 86 + "{}/cmd", "{0}/{0}/cmd"]

@@ -1,20 +1,13 @@
 """An emergency stop that an earlier run has left: it is engaged, and until that is known, one counts as engaged."""
 
-import asyncio
-from dataclasses import replace
-
 import pytest
 
-from gateway.robot import service
 from gateway.robot.core.events import EstopKept
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legal import IllegalEvent
 from gateway.robot.core.message import Verb
-from gateway.robot.runtime.supply import off_button
 from schemas import keys
 from schemas.telemetry import Mode
-from tests.support import robot as robots
-from tests.support.power import FedRobot
 from tests.support.robot import leg, started_and_quiet
 from tests.support.steps import Steps, leg_to
 
@@ -75,23 +68,3 @@ async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_res
     robot.put(keys.RESET, {"estop": 2})
     assert told == [(1, True, 6, "anna"), (2, True, 6, "bert"), (2, False, 6, "bert")]
     assert robot.conductor.reports.state().estop_since is None
-
-
-@pytest.mark.virtual_time
-async def test_the_power_boards_off_button_is_told_and_nothing_is_fed_before_it_is_known(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
-    robot = FedRobot()
-    await asyncio.sleep(1)
-    robot.put(keys.leg_command(3), START)
-    await asyncio.sleep(1)
-    assert robot.line.fed == frozenset(), "an earlier run may have left an emergency stop engaged"
-    robot.conductor.ask(EstopKept(4, engaged=False))
-    robot.put(keys.leg_command(3), START)
-    await asyncio.sleep(0.2)
-    assert robot.line.fed
-    told: list[int] = []
-    robot.conductor.on_latch = lambda: told.append(robot.conductor.supervisor.latch.number)
-    robot.conductor._emergency_stop(off_button(robot.now_ns()), robot.now_ns())
-    assert told == [5]

@@ -10,8 +10,7 @@ from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
-from schemas.robot import LEGS
-from schemas.telemetry import ButtonsReport, Cause, Kind, Mode, Reason
+from schemas.telemetry import Kind, Reason
 from tests.support.robot import Robot, leg, started_and_quiet
 
 LEG_3 = keys.leg_command(3)
@@ -125,23 +124,6 @@ async def watched(required: int = 1, **buttons: Any) -> tuple[Robot, ButtonAck]:
     ack = robot.button("register", "kitchen")
     assert robot.button("alive", button=ack.button, count=1).accepted
     return robot, ack
-
-
-async def test_silence_stops_all_six_legs_and_says_who_was_silent() -> None:
-    robot, _ = await watched()
-    assert robot.ask(LEG_3, START).accepted
-    await asyncio.sleep(0.999)
-    before = len(robot.frames)
-    assert robot.mode == Mode.ACTIVE
-    await asyncio.sleep(0.002)
-    assert robot.mode == Mode.IDLE
-    assert len(robot.frames) == before + len(LEGS)
-    (event,) = robot.events(Kind.BUTTON_SILENT)
-    assert (event.source, event.legs) == ("kitchen", tuple(LEGS))
-    assert robot.conductor.metrics.frames[Cause.WATCHDOG] == len(LEGS)
-    assert robot.conductor.metrics.events == {Kind.STARTED: 1, Kind.BUTTON_REGISTERED: 1, Kind.BUTTON_SILENT: 1}
-    assert robot.conductor.reports.state().watchdog.stop_latency_us.max is not None
-    assert robot.conductor.reports.state().buttons == ButtonsReport(required=1)
 
 
 async def test_what_is_rejected_is_told_with_its_reason() -> None:

@@ -20,9 +20,7 @@ from gateway.robot.core.events import (
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
-from tests.support.faulty_controller import FaultyController
 from tests.support.robot import Robot, leg, servo, started_and_quiet
-from tests.unit.robot.test_calibration_conductor import OWN, Disk, on_disk
 
 pytestmark = pytest.mark.virtual_time
 
@@ -77,20 +75,6 @@ async def test_a_reset_whose_step_cannot_write_repeated_stops_is_accepted() -> N
     robot.controller.fail_where(lambda _: False)
     await asyncio.sleep(0.1)
     assert robot.mode == Mode.IDLE, "as its answer says"
-
-
-async def test_a_calibration_that_is_kept_while_stops_fail_is_accepted() -> None:
-    disk = Disk()
-    robot = await on_disk(disk)
-    robot.put(keys.ESTOP)
-    robot.put(keys.RESET, {"estop": 1})
-    answers = robot.calibrate(OWN)
-    robot.sleep_through(0.03)
-    robot.controller.fail_where(lambda _: True)
-    disk.write()
-    assert [ack.accepted for ack in answers] == [True]
-    assert robot.mode == Mode.BUS_FAULT
-    assert robot.conductor.supervisor.calibrating.in_force.revision == 1
 
 
 async def test_a_stop_that_was_written_is_accepted_though_another_commands_frame_fails() -> None:
@@ -174,32 +158,6 @@ async def test_the_rest_is_withdrawn_and_the_answer_names_what_was_written(
     assert robot.controller.energised == {servo_id for number in run_on for servo_id in LEG_RUNS[number]}
     (rejected,) = robot.events(Kind.COMMAND_REJECTED)
     assert rejected.detail == ack.detail
-
-
-async def test_a_bus_that_fails_on_the_way() -> None:
-    """The batch counts as failed wholly: nobody knows how far it came."""
-    robot = await started_and_quiet()
-    fail_the_third(robot)
-    ack = robot.ask(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}})
-    assert (ack.accepted, ack.reason, ack.written) == (False, Reason.BUS_FAULT, None)
-    assert robot.controller.energised == {11, 12, 13, 21, 22, 23}
-
-
-class ThirdFails(FaultyController):
-    """Of the transfers from now on the third fails."""
-
-    _count = 0
-
-    def take(self, data: bytes) -> None:
-        self._count += 1
-        if self._count == 3:
-            self.fail_next(1)
-        super().take(data)
-
-
-def fail_the_third(robot: Robot) -> None:
-    robot.controller = ThirdFails(robot.settings.spi.framing, clock=robot.now_ns)
-    robot.conductor.bus.open()
 
 
 async def test_a_leg_s_command_whose_stop_went_ahead_of_its_start() -> None:

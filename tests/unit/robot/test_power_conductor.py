@@ -9,7 +9,6 @@ import pytest
 
 from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.events import StoppedOutside
-from gateway.robot.runtime.confirmations import MOST_ASKERS
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Telemetry
@@ -315,21 +314,3 @@ async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> N
     robot.line.listens = False
     supply.makes_progress()
     assert [supply.makes_progress() for _ in range(30)] == [True] * 29 + [False]
-
-
-async def test_one_question_serves_a_flood_of_emergency_stops_beside_a_silent_board() -> None:
-    """Each waiting answer keeps a query and the buffer that it came in, so few may wait, and all are answered."""
-    robot = await runs()
-    robot.line.unplugged = True
-    answers = [robot.get(keys.ESTOP) for _ in range(1000)]
-    assert len(robot.line.board._off._waits) == 1
-    assert sum(len(each) for each in answers) == 1000 - MOST_ASKERS, "the others are not confirmed, and know it"
-    await asyncio.sleep(0.5)
-    assert [[(ack.accepted, ack.confirmed, ack.stop_frames) for ack in each] for each in answers] == [
-        [(True, False, 6)]
-    ] * 1000
-    robot.line.unplugged = False
-    await asyncio.sleep(UP_S)
-    answers = [robot.get(keys.ESTOP)]
-    await asyncio.sleep(0.15)
-    assert [[ack.confirmed for ack in each] for each in answers] == [[True]], "nobody of before takes a place"

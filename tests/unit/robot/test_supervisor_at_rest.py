@@ -11,7 +11,6 @@ from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.robot import leg, started_and_quiet
 from tests.support.scenes import Scenes, play, scene_test
-from tests.support.steps import leg_to
 from tests.support.transfers import on_wire
 
 # ---- when, and to whom
@@ -173,33 +172,6 @@ def test_a_start_ends_them_and_waits_for_none() -> None:
 def test_the_end_waits_for_none_of_them() -> None:
     robot = at_rest().play("5000 leg 1 start 90\n 5010 end")
     assert runs_of(robot) == [5030, 5050, 5070]
-
-
-# ---- nothing that is owed moves to a later time
-
-
-@pytest.mark.parametrize("every_ms", [1, 15, 19, 20, 21])
-def test_a_repeat_comes_in_its_time_however_often_others_are_stopped(every_ms: int) -> None:
-    """Five legs that are started and stopped in turn; leg 2 is at rest, and has its Stop when the others come to it."""
-    robot = at_rest()
-    robot.command(5000, leg_to(2, "start 90"))
-    robot.command(5001, leg_to(2, "stop"))
-    since_ms = gap_ms = 5001.0
-    longest_ms = 0.0
-    for turn in range(400):
-        at_ms = 5002.0 + every_ms * turn
-        while robot.due_ms is not None and robot.due_ms < at_ms:
-            due_ms = robot.due_ms
-            if "repeat 2 stop" in robot.time(due_ms):
-                gap_ms, since_ms = due_ms - since_ms, due_ms
-                longest_ms = max(longest_ms, gap_ms)
-        number = (1, 3, 4, 5, 6)[turn // 2 % 5]
-        words = robot.command(at_ms, leg_to(number, "stop" if turn % 2 else "start 90"))
-        if "repeat 2 stop" in words:
-            gap_ms, since_ms = at_ms - since_ms, at_ms
-            longest_ms = max(longest_ms, gap_ms)
-    assert longest_ms <= 20 + every_ms
-    assert at_ms - since_ms <= 20 + every_ms
 
 
 # ---- on the wire
