@@ -4,14 +4,9 @@ from typing import Final
 
 import pytest
 
-from gateway.model.frames import stop_leg
-from gateway.model.framing import Framing
 from gateway.robot.core.leg import Rules
-from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from tests.support.robot import leg, started_and_quiet
 from tests.support.scenes import Scenes, play, scene_test
-from tests.support.transfers import on_wire
 
 # ---- when, and to whom
 
@@ -172,21 +167,3 @@ def test_a_start_ends_them_and_waits_for_none() -> None:
 def test_the_end_waits_for_none_of_them() -> None:
     robot = at_rest().play("5000 leg 1 start 90\n 5010 end")
     assert runs_of(robot) == [5030, 5050, 5070]
-
-
-# ---- on the wire
-
-LEG_3 = keys.leg_command(3)
-PREFIXED = Framing.LENGTH_PREFIXED
-
-
-@pytest.mark.virtual_time
-async def test_they_leave_with_the_first_stop_and_no_preamble_between() -> None:
-    robot = await started_and_quiet(spi={"framing": PREFIXED})
-    robot.put(LEG_3, leg("start", 10, 10, 10))
-    robot.controller.transfers.clear()
-    calls = sum(robot.conductor.bus.transfer_latency.buckets)
-    robot.put(LEG_3, leg("stop"))
-    others = [stop_leg(number) for number in LEGS if number != 3]
-    assert [data for _, data in robot.controller.transfers] == on_wire(PREFIXED, stop_leg(3), *others)
-    assert sum(robot.conductor.bus.transfer_latency.buckets) == calls + 1
