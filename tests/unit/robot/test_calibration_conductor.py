@@ -126,6 +126,8 @@ async def test_what_is_no_command_is_answered_and_told() -> None:
     assert (event.kind, event.key, event.reason) == (Kind.COMMAND_REJECTED, keys.CALIBRATION_CMD, Reason.INVALID)
     robot.put(keys.CALIBRATION_CMD, OWN, target=None)
     assert "takes get only" in robot.events()[-1].detail
+    (ack,) = robot.calibrate({"accept_default": True})
+    assert ack.reason is Reason.INVALID, "the calibration in force can be trusted"
     assert told(robot).revision == 0
 
 
