@@ -124,12 +124,15 @@ class Payload(bytes):
         return self
 
 
+EMPTY: Final = Payload()
+
+
 @dataclass
 class Sample:
     """The same of a sample."""
 
     key_expr: str
-    payload: Payload
+    payload: Payload = EMPTY
     encoding: str = "application/json"
     source_info: None = None
     kind = zenoh.SampleKind.PUT

@@ -6,7 +6,6 @@ In one process: a session's own messages take the same rings.
 import threading
 import time
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +18,7 @@ from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD
 from gateway.robot.zenoh_io.questions import POLL_AGAIN_S
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, leg_command, servo_command
+from tests.support.interleaved import Sample
 from tests.zenoh.test_inbox_parts import PATIENCE_S, Held
 
 KEYS = [key for key in COMMAND_KEYS if key != ESTOP]
@@ -62,33 +62,22 @@ class LateRing:
         self.closed = False
         self._items: SimpleQueue[Sample | None] = SimpleQueue()
 
-    def put(self, item: "Sample | None") -> None:
+    def put(self, item: Sample | None) -> None:
         self._items.put(item)
 
-    def recv(self) -> "Sample":
+    def recv(self) -> Sample:
         item = self._items.get()
         if item is None:
             raise zenoh.ZError("closed")
         return item
 
-    def try_recv(self) -> "Sample | None":
+    def try_recv(self) -> Sample | None:
         if self.closed:
             raise zenoh.ZError("closed")
         return None if self._items.empty() else self._items.get()
 
     def undeclare(self) -> None:
         self.put(None)
-
-
-@dataclass
-class Sample:
-    """As much of one as the inbox looks at."""
-
-    key_expr: str
-    payload: None = None
-    encoding: None = None
-    source_info: None = None
-    kind = zenoh.SampleKind.PUT
 
 
 @pytest.mark.parametrize("early", [0, 1])
