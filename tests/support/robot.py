@@ -270,6 +270,10 @@ def leg(op: str, *angles_deg: float, **more: Any) -> dict[str, Any]:
     return {"servos": servos, **more}
 
 
+LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
+START = leg("start", 90, 90, 90)
+
+
 def servo(op: str, angle_deg: float | None = None, **more: Any) -> dict[str, Any]:
     """A ServoCommand."""
     return {"op": op, **({} if angle_deg is None else {"angle_deg": angle_deg}), **more}

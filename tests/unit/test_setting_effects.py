@@ -23,16 +23,13 @@ from gateway.robot.spi import Batch
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from gateway.simulation.controller import SimulatedController
-from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
 from tests.support.elkapod import elkapod
-from tests.support.robot import leg, started_and_quiet
+from tests.support.robot import LEG_3, START, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
-LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
-START = leg("start", 90, 90, 90)
 SHOWN_ELSEWHERE = {
     "zenoh.listen": "test_service.py",
     "zenoh.config": "test_service.py",

@@ -11,12 +11,9 @@ from gateway.robot.core.events import Announce, Transmit
 from gateway.robot.core.intake import MAX_KEY
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Reason
-from tests.support.robot import MS, leg, started_and_quiet
+from tests.support.robot import LEG_1, LEG_3, MS, START, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
-
-LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
-START = leg("start", 90, 90, 90)
 
 
 # ---- the emergency stop

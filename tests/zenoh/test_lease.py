@@ -15,12 +15,11 @@ from schemas.lease import LeaseAck
 from schemas.telemetry import Ack, Reason
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
-from tests.support.robot import leg
+from tests.support.robot import LEG_3, START, leg
 from tests.support.secured import Secured
 
-LEG_3 = keys.leg_command(3)
 TTL_MS = 3000
-START, STOP = leg("start", 90, 90, 90), leg("stop")
+STOP = leg("stop")
 
 
 def answer(session: zenoh.Session, key: str, **fields: Any) -> bytes:

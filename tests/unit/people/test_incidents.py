@@ -30,14 +30,13 @@ from schemas.telemetry import Kind
 from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
 from tests.support.ring import parse
-from tests.support.robot import WALL_NS, Robot, leg
+from tests.support.robot import LEG_3, WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
 from tests.unit.people.test_ring import image
 
 pytestmark = pytest.mark.virtual_time
 
-LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
 

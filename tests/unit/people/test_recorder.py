@@ -18,11 +18,10 @@ from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.telemetry import Cause, Kind
-from tests.support.robot import Robot, leg
+from tests.support.robot import LEG_3, Robot, leg
 
 pytestmark = pytest.mark.virtual_time
 
-LEG_3 = keys.leg_command(3)
 START = leg("start", 90, 45, 120, source="anna", sent_ms=0)
 
 

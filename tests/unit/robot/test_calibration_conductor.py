@@ -16,10 +16,9 @@ from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.telemetry import Ack, Kind, Reason
-from tests.support.robot import Robot, leg, started_and_quiet
+from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
 
-LEG_3 = keys.leg_command(3)
-START, STOP = leg("start", 90, 90, 90), leg("stop")
+STOP = leg("stop")
 OWN = {"servos": {"31": {"trim_deg": 7.5}, "32": {"inverted": True, "trim_deg": -10}, "33": {"max_deg": 140}}}
 pytestmark = pytest.mark.virtual_time
 

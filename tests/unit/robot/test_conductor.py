@@ -16,13 +16,11 @@ from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.elkapod import elkapod
 from tests.support.power import FedRobot
-from tests.support.robot import MS, Robot, leg, started_and_quiet
+from tests.support.robot import LEG_3, MS, START, Robot, leg, started_and_quiet
 from tests.support.transfers import on_wire
 from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time
-
-LEG_3 = keys.leg_command(3)
 
 
 @pytest.mark.virtual_time
@@ -42,7 +40,6 @@ async def test_a_rejection_repeats_no_token_that_stands_in_a_key(key: str) -> No
 # ---- What the conductor learns besides commands: of the power board, of the controller, of others on the device
 
 
-START = leg("start", 90, 90, 90)
 UP_S = 1.0
 """The board switches eighteen servos on in three quarters of a second."""
 

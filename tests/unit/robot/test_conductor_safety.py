@@ -12,13 +12,11 @@ from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.robot import MS, Robot, leg, servo, started, started_and_quiet
+from tests.support.robot import LEG_1, LEG_3, MS, START, Robot, leg, servo, started, started_and_quiet
 from tests.support.transfers import preamble_of
 
 pytestmark = pytest.mark.virtual_time
 
-LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
-START = leg("start", 90, 90, 90)
 ALL_STOPS = [stop_leg(number) for number in LEGS]
 
 

@@ -23,10 +23,9 @@ from schemas import keys
 from schemas.telemetry import Cause
 from tests.support.full_disk import disk_that_takes
 from tests.support.ring import parse
-from tests.support.robot import Robot, leg, servo
+from tests.support.robot import LEG_3, Robot, leg, servo
 from tests.unit.people.test_recorder import contents, recorded
 
-LEG_3: Final = keys.leg_command(3)
 SLOTS: Final = 160
 RATE_HZ: Final = 2
 FLOOD_S: Final = 150

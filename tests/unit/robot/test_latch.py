@@ -8,11 +8,10 @@ from gateway.robot.core.legal import IllegalEvent
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.telemetry import Mode
-from tests.support.robot import leg, started_and_quiet
+from tests.support.robot import started_and_quiet
 from tests.support.steps import Steps, leg_to
 
 KEPT = Rules(repeats=0, rest_runs=0, estop_kept=True)
-START = leg("start", 90, 90, 90)
 
 
 def test_until_it_is_known_one_counts_as_engaged_and_no_reset_leaves_it() -> None:

@@ -11,10 +11,9 @@ from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
 from schemas.telemetry import Kind, Reason
-from tests.support.robot import Robot, leg, started_and_quiet
+from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
 
-LEG_3 = keys.leg_command(3)
-START, SET = leg("start", 90, 90, 90), leg("set", 45, 45, 45)
+SET = leg("set", 45, 45, 45)
 pytestmark = pytest.mark.virtual_time
 
 

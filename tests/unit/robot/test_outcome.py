@@ -20,12 +20,10 @@ from gateway.robot.core.events import (
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
-from tests.support.robot import Robot, leg, servo, started_and_quiet
+from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
-LEG_1, LEG_3 = keys.leg_command(1), keys.leg_command(3)
-START = leg("start", 90, 90, 90)
 FIRST, SECOND, REPLACED = Command(number=1), Command(number=2), Command(number=3)
 REPLACED.coalesced = True
 RESET = Reset(number=4)

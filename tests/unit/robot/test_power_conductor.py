@@ -14,12 +14,10 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Telemetry
 from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot, running
-from tests.support.robot import leg, servo
+from tests.support.robot import LEG_3, START, leg, servo
 
 pytestmark = pytest.mark.virtual_time
 
-LEG_3: Final = keys.leg_command(3)
-START: Final = leg("start", 90, 90, 90)
 LEG_3_SERVOS: Final = frozenset({31, 32, 33})
 SERVO_31: Final = 1 << SERVO_IDS.index(31)
 UP_S: Final = 1.2

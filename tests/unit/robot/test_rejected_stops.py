@@ -16,10 +16,9 @@ from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import COMMAND_KEYS
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Reason
-from tests.support.robot import Robot, leg, started_and_quiet
+from tests.support.robot import LEG_3, Robot, leg, started_and_quiet
 from tests.support.stop_forms import FORMS, Form
 
-LEG_3 = keys.leg_command(3)
 STOP, SET = {"op": "stop"}, {"op": "set", "angle_deg": 80}
 """A Stop that is rejected for its form."""
 
