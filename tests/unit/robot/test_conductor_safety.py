@@ -39,6 +39,19 @@ async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it()
     assert state.watchdog.stop_latency_us.max is not None
 
 
+async def test_without_a_tick_its_own_thread_serves_it_and_leaves_the_rest() -> None:
+    robot = await started_and_quiet()
+    waiting = robot.ask_later(LEG_3, START)
+    robot.put_later(keys.ESTOP)
+    (received,) = [each for each in robot._waiting if each.key == keys.ESTOP]
+    robot.estops.append(received)
+    robot.conductor.serve_estops()
+    assert [frame for _, frame in robot.frames] == ALL_STOPS
+    assert waiting == []
+    robot.conductor.serve_estops()
+    assert len(robot.frames) == 6, "once is enough"
+
+
 async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latches() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, START)
