@@ -30,12 +30,12 @@ FOLDERS: Final[Mapping[str, tuple[str, ...]]] = {
     "falls": ("nightly",),
     "mutants": ("full",),
     "unit": (),
-    "fuzz": ("full",),
+    "search": ("full",),
 }
 """The marks of each folder's tests. The longest chains come first, last what is short."""
 TIERS: Final = ("full", "nightly")
 RUN: Final = ("alone", "attended", "searches")
-APART: Final = ("hil", "fuzz", "zenoh/test_service.py")
+APART: Final = ("hil", "search", "zenoh/test_service.py")
 """Tests that share nothing with those beside them, so that each may run on whichever worker is free."""
 TOGETHER: Final = ("box", "net", "ros2")
 """Folders that share a machine or a bridge; files of other folders share a gateway."""

@@ -1,11 +1,16 @@
 """`hexapod-gateway decode`: the line for each frame, what is wrong with others, and the exit codes."""
 
+import contextlib
+import io
 import json
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from gateway.cli import app
+from gateway.people.commands import decode as decode_command
 
 STOP_32 = "06 02 20 02 00 00"
 LEG_3 = "0e 01 1f 01 5a 00 20 03 2d 19 21 02 00 00"
@@ -77,3 +82,13 @@ def test_what_is_not_legal(arguments: list[str], lines: list[str]) -> None:
 
 def test_no_argument_is_a_mistake_of_usage() -> None:
     assert CliRunner().invoke(app, ["decode"]).exit_code == 2
+
+
+@given(st.lists(st.text(st.characters(exclude_characters="\0", exclude_categories=())) | st.binary().map(bytes.hex)))
+def test_whatever_is_typed_prints_lines_that_any_terminal_takes(typed: list[str]) -> None:
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        code = decode_command.decode(typed)
+    lines = printed.getvalue().splitlines()
+    assert lines
+    assert all(line.isprintable() for line in lines)
+    assert code == any(": ONE " not in line for line in lines)

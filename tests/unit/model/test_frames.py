@@ -26,7 +26,6 @@ from gateway.model.frames import (
     stop_leg,
 )
 from schemas.robot import SERVO_IDS
-from tests.fuzz.targets import check_frame
 
 VECTORS: dict[str, Any] = json.loads((Path(__file__).parents[2] / "data" / "frames.json").read_text())
 LEGAL: list[dict[str, Any]] = VECTORS["legal"]
@@ -186,4 +185,14 @@ def test_every_legal_frame_survives_the_wire(frame: Frame) -> None:
 
 @given(st.binary(max_size=80) | bytes_near_a_frame)
 def test_any_bytes_are_a_frame_or_an_error_that_names_the_byte(data: bytes) -> None:
-    check_frame(data)
+    """A frame is written as it was read, besides a Stop's angle."""
+    written, why_not = b"", ""
+    try:
+        written = decode(data).to_bytes()
+    except FrameError as error:
+        why_not = str(error)
+    canonical = bytearray(data)
+    for record in range(2, len(written), 4):
+        if data[record + 1] == Op.STOP:
+            canonical[record + 2 : record + 4] = b"\0\0"
+    assert re.fullmatch(r"byte [ -~]{1,195}", why_not) if why_not else written == canonical

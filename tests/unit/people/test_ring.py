@@ -232,7 +232,7 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence
     assert [record.sequence for record in ring_reader.read(path).records] == [1, 2]
 
 
-# ---- found by the fuzzer
+# ---- values out of range
 
 
 @pytest.mark.parametrize(

@@ -1,1 +1,0 @@
-"""Fuzzing of what reads foreign bytes, and the model check of the supervisor."""

@@ -1,0 +1,1 @@
+"""The model check: every state of the supervisor that small robots reach."""
