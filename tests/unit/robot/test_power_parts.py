@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.power_board import (
     ASK_CURRENTS,
     ASK_ERROR,
@@ -145,8 +145,8 @@ def test_a_question_that_was_not_sent_is_free_again() -> None:
 def test_an_answer_is_for_another_node_that_asked_within_2_s(at_ms: int, reached: int) -> None:
     questions = BoardQuestions()
     [question] = questions.due_after(1, 0)
-    questions.asked_by_another(question, 0)
-    questions.answered_about_rails(question, at_ms * NS_PER_MS)
+    questions.asked_by_another(question, NS_PER_S)
+    questions.answered_about_rails(question, NS_PER_S + at_ms * NS_PER_MS)
     assert questions.reached == reached
 
 
