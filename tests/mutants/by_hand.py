@@ -202,7 +202,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "command.key not in self._until_ns",
         ),
     ),
-    "gateway/robot/core/pacing.py": (
+    "gateway/robot/core/leg.py": (
         ByHand("the oldest target counts", "    return newer\n", "    return older\n"),
         ByHand(
             "the last comes first: the others may wait for ever", "self.legs.append(leg)", "self.legs.insert(0, leg)"

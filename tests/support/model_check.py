@@ -30,9 +30,8 @@ from gateway.robot.core.events import (
     ShutDown,
     TimePassed,
 )
-from gateway.robot.core.leg import Leg, Rules, Servo
+from gateway.robot.core.leg import Leg, RateSlots, Rules, Servo, StartQueue
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.pacing import RateSlots, StartQueue
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns

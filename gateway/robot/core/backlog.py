@@ -18,9 +18,8 @@ from typing import Final
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import OP_START
 from gateway.robot.core.events import Command, Effect
-from gateway.robot.core.leg import Leg, Rules
+from gateway.robot.core.leg import BUCKET, Leg, Rules
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.pacing import BUCKET
 from schemas.telemetry import Reason
 
 START_WAIT_NS: Final = 15 * NS_PER_MS  # mutants accepted (Step): room on both sides

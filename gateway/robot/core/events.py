@@ -8,8 +8,7 @@ from typing import Final, Literal, final
 from gateway.model.black_box.format import ACCEPTED, COALESCED
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
-from gateway.robot.core.message import Reply, Verb
-from gateway.robot.core.value import value
+from gateway.robot.core.message import Reply, Verb, value
 from schemas.telemetry import Cause, Kind, Reason
 
 Targets = tuple[tuple[int, ServoOp], ...]

@@ -9,9 +9,8 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from gateway.robot.core.events import Command, Reset
-from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.message import Received, Verb, value
 from gateway.robot.core.targets import TARGETS, TargetRules, may_contain_stop, stops_of
-from gateway.robot.core.value import value
 from gateway.text import BOM, decimal_comma
 from schemas import keys
 from schemas.calibration import MAX_TRIM_DEG

@@ -12,9 +12,21 @@ from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing, landing
-from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo, servos_of
-from gateway.robot.core.leg_effects import as_it_is, stops, taken_over, withdrawn
-from gateway.robot.core.pacing import NEVER, RateSlots, StartQueue, merged
+from gateway.robot.core.leg import (
+    NEVER,
+    NO_COMMAND,
+    Leg,
+    RateSlots,
+    Rules,
+    Servo,
+    StartQueue,
+    as_it_is,
+    merged,
+    servos_of,
+    stops,
+    taken_over,
+    withdrawn,
+)
 from gateway.robot.core.power import held_starts, note_supply
 from gateway.robot.core.rest import RestStops, rest_stops
 from gateway.robot.core.speed import LimitedSpeeds

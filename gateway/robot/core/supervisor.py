@@ -12,7 +12,7 @@ Further rules, here and in `Legs`, by their names in docs/interface.md, *Behavio
 *Start*: `BusOpened` stops all six legs, at the start and after a fault. Before it, nothing is accepted.
 *Start before Set*: Only an accepted `start` energises a servo. A command with a `set` for a servo that neither runs nor
     waits to be started is rejected. A Stop drops its servo's waiting target.
-*Rate limit*: Starts and Sets wait for their leg's rate slot (`pacing`); each servo's newest target counts. A Stop does
+*Rate limit*: Starts and Sets wait for their leg's rate slot (`leg`); each servo's newest target counts. A Stop does
     not wait. Stops precede all other effects of a step.
 *Answered in part*: Of a rejected command, the Stops are carried out, whatever the reason.
 *Watchdog*: Deadlines precede a command of the same step, so a late command does not save its leg (`watchdog`). Every
@@ -37,7 +37,7 @@ another channel, and the emergency stop wins over a reset.
 """
 
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
@@ -47,6 +47,7 @@ from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.calibrating import Calibrating
 from gateway.robot.core.events import (
     Announce,
+    BodyMeasured,
     BusFailed,
     BusOpened,
     ButtonRequest,
@@ -54,6 +55,7 @@ from gateway.robot.core.events import (
     CalibrationSaved,
     Command,
     Effect,
+    EmergencyStop,
     EstopKept,
     Event,
     LeaseRequest,
@@ -62,13 +64,13 @@ from gateway.robot.core.events import (
     RequestAnswer,
     Reset,
     ShutDown,
+    TimePassed,
     Transmit,
 )
 from gateway.robot.core.interlock import Barred, Halt, Interlock, Why
 from gateway.robot.core.latch import ESTOPPED, Latch
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.legal import ALL_EVENTS, LEGAL, IllegalEvent
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.outside import Outside
 from gateway.robot.core.power import servos_to_feed
@@ -100,6 +102,23 @@ ORDER: tuple[type[Interlock[Any]], ...] = (
     Latch,
 )
 """The interlocks, in the order in which they may object. A new rule is a file, and a line here."""
+
+_AT_START: Final[frozenset[type[Event]]] = frozenset(
+    {EmergencyStop, EstopKept, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
+)
+ALL_EVENTS: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
+"""An interlock's event that is not listed here is legal in every mode."""
+LEGAL: Final = {mode: ALL_EVENTS - {BusOpened, EstopKept} for mode in (Mode.IDLE, Mode.ACTIVE)} | {
+    Mode.ESTOPPED: ALL_EVENTS - {BusOpened},
+    Mode.STARTING: _AT_START,
+    Mode.BUS_FAULT: ALL_EVENTS,
+    Mode.STOPPING: ALL_EVENTS,
+}
+"""The events that each mode accepts. Any other is a mistake of the caller."""
+
+
+class IllegalEvent(RuntimeError):  # noqa: N818  (h11 and friends: it names what happened)
+    """The caller sent an event that this mode does not accept; the state is unchanged."""
 
 
 class Supervisor:

@@ -18,7 +18,7 @@ from gateway.robot.core.events import (
     TimePassed,
 )
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.legal import IllegalEvent
+from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
 from tests.support.scenes import scene_test
