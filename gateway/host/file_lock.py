@@ -1,4 +1,7 @@
-"""A lock for a file's only writer. It ends with its process, and readers can see whether a writer runs."""
+"""Locks on single bytes of a file. They belong to the open file, end with its process, and any process sees them.
+
+A process's own lock (F_SETLK) would end whenever the process closes the file anywhere.
+"""
 
 import fcntl
 import os
@@ -8,15 +11,12 @@ from typing import Final
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 
 
-def lock_to_write(fd: int) -> None:
-    """Become the file's only writer, until this descriptor is closed. Raises OSError if another process is."""
-    try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0))
-    except OSError as error:
-        raise OSError(error.errno, "another gateway writes to it") from error
+def lock(fd: int, kind: int, place: int = 0) -> None:
+    """Lock (F_WRLCK, F_RDLCK) or unlock (F_UNLCK) a byte, without waiting. Raises OSError if another has locked it."""
+    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
 
 
-def written_by_anyone(fd: int) -> bool:
-    """Return whether a process has called `lock_to_write` for this file and still runs."""
-    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 1, 0))
+def is_locked(fd: int, place: int = 0) -> bool:
+    """Return whether another opening has locked the byte. Raises OSError."""
+    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

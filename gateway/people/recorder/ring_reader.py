@@ -22,7 +22,7 @@ from typing import Any, Final
 from pydantic_core import from_json
 
 from gateway.errors import GatewayError
-from gateway.host.file_lock import written_by_anyone
+from gateway.host.file_lock import is_locked
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.black_box.header import MAX_SLOTS, copies_of
@@ -141,7 +141,7 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
         trusted = (path.lstat().st_uid, os.geteuid(), 0)
         if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
-        written = written_by_anyone(fd)  # first: a gateway that ends meanwhile has written all
+        written = is_locked(fd)  # first: a gateway that ends meanwhile has written all
         with os.fdopen(fd, "rb", closefd=False) as opened:
             return opened.read(found.st_size), written
     except OSError as error:

@@ -7,6 +7,7 @@ The file must be in memory (tmpfs). On a disk, the first write to a page after e
 busy, which would delay a Stop (measured: docs/recordings.md).
 """
 
+import fcntl
 import mmap
 import os
 import stat
@@ -14,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from zlib import crc32
 
-from gateway.host.file_lock import lock_to_write
+from gateway.host.file_lock import lock
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
@@ -34,7 +35,10 @@ class RecordRing:
         self._fd = os.open(path, flags, 0o600)
         try:
             _check_owner(self._fd, path)
-            lock_to_write(self._fd)
+            try:
+                lock(self._fd, fcntl.F_WRLCK)
+            except OSError as error:
+                raise OSError(error.errno, "another gateway writes to it") from error
             size = header.file_bytes(slots)
             whole = self._is_whole(slots)
             if not whole:

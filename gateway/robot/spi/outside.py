@@ -7,16 +7,16 @@ Locks need no rights except those on the device, and end with their process.
 
 import fcntl
 import os
-import struct
 import time
 from contextlib import suppress
 from typing import Final
+
+from gateway.host import file_lock
 
 PATIENCE_S: Final = 0.5
 """How long `stop-servos` waits to be noticed. A gateway polls ten times a second; a hanging one is not waited for."""
 _POLL_S: Final = 0.002
 _AT_WORK, _UNSEEN = 2, 3  # bytes of the device
-_FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 
 
 class Listener:
@@ -75,12 +75,9 @@ class Notice:
 
 
 def _lock(fd: int, kind: int, place: int) -> bool:
-    """Lock or unlock a byte without waiting. Return whether that worked.
-
-    The lock belongs to the open file. A process's lock would end whenever the process closes the device anywhere.
-    """
+    """Lock or unlock a byte. Return whether that worked."""
     try:
-        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
+        file_lock.lock(fd, kind, place)
     except OSError:
         return False
     return True
@@ -89,10 +86,9 @@ def _lock(fd: int, kind: int, place: int) -> bool:
 def _held(fd: int, place: int) -> bool | None:
     """Return whether another program has locked the byte, or None if not known."""
     try:
-        answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
+        return file_lock.is_locked(fd, place)
     except OSError:  # the device is going away
         return None
-    return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)
 
 
 def is_gateways(path: str) -> bool:
