@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.robot.runtime.prometheus import LOOPBACK, is_one_of, may_ask
+from gateway.robot.runtime.metrics_page import LOOPBACK, is_one_of, may_ask
 
 
 @pytest.mark.parametrize(

@@ -7,18 +7,20 @@ one client that keeps reconnecting started a thousand threads in a second.
 import asyncio
 import logging
 import socket
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from http.client import parse_headers
 from io import BytesIO
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
+
+from prometheus_client import CONTENT_TYPE_LATEST
 
 from gateway.errors import ConfigError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 
-if TYPE_CHECKING:
-    from _typeshed.wsgi import WSGIApplication
-
+METRICS_PATH: Final = "/metrics"
+LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
 MOST_REQUESTS: Final = 8
 """Open at once. A Prometheus server needs one, a browser another."""
 MOST_A_SECOND: Final = 25
@@ -36,9 +38,13 @@ logger = logging.getLogger(__name__)
 
 
 class MetricsPage:
-    """A listening socket, and the page that it serves."""
+    """A listening socket, and the page that it serves at METRICS_PATH.
 
-    def __init__(self, address: str, page: "WSGIApplication") -> None:
+    Requests from other sites' pages get 403, and so do requests for a host that is neither one of `ours` nor the
+    address that they reached.
+    """
+
+    def __init__(self, address: str, page: Callable[[], bytes], ours: Collection[str]) -> None:
         """Listen on `address` (`host:port`). Raises ConfigError if it cannot be opened.
 
         May wait for a name server, so do not call it on the loop's thread.
@@ -54,6 +60,7 @@ class MetricsPage:
             raise ConfigError(f"telemetry.metrics: {address} cannot be opened: {error.strerror or error}") from error
         self._socket.setblocking(False)
         self._page = page
+        self._ours = ours
         self._answering: dict[asyncio.Task[None], socket.socket] = {}
 
     def start(self) -> None:
@@ -101,14 +108,34 @@ class MetricsPage:
     def _response_to(self, request: bytes, reached: str) -> bytes:
         """`reached` is the address of ours that the client dialled; the socket may listen on all addresses."""
         first, _, rest = request.partition(b"\r\n")
-        method, target, _ = first.decode("latin-1").split(" ")
-        path, _, query = target.partition("?")
-        sent = {f"HTTP_{name.upper().replace('-', '_')}": text for name, text in parse_headers(BytesIO(rest)).items()}
-        named = {"REQUEST_METHOD": method, "PATH_INFO": path, "QUERY_STRING": query}
-        head: list[str] = []
+        path, headers = first.decode("latin-1").split(" ")[1].partition("?")[0], parse_headers(BytesIO(rest))
+        kind = "text/plain"
+        if not may_ask(headers["Host"], headers["Origin"], {*self._ours, reached.removeprefix("::ffff:")}):
+            status, body = "403 Forbidden", b"not under this name: ask by this machine's name or address\n"
+        elif path != METRICS_PATH:
+            status, body = "404 Not Found", f"the numbers are at {METRICS_PATH}\n".encode()
+        else:
+            status, kind, body = "200 OK", CONTENT_TYPE_LATEST, self._page()
+        return f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\n\r\n".encode() + body
 
-        def begin(status: str, headers: list[tuple[str, str]], *_: Any) -> Any:
-            head[:] = [f"HTTP/1.0 {status}", *(f"{name}: {text}" for name, text in headers), "", ""]
 
-        body = b"".join(self._page({**sent, **named, "SERVER_NAME": reached.removeprefix("::ffff:")}, begin))
-        return "\r\n".join(head).encode("latin-1") + body
+def is_one_of(host: str | None, ours: Collection[str]) -> bool:
+    """Return whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these lower-case hosts.
+
+    The port is not compared, since a tunnel changes it. A page cannot choose the host that its browser sends.
+    """
+    name = (host or "").lower()
+    if name.startswith("["):
+        name = name[1:].partition("]")[0]
+    elif name.count(":") == 1:
+        name = name.partition(":")[0]
+    return name in ours
+
+
+def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
+    """Return whether a request comes from our own page, or from no page (`origin` is None).
+
+    A page of another site can reach every port of its browser's machine. Its `origin` shows that; or, if one of its own
+    names resolves to this machine (DNS rebinding), `host` does.
+    """
+    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}")

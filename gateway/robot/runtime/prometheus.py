@@ -2,11 +2,11 @@
 
 import logging
 import socket
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from prometheus_client import CollectorRegistry, ProcessCollector, make_wsgi_app
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.metrics_core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -22,17 +22,11 @@ from gateway.host import logs
 from gateway.model.telemetry import currents_a
 from gateway.robot.protocol.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.metrics_page import MetricsPage
+from gateway.robot.runtime.metrics_page import LOOPBACK, MetricsPage
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason, Telemetry
 
-METRICS_PATH: Final = "/metrics"
-LOOPBACK: Final = frozenset({"localhost", "127.0.0.1", "::1"})
-
 _PREFIX: Final = "hexapod"
-
-if TYPE_CHECKING:
-    from _typeshed.wsgi import StartResponse, WSGIApplication, WSGIEnvironment
 
 logger = logging.getLogger(__name__)
 
@@ -174,48 +168,6 @@ def _histogram(name: str, help_text: str, latency: Latency) -> HistogramMetricFa
     return HistogramMetricFamily(f"{_PREFIX}_{name}_seconds", help_text, buckets, latency.sum_us / 1e6)
 
 
-def is_one_of(host: str | None, ours: Collection[str]) -> bool:
-    """Return whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these lower-case hosts.
-
-    The port is not compared, since a tunnel changes it. A page cannot choose the host that its browser sends.
-    """
-    name = (host or "").lower()
-    if name.startswith("["):
-        name = name[1:].partition("]")[0]
-    elif name.count(":") == 1:
-        name = name.partition(":")[0]
-    return name in ours
-
-
-def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
-    """Return whether a request comes from our own page, or from no page (`origin` is None).
-
-    A page of another site can reach every port of its browser's machine. Its `origin` shows that; or, if one of its own
-    names resolves to this machine (DNS rebinding), `host` does.
-    """
-    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}")
-
-
-def _guarded(ours: Collection[str], page: "WSGIApplication") -> "WSGIApplication":
-    """Serve `page` at METRICS_PATH, and 404 elsewhere: prometheus_client would serve it at every path.
-
-    Requests from other sites' pages get 403, and so do requests for a host that is neither in `ours` nor the address
-    that they reached.
-    """
-
-    def answer(environ: "WSGIEnvironment", start_response: "StartResponse") -> Iterable[bytes]:
-        known = {*ours, environ["SERVER_NAME"]}
-        if not may_ask(environ.get("HTTP_HOST"), environ.get("HTTP_ORIGIN"), known):
-            start_response("403 Forbidden", [("Content-Type", "text/plain")])
-            return [b"not under this name: ask by this machine's name or address\n"]
-        if environ["PATH_INFO"] != METRICS_PATH:
-            start_response("404 Not Found", [("Content-Type", "text/plain")])
-            return [f"the numbers are at {METRICS_PATH}\n".encode()]
-        return page(environ, start_response)
-
-    return answer
-
-
 def serve(address: str, conductor: Conductor) -> None:
     """Serve the numbers on `address` (`host:port`) from a thread of its own.
 
@@ -227,6 +179,6 @@ def serve(address: str, conductor: Conductor) -> None:
     ProcessCollector(registry=registry)
     machine = socket.gethostname().lower()
     ours = {*LOOPBACK, address.rpartition(":")[0].strip("[]").lower(), machine, f"{machine.partition('.')[0]}.local"}
-    MetricsPage(address, _guarded(ours, make_wsgi_app(registry))).start()
+    MetricsPage(address, partial(generate_latest, registry), ours).start()
     if not is_local(f"tcp/{address}"):
         logger.warning("telemetry.metrics: anyone who reaches %s can read how the robot is used", address)
