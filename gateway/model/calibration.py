@@ -84,8 +84,7 @@ class RobotCalibration:
 
     def __post_init__(self) -> None:
         for servo_id in (*self.servos, *self.landing_cdeg):
-            if servo_id not in SERVO_IDS:
-                raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
+            _check_name(servo_id)
         for servo_id, servo in self.servos.items():
             _check(servo_id, servo)
         for servo_id, angle_cdeg in self.landing_cdeg.items():
@@ -183,12 +182,19 @@ def report_of(calibration: RobotCalibration) -> wire.Calibration:
 
 def calibration_of(report: wire.Calibration) -> RobotCalibration:
     """Return the calibration of a published form. Raises CalibrationError, or another ValueError, if it is invalid."""
+    for name in (*report.servos, *report.landing):
+        _check_name(name)
     try:
         servos = {int(name): ServoMapping.of_report(servo) for name, servo in report.servos.items()}
         landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
     except OverflowError as error:
         raise CalibrationError("an angle is infinite") from error
     return RobotCalibration(report.revision, servos, landing_cdeg)
+
+
+def _check_name(servo: int | str) -> None:
+    if servo not in SERVO_IDS and servo not in map(str, SERVO_IDS):
+        raise CalibrationError(f"servo {servo} does not exist; an id is the leg and the joint, such as 32")
 
 
 def _check(servo_id: int, servo: ServoMapping) -> None:

@@ -13,15 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
 from gateway.host.settings_reader import NO_SETTING, dotted
-from gateway.model.calibration import CalibrationError, RobotCalibration, ServoMapping, report_of
-from gateway.model.frames import centidegrees
+from gateway.model.calibration import RobotCalibration, calibration_of, report_of
 from gateway.robot.settings import Settings
 from gateway.text import echo
 from schemas import calibration as wire
@@ -162,13 +161,13 @@ class _Servo(wire.ServoCalibration):
     max_deg: Degrees
 
 
-class _File(BaseModel):
+class _File(wire.Calibration):
     model_config = ConfigDict(extra="forbid", strict=True)
 
     version: int
     revision: Annotated[int, Field(ge=0, lt=10**MOST_DIGITS)]
     landing: dict[str, Degrees]
-    servos: dict[str, _Servo]
+    servos: dict[str, _Servo]  # type: ignore[assignment]  # nobody puts another kind into it
     end: dict[str, object]
 
 
@@ -192,11 +191,7 @@ def from_toml(data: bytes) -> RobotCalibration:
     missing = [servo_id for servo_id in SERVO_IDS if str(servo_id) not in found.servos]
     if missing:
         raise ValueError(f"servos has no {missing[0]}; {_WHOLE}")
-    return RobotCalibration(
-        found.revision,
-        {_servo_id(name): ServoMapping.of_report(servo) for name, servo in found.servos.items()},
-        {_servo_id(name): centidegrees(angle_deg) for name, angle_deg in found.landing.items()},
-    )
+    return calibration_of(found)
 
 
 def _fault(fault: ErrorDetails) -> str:
@@ -206,9 +201,3 @@ def _fault(fault: ErrorDetails) -> str:
     if fault["type"] == "extra_forbidden":
         return f"{place}: {NO_SETTING}"
     return f"{place}: {echo(fault['input'])} is not allowed: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _servo_id(name: str) -> int:
-    if name not in map(str, SERVO_IDS):
-        raise CalibrationError(f"servo {name} does not exist; an id is the leg and the joint, such as 32")
-    return int(name)
