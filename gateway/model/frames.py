@@ -13,6 +13,7 @@ count bytes from 1, as docs/protocol.md does.
 """
 
 import enum
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -175,6 +176,11 @@ def leg_of(servo_id: int) -> int:
     if servo_id not in _SERVO_ID_SET:
         raise FrameError(f"the servo id is {servo_id!r}; {_SERVO_ID_RULE}")
     return servo_id // 10
+
+
+def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:
+    """Return the legs of these servos, ascending."""
+    return tuple(sorted({leg_of(servo_id) for servo_id in servo_ids}))
 
 
 def servo_ids_of(leg: int) -> tuple[int, int, int]:

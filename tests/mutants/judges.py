@@ -113,8 +113,7 @@ JUDGES: Final = {
     "gateway/robot/core/flat.py": _robot("intake"),
     "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/runtime/answers.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor")),
-    "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_robot("conductor")),
+    "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor conductor")),
     "gateway/robot/runtime/conductor.py": (
         *_CONDUCTOR,
         *_robot("conductor telemetry elkapod_conductor power_conductor"),

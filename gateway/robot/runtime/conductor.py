@@ -10,6 +10,7 @@ from typing import Final
 
 from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.model.elkapod import Measured
+from gateway.model.frames import legs_of
 from gateway.model.staleness import Staleness
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.events import (
@@ -37,9 +38,8 @@ from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, V
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.protocol import Wire
-from gateway.robot.runtime.answers import PendingCommands, legs_of
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
-from gateway.robot.runtime.executor import Executor, Outcome
+from gateway.robot.runtime.executor import Executor, Outcome, PendingCommands
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports

@@ -30,10 +30,9 @@ from gateway.model.frames import ONE_LEG_LEN, Frame
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.protocol import BatchReport, Sent, Wire
 from gateway.robot.protocol.latency import Latency
-from gateway.robot.spi import SpiDevice, Transfer
+from gateway.robot.spi import Batch, SpiDevice, Transfer
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import Guard
-from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000
@@ -78,6 +77,31 @@ RESYNC_NS: Final = 1_000_000_000
 and first Stop. A preamble takes 1.8 ms of the bus, so once a second costs 0.2 %."""
 STALLED_NS: Final = 900_000_000
 """A call this long counts as failed: the controller gives up a frame 1000 ms after its announcement."""
+STALE_NS: Final = 500_000_000
+"""Half of the 1000 ms after which the controller gives up a frame. The other half allows for delays between reading the
+clock and the first bit on the wire."""
+
+
+class OneByOne(SpiDevice):
+    """Writes batches to a device in one call for each transfer, for a kernel that takes no lists of transfers.
+
+    It sleeps the pauses, and writes no body if the program was suspended for too long after its announcement.
+    """
+
+    def __init__(self, device: SpiDevice, clock: Callable[[], int], pause: Callable[[float], None]) -> None:
+        self._device = device
+        self._clock = clock
+        self._pause = pause
+
+    def transfer(self, batch: Batch) -> None:
+        """Write transfer by transfer. Raises SpiError, also if the program was suspended within the batch."""
+        written_ns = None
+        for data, pause_us in batch:
+            if written_ns is not None and self._clock() - written_ns > STALE_NS:
+                raise SpiError("this program was suspended between the two transfers of a frame")
+            written_ns = self._clock()
+            self._device.transfer(((data, 0),))
+            self._pause(pause_us / 1e6)
 
 
 class Bus(Wire):

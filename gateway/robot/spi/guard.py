@@ -18,7 +18,6 @@ from gateway.model.frames import (
 )
 from gateway.model.framing import Framing
 from gateway.robot.spi import Batch, SpiDevice
-from gateway.robot.spi.one_by_one import OneByOne
 from schemas.robot import LEGS, SERVO_IDS
 
 _ANNOUNCEMENTS: Final = frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))
@@ -46,9 +45,7 @@ class Guard:
     """
 
     # mutants accepted (Step): the interval stays empty
-    def __init__(
-        self, device: SpiDevice | OneByOne, framing: Framing, avoid_cdeg: tuple[int, int] | None = None
-    ) -> None:
+    def __init__(self, device: SpiDevice, framing: Framing, avoid_cdeg: tuple[int, int] | None = None) -> None:
         self._device = device
         self._announces = framing is Framing.LENGTH_PREFIXED
         self._avoid_cdeg = avoid_cdeg or (0, 0)

@@ -21,7 +21,7 @@ from gateway.robot.power.currents import CurrentRules
 from gateway.robot.power.errors import BoardErrors
 from gateway.robot.power.offs import Confirmed, OutputsOff
 from gateway.robot.power.questions import BoardQuestions
-from gateway.robot.runtime.confirmations import MOST_ASKERS, MOST_QUESTIONS, Confirmations, Then
+from gateway.robot.runtime.supply import MOST_ASKERS, MOST_QUESTIONS, Confirmations, Then
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 
