@@ -193,7 +193,7 @@ def calibration_of(report: wire.Calibration) -> RobotCalibration:
 
 
 def _check_name(servo: int | str) -> None:
-    if servo not in SERVO_IDS and servo not in map(str, SERVO_IDS):
+    if str(servo) not in map(str, SERVO_IDS):
         raise CalibrationError(f"servo {servo} does not exist; an id is the leg and the joint, such as 32")
 
 

@@ -7,8 +7,9 @@ from typing import Any, Final, NamedTuple
 from gateway.model import frames
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
-from gateway.robot.core.intake import Rejection, read
+from gateway.robot.core.intake import read
 from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.rejections import Rejection
 from schemas.command import MAX_SENT_MS
 from schemas.keys import CommandKey, Target
 from schemas.telemetry import Reason

@@ -8,7 +8,7 @@ import pytest
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO
 from gateway.robot.core.events import Announce, Transmit
-from gateway.robot.core.intake import MAX_KEY
+from gateway.robot.core.rejections import MAX_KEY
 from schemas import keys
 from schemas.telemetry import Cause, Kind, Reason
 from tests.support.robot import LEG_1, LEG_3, MS, START, leg, started_and_quiet

@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from gateway.model.calibration import CalibrationChange, MappingChange
 from gateway.model.frames import centidegrees
-from gateway.robot.core.intake import Rejection, explain, given_twice, name_given_twice, too_many_fields
+from gateway.robot.core.rejections import Rejection, explain, given_twice, name_given_twice, too_many_fields
 from schemas.calibration import CalibrationCommand
 from schemas.robot import SERVO_IDS
 

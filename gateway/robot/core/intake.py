@@ -1,42 +1,172 @@
-"""Reads a message into a Command, a Reset, or a Rejection. Pure. `targets` defines each key's meaning."""
+"""Reads a message into a Command, a Reset, or a Rejection, by the table of command keys: one row for each target. Pure.
 
-import json
-import math
+A new key needs a row here. The row determines which rings are read again (`zenoh_io/rings.py`), which messages may be
+Stops, the meaning of a delete and of lost messages (`losses`), and how a payload is read. Only the emergency stop's key
+is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, `runtime/conductor.py`).
+"""
+
 import re
-from typing import Any, Final, final
+from collections.abc import Callable, Iterable
+from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
-from pydantic_core import from_json
 
-from gateway.robot.core.events import Command, Reset
-from gateway.robot.core.message import Received, Verb, value
-from gateway.robot.core.targets import TARGETS, TargetRules, may_contain_stop, stops_of
-from gateway.text import BOM, decimal_comma
+from gateway.model.frames import SETS, STARTS, STOP, servo_ids_of
+from gateway.robot.core.events import Command, Reset, Targets
+from gateway.robot.core.flat import into_dicts
+from gateway.robot.core.message import Received, Verb
+from gateway.robot.core.rejections import (
+    Rejection,
+    bad_encoding,
+    echo_of,
+    explain,
+    given_twice,
+    name_given_twice,
+    too_large,
+    too_many_fields,
+)
 from schemas import keys
-from schemas.calibration import MAX_TRIM_DEG
-from schemas.command import MAX_NUMBER, MAX_PAYLOAD_BYTES, MAX_SENT_MS, SENDER
-from schemas.keys import CommandKey
-from schemas.robot import JOINTS, SERVO_IDS
+from schemas.command import MAX_PAYLOAD_BYTES, SENDER, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
+from schemas.keys import CommandKey, Target
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Reason
+
+# ---- readers: each raises pydantic's ValidationError
+
+_MOVES: Final = {"start": STARTS, "set": SETS}
+_IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
+_LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
+"""Fast validators, for the setpoints of a gait."""
+
+
+def _read_servo(servo_id: int, payload: bytes) -> Command:
+    command = SERVO_COMMAND.validate_json(payload)
+    op = STOP if command.op == "stop" else _MOVES[command.op][round(command.angle_deg * 100)]
+    return Command(((servo_id, op),), source=command.source, sent_ms=command.sent_ms, lease=command.lease)
+
+
+def _read_leg(leg: int, payload: bytes) -> Command:
+    command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
+    targets = _targets(((leg, command),))
+    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
+
+
+def _read_legs(_: int, payload: bytes) -> Command:
+    command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
+    targets = _targets(sorted(command["legs"].items()))
+    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
+
+
+def _read_reset(_: int, payload: bytes) -> Reset:
+    command = ResetCommand.model_validate_json(payload or b"{}")
+    return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
+
+
+def _targets(legs: Iterable[tuple[int | str, dict[str, Any]]]) -> Targets:
+    """Return the operation of each servo, with angles rounded to hundredths of a degree, as in `centidegrees`."""
+    targets = []
+    for leg, command in legs:
+        for servo_id, setpoint in zip(_IDS_OF_LEG[int(leg)], command["servos"], strict=True):
+            name = setpoint["op"]
+            op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
+            targets.append((servo_id, op))
+    return tuple(targets)
+
+
+# ---- the table
+
+
+def _all(_number: int) -> tuple[int, ...]:
+    return SERVO_IDS
+
+
+def _none(_number: int) -> tuple[int, ...]:
+    return ()
+
+
+def _own(servo_id: int) -> tuple[int, ...]:
+    return (servo_id,)
+
+
+def may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shortcut: what follows finds the same
+    """Return whether a payload may contain a Stop, in any spelling. It has false positives, but misses none.
+
+    JSON's escapes in a word have a backslash. A payload that does not begin like a JSON object (binary, a byte order
+    mark) or has a NUL (UTF-16) cannot be searched for a word.
+    """
+    if b"stop" in payload or b"\\" in payload or b"\0" in payload:
+        return True
+    if payload[:1] == b"{" and payload.islower():
+        return False  # a usual setpoint
+    return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
+
+
+class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand around less than a leg
+    """One target. A key's `number` is the leg, the servo, or 0."""
+
+    servos: Callable[[int], tuple[int, ...]]
+    """The servos that a message on the key may start, set or stop. A delete stops them, and so do lost messages."""
+    follows: Callable[[int], tuple[int, ...]]
+    """The servos whose older messages, on any key, are taken before a message on this key takes effect."""
+    read: Callable[[int, bytes], Command | Reset] | None
+    """Reads a payload; None: any payload is accepted."""
+    may_stop: bool | None
+    """Whether a message may be a Stop; None: its payload decides (`may_contain_stop`).
+
+    No older Start overtakes such a message, newer messages of its key do not displace it, and it stops its servos even
+    if it is rejected.
+    """
+    most_fields: int
+    """The fields of a full payload. Each takes a colon, and `source` may have 64 more.
+
+    A payload with more colons is rejected unread: pydantic lists every wrong field, and a payload full of them would
+    block the loop for 1.4 ms.
+    """
+    fields_around: tuple[int, int] = (0, 0)
+    """The number of fields around setpoints: once, and for each leg."""
+    explicit_only: str | None = None
+    """Set if the key must be named: how a rejected delete or wildcard continues. The sender may not have meant it."""
+
+
+_SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
+"""Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
+
+TARGETS: Final[dict[Target, TargetRules]] = {
+    Target.LEGS: TargetRules(_all, _all, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: TargetRules(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: TargetRules(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
+    Target.ESTOP: TargetRules(_all, _all, None, True, 0),  # mutants accepted (Step): nothing of its payload is read
+    # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
+    Target.RESET: TargetRules(
+        _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
+    ),
+}
+"""Every target. If a row is missing, `unit/robot/test_intake.py` fails, and no gateway starts."""
+
+
+def servos_of(key: CommandKey) -> frozenset[int]:
+    """Return the servos that a message on this key may start, set or stop."""
+    return frozenset(TARGETS[key.target].servos(key.number))
+
+
+def follows(key: CommandKey) -> frozenset[int]:
+    """Return the servos whose older messages are taken before a message on this key takes effect."""
+    return frozenset(TARGETS[key.target].follows(key.number))
+
+
+def stops_of(key: CommandKey) -> Targets:
+    """Return Stops for all servos that the key names."""
+    return tuple((servo_id, STOP) for servo_id in TARGETS[key.target].servos(key.number))
+
+
+# ---- a message
 
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
 """JSON, and Zenoh's value for no encoding. `is_json` knows JSON's other names."""
 _JSON: Final = re.compile(r"application/(json|[\w.+-]+\+json)\s*(;.*)?", re.ASCII | re.DOTALL)
 MAX_COLONS_OF_SOURCE: Final = 64
-MAX_KEY: Final = 100
-"""Characters of an unknown key that an event repeats; ours have at most 20."""
 
 _DELETE: Final = Verb.DELETE  # see `frames.OP_STOP`
-_SERVO_OPS: Final = ("start", "set", "stop")
-
-
-@final
-@value
-class Rejection:
-    """The reason for rejecting a command, and a sentence for its sender."""
-
-    reason: Reason
-    detail: str
 
 
 def read(received: Received) -> Command | Reset | Rejection:
@@ -86,8 +216,7 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
     if received.size > MAX_PAYLOAD_BYTES:
         return too_large(received.size)
     if received.encoding not in ENCODINGS and not is_json(received.encoding):
-        name = _name(received.encoding)
-        return Rejection(Reason.BAD_ENCODING, f"the encoding is {name}; it must be application/json, or left out")
+        return bad_encoding(received.encoding)
     payload = received.payload
     colons = payload.count(b":")
     if colons > row.most_fields + MAX_COLONS_OF_SOURCE:
@@ -109,25 +238,6 @@ def named_source(payload: bytes) -> str | None:
         return None
 
 
-def echo_of(key: str) -> str:
-    """Return an unknown key for an event: at most `MAX_KEY` characters, without secrets."""
-    return without_secrets(key[: 2 * MAX_KEY])[:MAX_KEY]
-
-
-def too_large(size: int, most: int = MAX_PAYLOAD_BYTES) -> Rejection:
-    """Return the rejection of a payload of `size` bytes, more than the `most` that are read."""
-    return Rejection(Reason.TOO_LARGE, f"the payload has {size} bytes; at most {most} are read")
-
-
-def too_many_fields(payload: bytes) -> Rejection:
-    """Return the rejection of a payload that has too many colons to be a command."""
-    try:
-        from_json(payload)
-    except ValueError as error:
-        return _malformed(payload, str(error))
-    return Rejection(Reason.INVALID, "the payload has more fields than any command of its key has")
-
-
 def _fields(row: TargetRules, command: Command | Reset) -> int:
     """Return the least number of fields of a payload with this content."""
     fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
@@ -137,153 +247,3 @@ def _fields(row: TargetRules, command: Command | Reset) -> int:
     else:
         fields += command.left + len(command.moves) + each_leg * len(command.by_leg)  # a Stop has no angle
     return fields + once
-
-
-class _GivenTwiceError(ValueError):
-    """An object of the payload has a name twice; the text is the name."""
-
-
-def name_given_twice(payload: bytes) -> str | None:
-    """Return the first name that an object of this valid payload has twice, or None.
-
-    pydantic silently keeps the last value, but the sender may have meant the other one.
-    """
-    if payload:
-        try:
-            json.loads(payload, object_pairs_hook=each_name_once)
-        except _GivenTwiceError as error:
-            return str(error)
-    return None
-
-
-def each_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Make a JSON object. Raises ValueError if a name is given twice."""
-    found: dict[str, object] = {}
-    for name, each in pairs:
-        if name in found:
-            raise _GivenTwiceError(name)
-        found[name] = each
-    return found
-
-
-# ---- rejections in words
-
-_MAX_ECHO: Final = 40
-"""Characters of a sender's value or name that a rejection repeats."""
-_MAX_ECHO_BITS: Final = 128
-_SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
-"""Text that may be a lease's token in the wrong field."""
-_PLAIN_NAME: Final = re.compile(r"[\w./-]{1,40}", re.ASCII)
-
-
-def given_twice(name: str) -> Rejection:
-    """Return the rejection of a payload in which an object has this name twice."""
-    return Rejection(Reason.INVALID, f"{_name(name)} is given twice in one object; give it once")
-
-
-def explain(error: ValidationError) -> Rejection:  # mutants accepted (FalseWithTrue, LeaveOut): only time is lost
-    """Return the rejection of an invalid payload, in a sentence that names the field and what it must be."""
-    faults = error.errors(include_url=False)
-    first = faults[0]
-    if first["type"] == "json_invalid":
-        return _malformed(first["input"], first["ctx"]["error"])
-    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return Rejection(Reason.INVALID, f"{_sentence(dict(first))}{more}")
-
-
-def _malformed(payload: bytes | str, why: str) -> Rejection:
-    """Return the rejection of a payload that is not JSON, with the cause if it is a common one."""
-    text = payload if isinstance(payload, str) else payload.decode(errors="replace")
-    cause = "it begins with a byte order mark; send it without" if text.startswith(BOM) else decimal_comma(text)
-    return Rejection(Reason.MALFORMED, f"the payload is not JSON: {cause or why}")
-
-
-def _sentence(fault: dict[str, Any]) -> str:
-    loc = fault["loc"]
-    where = _path(loc)
-    field = loc[-1] if loc else None
-    if where == "lease" and fault["type"] != "missing":
-        return "lease must be 32 hex digits, a to f in lower case"  # the value may be most of a secret
-    match fault["type"]:
-        case "missing":
-            return f"{where} is missing" + (f"; a leg has {len(JOINTS)} servos" if isinstance(field, int) else "")
-        case "extra_forbidden":
-            return f"{where} is not known here" + ("; stop takes no angle" if loc[-2:] == ("stop", "angle_deg") else "")
-        case "string_too_short" | "string_too_long":
-            return f"{where} must have 1 to 64 characters"
-        case "union_tag_invalid":
-            return f'{_join(where, "op")} is {_echo(fault["input"]["op"])}; it must be "start", "set" or "stop"'
-        case "union_tag_not_found":
-            return f'{_join(where, "op")} is missing; it must be "start", "set" or "stop"'
-        case "literal_error" if field == "[key]":
-            may = '"1" to "6"' if loc[0] == "legs" else '"11" to "63": the leg (1 to 6), then the joint (1 to 3)'
-            return f"{loc[0]} has {_echo(fault['input'])}; it may have {may}"
-        case "too_long":
-            return f"{where} has {fault['ctx']['actual_length']} entries; a leg has {len(JOINTS)} servos"
-        case "too_short":
-            return "legs is empty; name at least one leg"
-        case kind:
-            must = _MUST.get(kind) or _RANGES.get(field) or "what the schema requires"
-            return f"{where or 'the payload'} is {_echo(fault['input'])}; it must be {must}"
-
-
-_MUST: Final = {
-    "finite_number": "a finite number",
-    "float_type": "a number",
-    "string_type": "a string",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "tuple_type": "an array",
-    "model_type": "an object",
-    "dict_type": "an object",
-    "model_attributes_type": "an object",
-    "bool_type": "true or false",
-    "literal_error": "true, or left out",  # accept_default
-}
-_RANGES: Final[dict[object, str]] = {
-    "angle_deg": "between 0 and 180",
-    "sent_ms": f"between 0 and {MAX_SENT_MS}",
-    "estop": f"between 0 and {MAX_NUMBER}",
-    "revision": "0 or more",
-    "trim_deg": f"between {-MAX_TRIM_DEG:g} and {MAX_TRIM_DEG:g}",
-    **dict.fromkeys(("min_deg", "max_deg", *map(str, SERVO_IDS)), "between 0 and 180"),  # a landing angle is a servo's
-}
-
-
-def _path(loc: tuple[int | str, ...]) -> str:
-    """Return the place in the JSON, such as `servos[2].angle_deg`, without the union members that pydantic adds.
-
-    Only the last part may be a name of the sender's.
-    """
-    path = ""
-    for index, part in enumerate(loc):
-        if isinstance(part, int):
-            path += f"[{part}]"
-        elif index < len(loc) - 1 and part in _SERVO_OPS and (index == 0 or isinstance(loc[index - 1], int)):
-            continue
-        else:
-            path = _join(path, _name(part))
-    return path
-
-
-def _join(path: str, name: str) -> str:
-    return f"{path}.{name}" if path else name
-
-
-def without_secrets(text: str) -> str:
-    """Return a sender's text without parts that may be a lease's token."""
-    return _SECRET.sub("(hex digits)", text)
-
-
-def _name(name: str) -> str:
-    """Return a short, plain name unchanged, and any other quoted."""
-    return name if _PLAIN_NAME.fullmatch(name) and not _SECRET.search(name) else _echo(name)
-
-
-def _echo(value: object) -> str:
-    """Return a value as JSON in ASCII, on one line, without tokens, cut to `_MAX_ECHO` characters."""
-    if isinstance(value, int) and value.bit_length() > _MAX_ECHO_BITS:
-        # Thousands of digits take long to write out.
-        return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
-    text = without_secrets(json.dumps(value))
-    return text if len(text) <= _MAX_ECHO else text[:_MAX_ECHO] + "…"

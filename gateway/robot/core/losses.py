@@ -12,9 +12,9 @@ from typing import Final
 
 from gateway.model.frames import OP_START, STOP, servo_ids_of
 from gateway.robot.core.events import Targets
-from gateway.robot.core.intake import each_name_once, words_of_stop
+from gateway.robot.core.intake import TARGETS, stops_of, words_of_stop
 from gateway.robot.core.message import Received
-from gateway.robot.core.targets import TARGETS, stops_of
+from gateway.robot.core.rejections import each_name_once
 from schemas.keys import COMMAND_KEYS
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 

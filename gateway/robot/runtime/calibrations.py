@@ -9,8 +9,8 @@ from typing import Final
 from gateway.model.calibration import CalibrationChange, RobotCalibration, report_of
 from gateway.robot.core import calibration_intake
 from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
-from gateway.robot.core.intake import Rejection
 from gateway.robot.core.message import Reply
+from gateway.robot.core.rejections import Rejection
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor

@@ -32,9 +32,10 @@ from gateway.robot.core.events import (
     StoppedOutside,
     TimePassed,
 )
-from gateway.robot.core.intake import Rejection, echo_of, read
+from gateway.robot.core.intake import read
 from gateway.robot.core.losses import DETAIL, Losses, stops_in
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Verb
+from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.protocol import Wire

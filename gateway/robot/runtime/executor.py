@@ -23,7 +23,7 @@ from gateway.robot.core.events import (
     Transmit,
     results,
 )
-from gateway.robot.core.intake import echo_of
+from gateway.robot.core.rejections import echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher

@@ -15,8 +15,9 @@ from pydantic import BaseModel, ValidationError
 
 from gateway.host.settings_table import ButtonSettings
 from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
-from gateway.robot.core.intake import Rejection, is_json, too_large
+from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
+from gateway.robot.core.rejections import Rejection, too_large
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.zenoh_io.proofs import Proofs, fresh_token

@@ -2,7 +2,7 @@
 
 Zenoh delivers the messages of one session in order, each into its key's ring. Once a Stop is taken from a ring, every
 older message of its session has been taken or waits in its own ring. Therefore all rings with commands for the same
-servos (`core/targets.py`) are read again, until nothing new is found. All messages found are one instant, in which a
+servos (`core/intake.py`) are read again, until nothing new is found. All messages found are one instant, in which a
 Stop wins over a Start or Set of another ring (supervisor).
 
 After a Start or Set, only the rings whose commands apply earlier are read again (`legs` before `leg` before `servo`):
@@ -22,7 +22,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Final, Generic, TypeVar
 
-from gateway.robot.core.targets import follows, servos_of
+from gateway.robot.core.intake import follows, servos_of
 from schemas.keys import COMMAND_KEYS
 
 RING_DEPTH: Final = 8

@@ -14,7 +14,7 @@ from gateway.model.calibration import (
     report_of,
 )
 from gateway.robot.core.calibration_intake import change_of, read
-from gateway.robot.core.intake import Rejection
+from gateway.robot.core.rejections import Rejection
 from schemas import calibration as wire
 from schemas.calibration import CalibrationCommand
 from schemas.command import MAX_PAYLOAD_BYTES

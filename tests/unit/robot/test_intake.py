@@ -13,9 +13,9 @@ from gateway.model.frames import STOP as STOP_OP
 from gateway.model.frames import Op, ServoOp
 from gateway.robot.core import intake
 from gateway.robot.core.flat import into_dicts
-from gateway.robot.core.intake import Rejection, deleted, echo_of, explain, read, words_of_stop
+from gateway.robot.core.intake import TARGETS, deleted, follows, read, servos_of, stops_of, words_of_stop
 from gateway.robot.core.message import Received, Verb
-from gateway.robot.core.targets import TARGETS, follows, servos_of, stops_of
+from gateway.robot.core.rejections import Rejection, echo_of, explain
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES, LegCommand, LegsCommand
 from schemas.keys import COMMAND_KEYS, ESTOP, CommandKey, Target, leg_command, servo_command
