@@ -17,10 +17,10 @@ from typing import Any
 
 import pytest
 
-from gateway.model.black_box import format as form
 from gateway.model.black_box.header import RING_FILE
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
+from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
@@ -124,15 +124,15 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     assert not content.written
     assert content.damaged <= 1, "only the record that was being written"
     assert content.missing == 0
-    starts = [index for index, record in enumerate(content.records) if isinstance(record.content, form.Start)]
+    starts = [index for index, record in enumerate(content.records) if isinstance(record.content, rec.Start)]
     records = list(content.records)[starts[-1] :]
-    frames = [record.content for record in records if isinstance(record.content, form.FrameWritten)]
+    frames = [record.content for record in records if isinstance(record.content, rec.FrameWritten)]
     delivered = [each for each in transfers if each.delivered and len(each.data) in (6, 14)]
     assert [frame.data for frame in frames] == [each.data for each in delivered[: len(frames)]]
     lost = delivered[len(frames) :]
     legs = [each.data[2] // 10 for each in lost]
     assert len(set(legs)) == len(legs), "a batch has one frame for each leg at most"
-    commands = [record.content for record in records if isinstance(record.content, form.CommandRecord)]
+    commands = [record.content for record in records if isinstance(record.content, rec.CommandRecord)]
     commanded = {tuple(op.angle_cdeg for _, op in command.targets) for command in commands}
     for frame in frames:
         # Where a busy machine let a ring run full, a Stop may have been lost, and the gateway writes one of its own.

@@ -18,6 +18,7 @@ from gateway.model.black_box.incidents import (
     follow_ns,
     incident_id,
 )
+from gateway.people.recorder import records as rec
 from gateway.people.recorder.ring_reader import Records
 from schemas import keys
 from schemas.telemetry import Cause, Kind
@@ -114,7 +115,7 @@ def _noted(records: Records, run: range) -> Iterator[Incident]:
     triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
     for index in reversed(begun):
         record = records[index]
-        if isinstance(record.content, form.IncidentBegun) and is_id(record.content.incident):
+        if isinstance(record.content, rec.IncidentBegun) and is_id(record.content.incident):
             name = record.content.incident
             later = slice(bisect(triggers, index), None)
             end_ns = _end(records, zip(triggers[later], follow[later], strict=True), record.ns, kind_of(name))
@@ -130,7 +131,7 @@ def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[
     for index in places:
         if records.kinds[index] == form.EVENT:
             content = records[index].content
-            if isinstance(content, form.EventPublished) and content.kind in _TRIGGERS:
+            if isinstance(content, rec.EventPublished) and content.kind in _TRIGGERS:
                 found.append(index)
                 follow.append(follow_ns(content.kind))
     return found, follow
@@ -154,11 +155,11 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
             continue
         record = records[index]
         match record.content:
-            case form.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
+            case rec.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
                 late_ns and kind == INCIDENT_NAMES[Kind.WATCHDOG_EXPIRED]  # frames of a landing have no deadline
             ):
                 zero_ns = min(zero_ns, record.ns - late_ns)
-            case form.CommandRecord(key=keys.ESTOP) if kind == INCIDENT_NAMES[Kind.ESTOP_ENGAGED]:
+            case rec.CommandRecord(key=keys.ESTOP) if kind == INCIDENT_NAMES[Kind.ESTOP_ENGAGED]:
                 zero_ns = min(zero_ns, record.ns)
     return zero_ns
 
@@ -169,9 +170,9 @@ def _crash(records: Records, run: range, killed_ns: int) -> Incident | None:
         if records.kinds[index] not in _TELL_THE_TIME:
             continue
         match records[index]:
-            case form.Record(
+            case rec.Record(
                 ns=ns,
-                content=form.Start(wall_ns=wall_ns) | form.Clock(wall_ns=wall_ns) | form.IncidentBegun(wall_ns=wall_ns),
+                content=rec.Start(wall_ns=wall_ns) | rec.Clock(wall_ns=wall_ns) | rec.IncidentBegun(wall_ns=wall_ns),
             ):
                 offset_ns = wall_ns - ns
                 name = incident_id(killed_ns + offset_ns, CRASH)

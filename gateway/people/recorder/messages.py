@@ -12,6 +12,7 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
+from gateway.people.recorder import records as rec
 from gateway.people.recorder.incidents import Incident
 from gateway.people.recorder.ring_reader import Records
 from schemas import keys
@@ -103,11 +104,11 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
         wall_ns = incident.wall_ns(record.ns)
         while notes and notes[0].time_ns <= wall_ns:
             yield notes.popleft()
-        if isinstance(record.content, form.Start):
+        if isinstance(record.content, rec.Start):
             if last is not None and last < taken[place]:  # the gateway before it, whose end is an incident of its own
                 yield _killed(incident.wall_ns(before_ns))
             ended = False
-        ended = ended or isinstance(record.content, form.End)
+        ended = ended or isinstance(record.content, rec.End)
         last, before_ns = None if ended else taken[place], record.ns
         topic_and_report = _message(
             record, decisions.of(place), _time(wall_ns), has_command=decisions.has_command(place)
@@ -130,15 +131,15 @@ class _Decisions:
         waiting: dict[int | str, int] = {}
         for place, index in enumerate(taken):
             match records[index].content:
-                case form.CommandRecord(number=number, key=key):
+                case rec.CommandRecord(number=number, key=key):
                     waiting[number or key] = place
-                case form.Decision(number=number, key=key) if (number or key) in waiting:
+                case rec.Decision(number=number, key=key) if (number or key) in waiting:
                     self._by[waiting.pop(number or key)] = index + 1
                     self._has_command[place] = True
-                case form.FrameWritten(number=number) if number in waiting:
+                case rec.FrameWritten(number=number) if number in waiting:
                     self._by[waiting.pop(number)] = index + 1
 
-    def of(self, place: int) -> form.Record | None:
+    def of(self, place: int) -> rec.Record | None:
         """Return the frame or Decision of the command at this place; None: unknown."""
         return self._records[self._by[place] - 1] if self._by[place] else None
 
@@ -147,9 +148,9 @@ class _Decisions:
         return bool(self._has_command[place])
 
 
-def _stops_before(start: form.Record, incident: Incident) -> Iterator[RecordedMessage]:
+def _stops_before(start: rec.Record, incident: Incident) -> Iterator[RecordedMessage]:
     """Yield the Stops that `stop-servos` wrote between the end of the former gateway and this start."""
-    facts = start.content.facts if isinstance(start.content, form.Start) else {}
+    facts = start.content.facts if isinstance(start.content, rec.Start) else {}
     match [facts.get(name) for name in form.STOP_FACTS]:
         case [int(first_ns), int(last_ns)] if incident.begin_ns <= first_ns <= last_ns <= start.ns:
             repeated = f"repeated for {(last_ns - first_ns) / 1e6:.0f} ms"
@@ -166,12 +167,12 @@ def _noted(wall_ns: int, what: str, detail: str) -> RecordedMessage:
 
 
 def _message(
-    record: form.Record, decided: form.Record | None, time: datetime, *, has_command: bool
+    record: rec.Record, decided: rec.Record | None, time: datetime, *, has_command: bool
 ) -> tuple[str, Report] | None:
     source: str | None = None
     key: str | None = None
     match record.content:
-        case form.CommandRecord() as command:
+        case rec.CommandRecord() as command:
             return command.key if command.key in keys.COMMAND_KEYS else RECORDER, CommandInBox(
                 time=time,
                 number=command.number,
@@ -187,7 +188,7 @@ def _message(
                 verdict=None if decided is None else getattr(decided.content, "verdict", ACCEPTED),
                 decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
             )
-        case form.FrameWritten() as frame:
+        case rec.FrameWritten() as frame:
             return keys.FRAME, FrameInBox(
                 time=time,
                 monotonic_ns=record.ns,
@@ -196,34 +197,34 @@ def _message(
                 transfer_us=frame.transfer_ns / 1000,
                 late_us=frame.late_ns / 1000 if frame.late_ns else None,
             )
-        case form.Calibrated() | form.BodyState() | form.EventPublished() as published:
+        case rec.Calibrated() | rec.BodyState() | rec.EventPublished() as published:
             return _published(published, time)
-        case form.Decision(number=0, verdict=detail, key=key, source=source) if not has_command:
+        case rec.Decision(number=0, verdict=detail, key=key, source=source) if not has_command:
             what = "rejected"
-        case form.Start(facts=facts):
+        case rec.Start(facts=facts):
             what = "start"
             detail = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
-        case form.End(why=detail):
+        case rec.End(why=detail):
             what = "end"
-        case form.ModeChange(mode=detail):
+        case rec.ModeChange(mode=detail):
             what = "mode"
-        case form.Lag(lag_ns=lag_ns):
+        case rec.Lag(lag_ns=lag_ns):
             what, detail = "lag", f"{lag_ns / 1e6:.1f} ms"
-        case form.LeftOut(count=count, source=source):
+        case rec.LeftOut(count=count, source=source):
             what, detail = "left_out", f"{count} records"
         case _:
             return None
     return RECORDER, Note(time=time, what=what, detail=detail, source=source, key=key)
 
 
-def _published(content: form.Calibrated | form.BodyState | form.EventPublished, time: datetime) -> tuple[str, Report]:
+def _published(content: rec.Calibrated | rec.BodyState | rec.EventPublished, time: datetime) -> tuple[str, Report]:
     """Records that are also published on a key of their own."""
     match content:
-        case form.Calibrated(calibration=calibration):
+        case rec.Calibrated(calibration=calibration):
             return keys.CALIBRATION, calibration
-        case form.BodyState(values=values):
+        case rec.BodyState(values=values):
             return keys.TELEMETRY, report_of(values, time, 0.0)
-        case form.EventPublished() as event:
+        case rec.EventPublished() as event:
             return keys.EVENT, Event(time=time, **event._asdict())
 
 

@@ -29,6 +29,7 @@ from gateway.model.black_box.header import MAX_SLOTS, copies_of
 from gateway.model.calibration import calibration_of
 from gateway.model.elkapod import measured
 from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
+from gateway.people.recorder import records as rec
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
@@ -50,7 +51,7 @@ class Records:
 
     times_ns: Sequence[int]
     kinds: Sequence[int]
-    read: Callable[[int], form.Record]
+    read: Callable[[int], rec.Record]
     """Makes the record at a place from 0 on. Their times and types are known without that."""
     calibrations: Sequence[tuple[int, Calibration]] = ()
     """Those that were in force from a time on, besides the changes among the records."""
@@ -60,7 +61,7 @@ class Records:
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def __getitem__(self, index: int) -> form.Record:
+    def __getitem__(self, index: int) -> rec.Record:
         return self.read(range(len(self.times_ns))[index])
 
     def calibration_at(self, ns: int) -> Calibration | None:
@@ -81,7 +82,7 @@ class Records:
                 found = {}
             elif kind == form.ABOUT and (not found or self.times_ns[index] <= ns):
                 content = self[index].content
-                found = content.facts if isinstance(content, form.About) else found
+                found = content.facts if isinstance(content, rec.About) else found
         return found
 
     @cached_property
@@ -89,10 +90,10 @@ class Records:
         """The newest changes, and what headers state, oldest first, and since when each is in force."""
         places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
         changes = [self[index] for index in places]
-        found = [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, form.Calibrated)]
+        found = [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, rec.Calibrated)]
         return sorted([*self.calibrations, *found], key=lambda each: each[0])
 
-    def __iter__(self) -> Iterator[form.Record]:
+    def __iter__(self) -> Iterator[rec.Record]:
         return map(self.read, range(len(self)))
 
 
@@ -192,7 +193,7 @@ class _Decoded:
     def records(self) -> Records:
         return Records(self._times_ns, self._kinds, self._read, self._calibrations, self._gaps)
 
-    def _read(self, index: int) -> form.Record:
+    def _read(self, index: int) -> rec.Record:
         return self._files[self._places[index]].decoded(self._numbers[index])[1][self._parts[index]]
 
 
@@ -231,9 +232,9 @@ class _Slots:
             content = decode(form.CALIBRATION, 0, header.calibration(self._data[: form.HEADER_BYTES]))
         except form.DamagedRingError:
             return None
-        return content.calibration if isinstance(content, form.Calibrated) else None
+        return content.calibration if isinstance(content, rec.Calibrated) else None
 
-    def decoded(self, number: int) -> tuple[int, list[form.Record]]:
+    def decoded(self, number: int) -> tuple[int, list[rec.Record]]:
         """Return a record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.
 
         Empty where it is MORE, or a type of a later version. Raises DamagedRingError.
@@ -248,10 +249,10 @@ class _Slots:
                 raise form.DamagedRingError("a continued record is cut off")
             rest += last.rest
         content = decode(slot.kind, slot.ns, rest)
-        if isinstance(content, form.CarriedOut):
-            command = form.Record(number, slot.ns, content.command)
-            return slot.kind, [command, form.Record(number, content.frame_ns, content.frame)]
-        return slot.kind, [] if content is None else [form.Record(number, slot.ns, content)]
+        if isinstance(content, rec.CarriedOut):
+            command = rec.Record(number, slot.ns, content.command)
+            return slot.kind, [command, rec.Record(number, content.frame_ns, content.frame)]
+        return slot.kind, [] if content is None else [rec.Record(number, slot.ns, content)]
 
     def _slot(self, number: int) -> form.Slot:
         slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))
@@ -260,7 +261,7 @@ class _Slots:
         return slot
 
 
-def decode(kind: int, ns: int, rest: bytes) -> form.Content | form.CarriedOut | None:
+def decode(kind: int, ns: int, rest: bytes) -> rec.Content | rec.CarriedOut | None:
     """Return a record's content; None: a type of a later version. Raises form.DamagedRingError if `rest` is damaged."""
     reader = _READERS.get(kind)
     try:
@@ -278,7 +279,7 @@ def _wall_ns(rest: bytes) -> int:
     return int(wall_ns)
 
 
-def _start(rest: bytes) -> form.Start:
+def _start(rest: bytes) -> rec.Start:
     facts = json.loads(rest[form.WALL.size :])
     if not isinstance(facts, dict):
         raise form.DamagedRingError("a start without facts")
@@ -286,64 +287,64 @@ def _start(rest: bytes) -> form.Start:
     if not all(isinstance(fact, str | int | float | None) for fact in facts.values()):
         raise form.DamagedRingError("a fact is no single value")
     "".join(f"{name}{fact}" for name, fact in facts.items()).encode()
-    return form.Start(_wall_ns(rest), facts)
+    return rec.Start(_wall_ns(rest), facts)
 
 
-def _command(rest: bytes) -> form.CommandRecord:
+def _command(rest: bytes) -> rec.CommandRecord:
     number, sent_ms, count = form.COMMAND_HEAD.unpack_from(rest)
     flat = form.TARGET_STRUCTS[count].unpack_from(rest, form.COMMAND_HEAD.size)
     targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
     verb, key, source = _read_texts(rest, form.COMMAND_HEAD.size + form.TARGET_STRUCTS[count].size, 3)
-    return form.CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
+    return rec.CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
 
 
-def _decision(rest: bytes) -> form.Decision:
+def _decision(rest: bytes) -> rec.Decision:
     verdict, key, source = _read_texts(rest, form.DECISION_HEAD.size, 3)
-    return form.Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
+    return rec.Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
 
 
-def _left_out(rest: bytes) -> form.LeftOut:
+def _left_out(rest: bytes) -> rec.LeftOut:
     (source,) = _read_texts(rest, form.DECISION_HEAD.size, 1)
-    return form.LeftOut(form.DECISION_HEAD.unpack_from(rest)[0], source or None)
+    return rec.LeftOut(form.DECISION_HEAD.unpack_from(rest)[0], source or None)
 
 
-def _frame(rest: bytes) -> form.FrameWritten:
+def _frame(rest: bytes) -> rec.FrameWritten:
     transfer_ns, late_ns, number, length = form.FRAME_HEAD.unpack_from(rest)
     (cause,) = _read_texts(rest, form.FRAME_HEAD.size + length, 1)
-    return form.FrameWritten(
+    return rec.FrameWritten(
         rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number
     )
 
 
-def _carried_out(ns: int, rest: bytes) -> form.CarriedOut:
+def _carried_out(ns: int, rest: bytes) -> rec.CarriedOut:
     after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
     if length > len(data):
         raise form.DamagedRingError(f"a frame of {length} bytes")
     command = _command(rest[form.CARRIED_OUT_HEAD.size :])
-    frame = form.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number)
-    return form.CarriedOut(command, frame, ns + after_ns)
+    frame = rec.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number)
+    return rec.CarriedOut(command, frame, ns + after_ns)
 
 
-def _event(rest: bytes) -> form.EventPublished:
+def _event(rest: bytes) -> rec.EventPublished:
     kind, source, key, reason = texts = _read_texts(rest, form.EVENT_HEAD.size, 4)
     begin = form.EVENT_HEAD.size + sum(1 + len(text.encode()) for text in texts)
     detail = rest[begin:].decode("utf-8", "ignore")  # it may have been cut within a character
-    return form.EventPublished(
+    return rec.EventPublished(
         kind, source or None, key or None, reason or None, detail, form.EVENT_HEAD.unpack_from(rest)[0]
     )
 
 
-def _calibrated(rest: bytes) -> form.Calibrated:
+def _calibrated(rest: bytes) -> rec.Calibrated:
     report = Calibration.model_validate_json(rest)
     calibration_of(report)  # one that no gateway publishes would be drawn wrongly
-    return form.Calibrated(report)
+    return rec.Calibrated(report)
 
 
-def _about(rest: bytes) -> form.About:
+def _about(rest: bytes) -> rec.About:
     facts = from_json(rest, allow_inf_nan=False)  # unlike json, it limits nested lists
     if not isinstance(facts, dict):
         raise form.DamagedRingError("versions and settings that have no names")
-    return form.About(facts)
+    return rec.About(facts)
 
 
 def _op(value: int) -> ServoOp:
@@ -366,19 +367,19 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
     return texts
 
 
-_READERS: Final[dict[int, Callable[[bytes], form.Content]]] = {
+_READERS: Final[dict[int, Callable[[bytes], rec.Content]]] = {
     form.START: _start,
-    form.END: lambda rest: form.End(rest.decode()),
+    form.END: lambda rest: rec.End(rest.decode()),
     form.COMMAND: _command,
     form.DECISION: _decision,
     form.FRAME: _frame,
-    form.MODE: lambda rest: form.ModeChange(rest.decode()),
+    form.MODE: lambda rest: rec.ModeChange(rest.decode()),
     form.EVENT: _event,
-    form.CLOCK: lambda rest: form.Clock(_wall_ns(rest)),
-    form.LAG: lambda rest: form.Lag(form.WALL.unpack(rest)[0]),
+    form.CLOCK: lambda rest: rec.Clock(_wall_ns(rest)),
+    form.LAG: lambda rest: rec.Lag(form.WALL.unpack(rest)[0]),
     form.CALIBRATION: _calibrated,
     form.ABOUT: _about,
-    form.MEASURED: lambda rest: form.BodyState(measured(rest)),
+    form.MEASURED: lambda rest: rec.BodyState(measured(rest)),
     form.LEFT_OUT: _left_out,
-    form.INCIDENT: lambda rest: form.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
+    form.INCIDENT: lambda rest: rec.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

@@ -13,6 +13,7 @@ from gateway.model.black_box.header import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.model.framing import Framing
+from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import paths
 from gateway.robot.settings import Settings
@@ -34,7 +35,7 @@ def recorded(folder: Path, **sections: Any) -> Robot:
     return robot
 
 
-def contents(folder: Path, *types: type[form.Content]) -> list[Any]:
+def contents(folder: Path, *types: type[rec.Content]) -> list[Any]:
     records = ring_reader.read(folder / RING_FILE).records
     return [record.content for record in records if not types or isinstance(record.content, types)]
 
@@ -77,15 +78,15 @@ async def test_what_waits_or_is_rejected_has_its_decision_too(folder: Path) -> N
     robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=1))
     await asyncio.sleep(0.7)
     robot.put(LEG_3, leg("start", 1, 1, 1, source="slow", sent_ms=2))
-    found = contents(folder, form.Decision, form.FrameWritten)
+    found = contents(folder, rec.Decision, rec.FrameWritten)
     verdicts = [
-        (each.number, each.verdict if isinstance(each, form.Decision) else "accepted")
+        (each.number, each.verdict if isinstance(each, rec.Decision) else "accepted")
         for each in found
-        if isinstance(each, form.Decision) or each.number
+        if isinstance(each, rec.Decision) or each.number
     ]
     assert verdicts[:4] == [(1, "accepted"), (2, "coalesced"), (0, "malformed"), (3, "coalesced")]
     assert verdicts[-1] == (0, "stale")
-    last = contents(folder, form.CommandRecord)[-1]
+    last = contents(folder, rec.CommandRecord)[-1]
     assert (last.number, last.source, last.sent_ms) == (0, "slow", 2.0), "a stale one is decoded as well"
 
 
@@ -102,7 +103,7 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
     robot.put(LEG_3, leg("stop") if only_stops else leg("start", 9, 9, 9))
     assert {len(found) for found in there} == {before}
     after = {type(found) for found in contents(folder)[before:]}
-    assert after - {form.ModeChange} == {form.CommandRecord, form.FrameWritten}
+    assert after - {rec.ModeChange} == {rec.CommandRecord, rec.FrameWritten}
 
 
 @pytest.mark.parametrize("framing", Framing)
@@ -114,12 +115,12 @@ async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
     records = list(ring_reader.read(folder / RING_FILE).records)[len(before) :]
-    kinds = [type(record.content) for record in records if not isinstance(record.content, form.Clock)]
-    assert kinds == [form.CommandRecord, form.FrameWritten] * 3
-    assert len({record.sequence for record in records if not isinstance(record.content, form.Clock)}) == 3
+    kinds = [type(record.content) for record in records if not isinstance(record.content, rec.Clock)]
+    assert kinds == [rec.CommandRecord, rec.FrameWritten] * 3
+    assert len({record.sequence for record in records if not isinstance(record.content, rec.Clock)}) == 3
     for command, frame in zip(records[::2], records[1::2], strict=True):
-        assert isinstance(command.content, form.CommandRecord)
-        assert isinstance(frame.content, form.FrameWritten)
+        assert isinstance(command.content, rec.CommandRecord)
+        assert isinstance(frame.content, rec.FrameWritten)
         assert decode(frame.content.data).servos == command.content.targets
         assert frame.ns > command.ns
         assert (frame.content.number, frame.content.cause) == (command.content.number, Cause.COMMAND)
@@ -133,8 +134,8 @@ async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     robot.put(LEG_3, long)
     robot.put(keys.servo_command(41), {"op": "start", "angle_deg": 12.34}, received_ns=0)
     robot.put(keys.leg_command(5), START, received_ns=robot.now_ns() - 5_000_000_000)
-    found = [each for each in contents(folder)[before:] if not isinstance(each, form.ModeChange)]
-    assert [type(each) for each in found] == [form.CommandRecord, form.FrameWritten] * 3
+    found = [each for each in contents(folder)[before:] if not isinstance(each, rec.ModeChange)]
+    assert [type(each) for each in found] == [rec.CommandRecord, rec.FrameWritten] * 3
     assert found[0].source == "ä" * 64
     assert [frame.number for frame in found[1::2]] == [1, 2, 3]
 
@@ -148,11 +149,11 @@ async def test_what_waited_and_is_carried_out_in_anothers_step_keeps_its_own_tar
     robot.put(leg_4, leg("start", 10, 10, 10))
     robot.sleep_through(0.0015)  # leg 3 has a rate slot again, a quarter of its period after the first; leg 4 has none
     robot.put(leg_4, leg("start", 11, 11, 11))
-    commands = {each.number: each for each in contents(folder, form.CommandRecord)}
+    commands = {each.number: each for each in contents(folder, rec.CommandRecord)}
     assert [(each.key, each.targets[0][1].angle_cdeg) for each in commands.values()] == [
         (LEG_3, 90_00), (LEG_3, 91_00), (leg_4, 10_00), (leg_4, 11_00),
     ]  # fmt: skip
-    accepted = [frame for frame in contents(folder, form.FrameWritten) if frame.number]
+    accepted = [frame for frame in contents(folder, rec.FrameWritten) if frame.number]
     assert [frame.number for frame in accepted] == [1, 3, 2]
     assert all(decode(frame.data).servos == commands[frame.number].targets for frame in accepted)
 
@@ -163,7 +164,7 @@ async def test_a_command_that_broke_the_gateway_is_there(folder: Path, monkeypat
     with pytest.raises(ZeroDivisionError):
         robot.put(LEG_3, START)
     robot.conductor.recorder.mistake("a mistake in the gateway ended it")
-    assert contents(folder, form.CommandRecord)[-1].source == "anna"
+    assert contents(folder, rec.CommandRecord)[-1].source == "anna"
 
 
 def full(_fd: int, _offset: int, _length: int) -> None:

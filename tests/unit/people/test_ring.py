@@ -10,6 +10,7 @@ import pytest
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
+from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
 from gateway.people.recorder.incidents import MOST, find, is_id
 from gateway.people.recorder.ring_reader import NoRingError
@@ -20,24 +21,24 @@ from tests.support.robot import WALL_NS
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
-WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., form.Content], tuple[Any, ...]]] = [
-    (form.START, form.start, form.Start, (5, {"version": "1"})),
-    (form.END, form.mode, form.End, ("done",)),
+WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple[Any, ...]]] = [
+    (form.START, form.start, rec.Start, (5, {"version": "1"})),
+    (form.END, form.mode, rec.End, ("done",)),
     (
         form.COMMAND,
         form.command,
-        form.CommandRecord,
+        rec.CommandRecord,
         (7, "put", "hexapod/leg/3/cmd", "anna", 12.5, ((31, ServoOp(Op.START, 90_25)), (32, STOP))),
     ),
-    (form.COMMAND, form.command, form.CommandRecord, (8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS)),
-    (form.DECISION, form.decision, form.Decision, (7, "stale", "k", None)),
-    (form.FRAME, form.frame, form.FrameWritten, (FRAME, "watchdog", 45_000)),
-    (form.MODE, form.mode, form.ModeChange, ("active",)),
-    (form.EVENT, form.event, form.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
-    (form.LAG, form.number, form.Lag, (20_000_000,)),
-    (form.LEFT_OUT, form.left_out, form.LeftOut, (1234, "anna")),
-    (form.LEFT_OUT, form.left_out, lambda _, source: form.LeftOut(2**32 - 1, source), (2**40, None)),
-    (form.INCIDENT, form.incident, form.IncidentBegun, (9, "20260101-000000-000-estop")),
+    (form.COMMAND, form.command, rec.CommandRecord, (8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS)),
+    (form.DECISION, form.decision, rec.Decision, (7, "stale", "k", None)),
+    (form.FRAME, form.frame, rec.FrameWritten, (FRAME, "watchdog", 45_000)),
+    (form.MODE, form.mode, rec.ModeChange, ("active",)),
+    (form.EVENT, form.event, rec.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
+    (form.LAG, form.number, rec.Lag, (20_000_000,)),
+    (form.LEFT_OUT, form.left_out, rec.LeftOut, (1234, "anna")),
+    (form.LEFT_OUT, form.left_out, lambda _, source: rec.LeftOut(2**32 - 1, source), (2**40, None)),
+    (form.INCIDENT, form.incident, rec.IncidentBegun, (9, "20260101-000000-000-estop")),
 ]
 """A record's kind, how it is written, what is read of it, and its values."""
 
@@ -68,7 +69,7 @@ def modes(path: Path) -> list[int]:
     return [
         int(record.content.mode)
         for record in ring_reader.read(path).records
-        if isinstance(record.content, form.ModeChange)
+        if isinstance(record.content, rec.ModeChange)
     ]
 
 
@@ -193,7 +194,7 @@ def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int]
     records, _, _ = parse(image(*((*what(number), number * 1_000_000) for number in range(1, 5_001))))
     decoded: list[int] = []
 
-    def counted(index: int) -> form.Record:
+    def counted(index: int) -> rec.Record:
         decoded.append(index)
         return records[index]
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
-from gateway.model.black_box import format as form
 from gateway.model.frames import stop_leg
 from gateway.model.framing import ZERO, Framing
+from gateway.people.recorder import records as rec
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS
@@ -113,7 +113,7 @@ async def test_the_black_box_tells_lost_stops_from_what_was_rejected_unread(fold
     robot = recorded(folder)
     robot.put(LEG_3, START)
     robot.put(LEG_3, verb=Verb.LOST)
-    numbers = [record.number for record in contents(folder, form.FrameWritten) if record.cause == "command"]
+    numbers = [record.number for record in contents(folder, rec.FrameWritten) if record.cause == "command"]
     assert len(numbers) == 2
     assert all(numbers)
 

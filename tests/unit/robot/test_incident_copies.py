@@ -14,6 +14,7 @@ from gateway import durable
 from gateway.model.black_box import format as form
 from gateway.model.black_box.header import COPIED_SHARE, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
+from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
 from gateway.robot.blackbox import recorder
 from gateway.robot.blackbox.recorder import SHARE, RecordShares
@@ -78,7 +79,7 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     assert len(copied(folder, 1)) == 1, "a flood makes no copies"
     ring_alone = parse((folder / RING_FILE).read_bytes())[0]
     assert not [each for each in ring_alone if getattr(each.content, "source", None) == "anna"]
-    assert len([each for each in contents(folder, form.CommandRecord) if each.source == "anna"]) == 11
+    assert len([each for each in contents(folder, rec.CommandRecord) if each.source == "anna"]) == 11
     first = black_box._find(folder)[0].name
     black_box.show(Settings.of(settings), first)
     story = capsys.readouterr().out
@@ -240,9 +241,9 @@ async def test_what_precedes_an_incident_is_still_there_after_a_flood(folder: Pa
         if number % (count // 6) == 0:
             robot.conductor.recorder.beat(0)
             await asyncio.sleep(1)
-    commands = [each for each in contents(folder, form.CommandRecord) if each.source == "anna"]
+    commands = [each for each in contents(folder, rec.CommandRecord) if each.source == "anna"]
     assert len(commands) == 11, "what precedes the incident"
-    assert contents(folder, form.IncidentBegun)
-    assert len([each for each in contents(folder, form.FrameWritten) if each.cause == Cause.ESTOP]) >= 6
-    left_out = sum(each.count for each in contents(folder, form.LeftOut))
+    assert contents(folder, rec.IncidentBegun)
+    assert len([each for each in contents(folder, rec.FrameWritten) if each.cause == Cause.ESTOP]) >= 6
+    left_out = sum(each.count for each in contents(folder, rec.LeftOut))
     assert left_out > 1000, "and the ring says how much it lacks"
