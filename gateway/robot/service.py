@@ -19,7 +19,7 @@ from gateway import __version__
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
-from gateway.host.kernel_tables import forgets
+from gateway.host.mounts import forgets
 from gateway.host.settings_reader import ForStops
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.black_box.format import STOP_FACTS

@@ -2,10 +2,12 @@
 
 import datetime as dt
 import errno
+import ipaddress
 import json
 import logging
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +20,6 @@ from gateway.certs import access, revocation
 from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
 from gateway.host.directories import state_to_read
-from gateway.host.kernel_tables import listening
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.robot.zenoh_io import exposure
 from gateway.robot.zenoh_io.late_addresses import bind_fault, is_late
@@ -145,3 +146,25 @@ def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> R
 
 # fmt: on
 PROBES: Final = (certificates, revoked, network)
+
+
+# ---- who listens
+
+_LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
+
+
+def listening(port: int, kind: socket.SocketKind) -> Iterator[tuple[str, int]]:
+    """Yield the address and the user id of each socket of this machine that listens on `port`."""
+    for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
+        with suppress(OSError):
+            for line in Path("/proc/net", file).read_text().splitlines()[1:]:
+                _, local, _, state, _, _, _, uid, *_ = line.split()
+                address, _, number = local.rpartition(":")
+                if state in _LISTENS and int(number, 16) == port:
+                    yield _shown(address), int(uid)
+
+
+def _shown(address: str) -> str:
+    """Convert an address from the kernel's form: words of 32 bits in hex, in this machine's byte order."""
+    words = [int(address[place : place + 8], 16).to_bytes(4, sys.byteorder) for place in range(0, len(address), 8)]
+    return str(ipaddress.ip_address(b"".join(words)))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.kernel_tables import FORGETS, forgets, mount_of
+from gateway.host.mounts import FORGETS, forgets, mount_of
 
 MOUNTS = """\
 22 1 0:30 / / rw,relatime - overlay overlayroot rw,lowerdir=/media/root-ro,upperdir=/media/root-rw/overlay

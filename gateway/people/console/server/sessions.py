@@ -19,8 +19,8 @@ from pydantic import BaseModel
 
 from gateway import durable
 from gateway.errors import ConfigError
-from gateway.host.boot_clock import Now, clocks
 from gateway.people.console.pages.page_messages import Role, least
+from gateway.people.console.server.boot_clock import Now, clocks
 
 SESSION_S: Final = 12 * 3600
 LINK_S: Final = 600
