@@ -4,7 +4,6 @@ Each link takes one, and each silent connection to the TLS port takes one for at
 none left, a failed SPI device could not be reopened, and no Stop would reach the robot.
 """
 
-import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -70,8 +69,3 @@ class Spare:
         with suppress(OSError):
             while len(self._kept) < SPARES:
                 self._kept.append(os.open(os.devnull, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0)))
-
-
-def ran_out(error: BaseException) -> bool:
-    """Return whether opening failed because the process has no descriptor left."""
-    return isinstance(error, OSError) and error.errno == errno.EMFILE

@@ -151,19 +151,13 @@ def set_up() -> None:
 
     Two background threads write to stdout and stderr from now on.
     """
-    out, err = LogWriter(1), LogWriter(2, _formatter(terminal=os.isatty(2), journal=_is_journal(2)))
+    out, err = LogWriter(1), LogWriter(2, _formatter(2))
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = LogStream(out), LogStream(err)
     atexit.register(close)
     root = logging.getLogger()
     root.handlers[:] = [err]
     root.setLevel(logging.DEBUG if sys.flags.dev_mode else logging.INFO)
-
-
-def _is_journal(descriptor: int) -> bool:
-    """Return whether the descriptor is the journal, by JOURNAL_STREAM (systemd.exec(5))."""
-    found = os.fstat(descriptor)
-    return os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
 
 
 def close(timeout_s: float = FLUSH_S) -> None:
@@ -195,10 +189,11 @@ def keep_stacks() -> None:
             logging.getLogger(__name__).warning("the stacks of a hang cannot be kept: %s", error)
 
 
-def _formatter(*, terminal: bool, journal: bool) -> logging.Formatter:
-    if journal:
+def _formatter(descriptor: int) -> logging.Formatter:
+    found = os.fstat(descriptor)
+    if os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}":  # systemd.exec(5)
         return _LinesForJournal(colours=False)
-    return _LinesForPeople(colours=True) if terminal else _JsonLines()
+    return _LinesForPeople(colours=True) if os.isatty(descriptor) else _JsonLines()
 
 
 class _JsonLines(logging.Formatter):

@@ -32,7 +32,7 @@ from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import calibration_file, stop_note
-from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.disk_writer import DiskWriter, report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
@@ -222,11 +222,16 @@ async def _run(
 ) -> ServiceEnd:
     # The servos file exists before systemd counts the service as active, when an upgrade reads it.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
-    state = state_directory(settings.state.path)
+    state, failed = state_directory(settings.state.path), partial(report_mistake, loop, "a thread failed")
     end, notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
     config, checker, shut_out = _configured(settings, physics)
-    bus = _wire(settings, simulated=simulated, physics=physics, board=board)
-    supply = supply_of(settings, bus, board and board.channel, loop, owner, end.mistake)
+    bus = wires.wire(
+        settings,
+        simulated=simulated,
+        page=physics and physics.page if board is None else board.page,
+        sensed=physics and physics.sensed,
+    )
+    supply = supply_of(settings, bus, board and board.channel, loop, owner, failed)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -249,7 +254,7 @@ async def _run(
         with owner:
             conductor.start()
             recorder.open()
-        _go_on(bus, conductor, settings, end, simulated=simulated)
+        _go_on(bus, conductor, settings, failed, simulated=simulated)
         opening = asyncio.gather(_in_thread(partial(_open, settings, config, conductor)), keeper.known())
         ended = asyncio.ensure_future(end.wait())
         await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
@@ -324,14 +329,11 @@ def _is_kept(state: Path | None) -> bool:
     return state is not None and not kind
 
 
-def _wire(settings: Settings, *, simulated: bool, physics: Physics | None, board: PowerBoardAt | None) -> Wire:
-    page = board.page if board is not None else physics and physics.page
-    return wires.wire(settings, simulated=simulated, page=page, sensed=physics and physics.sensed)
-
-
-def _go_on(bus: Wire, conductor: Conductor, settings: Settings, end: ServiceEnd, *, simulated: bool) -> None:
+def _go_on(
+    bus: Wire, conductor: Conductor, settings: Settings, failed: Callable[[Exception], None], *, simulated: bool
+) -> None:
     if isinstance(bus, CyclicBus):
-        Cycle(bus, conductor, end.mistake).start()
+        Cycle(bus, conductor, failed).start()
     wires.warn_of_driver(settings.wire, settings.spi, simulated=simulated)
 
 

@@ -33,6 +33,7 @@ import collections
 import functools
 import struct
 import time
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -41,7 +42,7 @@ from gateway.host.shared_page import ServoPage
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
 from gateway.model.framing import Framing
 from gateway.model.power_board import NO_LOAD_DEG_S
-from gateway.robot.spi import ByteDevice
+from gateway.robot.spi import Batch, SpiDevice
 from schemas.robot import SERVO_IDS
 
 
@@ -124,6 +125,18 @@ _FAULTY_ENTRIES: Final = range(252, 256)
 _ENTRIES_PAST_THE_TABLE: Final = {18: 11, 23: 21}
 """The servos that these drive in the -Og build."""
 _DONE: Final = {Op.START: "started at", Op.SET: "set to"}
+
+
+class ByteDevice(SpiDevice):
+    """A device that writes a batch transfer by transfer, without pauses."""
+
+    def transfer(self, batch: Batch) -> None:
+        for data, _ in batch:
+            self.take(data)
+
+    @abstractmethod
+    def take(self, data: bytes) -> None:
+        """Write one transfer of a batch. Raises SpiError, which ends the batch."""
 
 
 class SimulatedController(ByteDevice):

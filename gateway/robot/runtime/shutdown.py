@@ -48,7 +48,6 @@ class ServiceEnd:
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
         self.failure: str | None = None
         self._starts_anew = False
-        self._loop = loop
         self._owner = owner
         self._recorder = recorder
         self._event = asyncio.Event()
@@ -89,12 +88,6 @@ class ServiceEnd:
             leave(0)
         sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
         leave(GatewayError.exit_code)
-
-    def mistake(self, error: Exception) -> None:
-        """End the service for an unexpected exception in one of its threads. Called on that thread."""
-        context = {"message": "a thread failed", "exception": error}
-        with suppress(RuntimeError):  # the loop is closed: the service has ended
-            self._loop.call_soon_threadsafe(self._failed, self._loop, context)
 
     def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")

@@ -49,15 +49,3 @@ class DuplexDevice(OpenDevice, Protocol):
     @abstractmethod
     def exchange(self, data: bytes) -> bytes:
         """Write `data` and return the bytes that came back. Raises SpiError: any part may have been written."""
-
-
-class ByteDevice(SpiDevice):
-    """A device that writes a batch transfer by transfer, without pauses."""
-
-    def transfer(self, batch: Batch) -> None:
-        for data, _ in batch:
-            self.take(data)
-
-    @abstractmethod
-    def take(self, data: bytes) -> None:
-        """Write one transfer of a batch. Raises SpiError, which ends the batch."""

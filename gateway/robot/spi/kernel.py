@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
-from gateway.host.descriptors import Spare, ran_out
+from gateway.host.descriptors import Spare
 from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
 from gateway.robot.spi.outside import Listener
 
@@ -101,7 +101,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
             try:
                 fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
             except OSError as error:
-                if not (more and ran_out(error)):
+                if not (more and error.errno == errno.EMFILE):
                     raise
             else:
                 break

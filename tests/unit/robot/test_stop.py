@@ -13,10 +13,11 @@ from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
-from gateway.robot.spi import ByteDevice, stop_all
+from gateway.robot.spi import stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_before_service, stop_once, stop_servos
 from gateway.robot.spi.uart import Uart
+from gateway.simulation.controller import ByteDevice
 from schemas.robot import LEGS
 
 MISTAKES = [SpiError("told to fail"), SystemError("returned NULL"), TypeError("a mistake of our own"), KeyError(3)]
