@@ -23,8 +23,8 @@
 6A in its receive interrupt. The firmware decides, not its DBC file, which numbers the mask's bits differently.
 """
 
+import enum
 import struct
-from collections.abc import Mapping
 from typing import Final, NamedTuple
 
 OUTPUTS: Final = 18
@@ -97,23 +97,20 @@ class BoardError(NamedTuple):
     mask: int = 0
 
 
-class NoError(NamedTuple):
+class BoardNotice(enum.Enum):
+    """An answer without data, by its identifier."""
+
+    NO_ERROR = ERROR
     """The board has no error to show."""
-
-
-class Cleared(NamedTuple):
+    CLEARED = CLEARED
     """The error shown last is deleted."""
-
-
-class OffPressed(NamedTuple):
+    OFF_PRESSED = OFF_PRESSED
     """Somebody pressed the board's off button."""
-
-
-class GoingOff(NamedTuple):
+    GOING_OFF = GOING_OFF
     """Somebody has asked the board to switch the whole robot off, which it does 1 s later."""
 
 
-Answer = Supplied | Currents | Rails | BoardError | NoError | Cleared | OffPressed | GoingOff
+Answer = Supplied | Currents | Rails | BoardError | BoardNotice
 _LAYOUTS: Final = {
     **{question.id: struct.Struct(">3H") for question in ASK_CURRENTS},
     MANIPULATOR_5V_3V3_MA: struct.Struct(">3H"),
@@ -154,12 +151,9 @@ def read(frame: CanFrame) -> Answer | None:
         case 0x65:
             return _error(data)
         case 0x97 | 0x69 | 0x67:
-            return None if data else _WITHOUT_DATA[identifier]
+            return None if data else BoardNotice(identifier)
         case _:
             return _measured(identifier - 1, data)
-
-
-_WITHOUT_DATA: Final[Mapping[int, Answer]] = {CLEARED: Cleared(), OFF_PRESSED: OffPressed(), GOING_OFF: GoingOff()}
 
 
 def _measured(question: int, data: bytes) -> Currents | Rails | None:
@@ -173,9 +167,9 @@ def _measured(question: int, data: bytes) -> Currents | Rails | None:
     return Currents(1 + 3 * ((question - ASK_CURRENTS[0].id) // 2), (one, two, three))
 
 
-def _error(data: bytes) -> BoardError | NoError:
+def _error(data: bytes) -> BoardError | BoardNotice:
     if not data:
-        return NoError()
+        return BoardNotice.NO_ERROR
     mask = int.from_bytes(data[1:], "big")
     most = ALL if data[0] == SERVO_OVERCURRENT else _CONVERTERS
     readable = len(data) == _ERROR_BYTES.get(data[0]) and mask <= most

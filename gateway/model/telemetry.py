@@ -3,7 +3,7 @@
 from datetime import datetime
 
 from gateway.model.elkapod import Measured
-from schemas.telemetry import Battery, GatewayState, Imu, Telemetry
+from schemas.telemetry import Battery, Imu, Telemetry
 
 
 def battery_of(values: Measured) -> Battery:
@@ -26,14 +26,3 @@ def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
         tilt_deg=values.tilt_deg,
         feet=values.feet,
     )
-
-
-def fed_singly(state: GatewayState) -> bool:
-    """Return whether a board powers each servo from its start to its Stop. A start then takes longer."""
-    return state.power is not None
-
-
-def currents_a(telemetry: Telemetry | None) -> dict[int, float]:
-    """Return each measured servo current (A), by servo id."""
-    servos = {} if telemetry is None else telemetry.servos or {}
-    return {int(name): servo.current_a for name, servo in servos.items() if servo.current_a is not None}

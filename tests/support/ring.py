@@ -1,8 +1,12 @@
 """A black box's bytes as records."""
 
+import json
 import tempfile
+import zlib
 from pathlib import Path
+from typing import Any
 
+from gateway.model.black_box import format as form
 from gateway.people.recorder import ring_reader
 
 
@@ -13,3 +17,14 @@ def parse(data: bytes) -> tuple[ring_reader.Records, int, int]:
         path.write_bytes(data)
         found = ring_reader.read(path)
     return found.records, found.damaged, found.missing
+
+
+def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes) -> None:
+    """Write one slot, as `RecordRing.append` does."""
+    body = form.pack_head(len(rest) + form.HEAD_BYTES, kind, 0, sequence, ns) + rest
+    form.pack_slot_into(buffer, offset, zlib.crc32(body), body)
+
+
+def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
+    """Bytes of a start."""
+    return form.at_wall_time(wall_ns, json.dumps(facts))

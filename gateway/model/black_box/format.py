@@ -19,15 +19,12 @@ Records are packed by hand, since a gait writes many: a frame takes 0.3 µs, by 
 `construct` 20.9 µs (10.2 compiled).
 """
 
-import json
 import struct
 import zlib
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from gateway.model import elkapod
 from gateway.model.frames import ServoOp
-from schemas.calibration import Calibration
 from schemas.robot import JOINTS
 
 HEADER_BYTES: Final = 4096
@@ -50,7 +47,7 @@ _SEQUENCE_BYTES: Final = 8
 HEAD_BYTES: Final = _HEAD.size
 pack_head: Final = _HEAD.pack
 pack_slot_into: Final = _SLOT.pack_into
-"""The two halves of `put`: pack a head; pack checksum and body into a slot."""
+"""Pack a head; pack checksum and body into a slot."""
 
 # ---- types
 
@@ -73,12 +70,6 @@ class DamagedRingError(ValueError):
 
 
 # ---- a slot
-
-
-def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes, more: bool = False) -> None:
-    """Write one slot into `buffer` at `offset`; `rest` has at most ROOM bytes. `more`: the next slot continues it."""
-    body = pack_head(len(rest) + HEAD_BYTES, kind, more, sequence, ns) + rest
-    pack_slot_into(buffer, offset, zlib.crc32(body), body)
 
 
 class Slot(NamedTuple):
@@ -170,11 +161,6 @@ def _encoded(texts: Sequence[str | None]) -> bytes:
     return made
 
 
-def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
-    """Bytes of a Start; `facts` as JSON."""
-    return WALL.pack(wall_ns) + json.dumps(facts).encode()
-
-
 def command(
     number: int,
     verb: str,
@@ -254,11 +240,6 @@ def event(kind: str, source: str | None, key: str | None, reason: str | None, de
     return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
 
 
-def mode(name: str) -> bytes:
-    """Bytes of a ModeChange or an End, cut at MAX_TEXT."""
-    return name.encode("utf-8", "replace")[:MAX_TEXT]
-
-
 def number(value: int) -> bytes:
     """Bytes of a Lag or a Clock."""
     return WALL.pack(value)
@@ -269,21 +250,11 @@ def left_out(count: int, source: str | None) -> bytes:
     return DECISION_HEAD.pack(min(count, _UINT32)) + _texts(source)
 
 
-def incident(wall_ns: int, name: str) -> bytes:
-    """Bytes of an IncidentBegun; `name` is its id."""
-    return WALL.pack(wall_ns) + name.encode()
+def text(content: str) -> bytes:
+    """Bytes of a mode, an end, settings or a calibration (as JSON), cut at MAX_TEXT."""
+    return content.encode("utf-8", "replace")[:MAX_TEXT]
 
 
-def calibration(report: Calibration) -> bytes:
-    """Bytes of a Calibrated, 1800 at most."""
-    return report.model_dump_json().encode()
-
-
-def about(facts: dict[str, Any]) -> bytes:
-    """Bytes of an About, 2000 at most."""
-    return json.dumps(facts).encode()
-
-
-def measured(values: elkapod.Measured) -> bytes:
-    """Bytes of a BodyState: an answer as on the wire, whose values are float32, so that none is rounded."""
-    return elkapod.answer(values)
+def at_wall_time(wall_ns: int, content: str) -> bytes:
+    """Bytes of a start, with its facts as JSON, or of an incident, with its id."""
+    return WALL.pack(wall_ns) + content.encode()

@@ -50,7 +50,7 @@ def slots_of(head: bytes, size: int) -> int:
 
 
 def put_calibration(buffer: Any, data: bytes) -> None:
-    """Write the calibration in force, in the bytes of `format.calibration`. One that does not fit counts as unknown."""
+    """Write the calibration in force, as JSON. One that does not fit counts as unknown."""
     if len(data) > HEADER_BYTES - _CALIBRATION_BEGIN:
         data = b""
     _CALIBRATION.pack_into(buffer, _CALIBRATION_AT, zlib.crc32(data), len(data))

@@ -13,7 +13,6 @@ import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
-from gateway.model.telemetry import fed_singly
 from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, Lease
 from gateway.people.client.pace import Retries
@@ -490,4 +489,4 @@ def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Rob
         calibration = client.calibration()
     check_mirrored_once(geometry, calibration)
     limits = ranges(state.limits, calibration)
-    return Robot(geometry, limits, starts_whole=state.wire.whole_robot, fed_singly=fed_singly(state))
+    return Robot(geometry, limits, starts_whole=state.wire.whole_robot, fed_singly=state.power is not None)

@@ -7,6 +7,7 @@ Recording delays no Stop: a step is recorded after all its frames are written, a
 command that is carried out at once shares a record with its frame.
 """
 
+import json
 import logging
 import os
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from gateway import __version__, durable
 from gateway.allowance import NS_PER_S, Allowance
 from gateway.errors import GatewayError
 from gateway.host.worker import Worker
+from gateway.model import elkapod
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
 from gateway.model.black_box.format import ACCEPTED
@@ -238,8 +240,8 @@ class Recorder:
         self._copies = IncidentCopies()
         self._on = paths.folder_of(settings) is not None
         if self._on:
-            self._about = form.about(_about(settings, facts))
-            self._append(form.START, clock(), form.start(wall_ns(), {"pid": os.getpid(), **facts}))
+            self._about = form.text(json.dumps(_about(settings, facts)))
+            self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
         else:
             self._append = _forget
 
@@ -341,7 +343,7 @@ class Recorder:
 
     def _record_mode(self, now_ns: int) -> None:
         if self._mode is not None:
-            self._append(form.MODE, now_ns, form.mode(self._mode))
+            self._append(form.MODE, now_ns, form.text(self._mode))
             self._mode = None
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
@@ -377,7 +379,7 @@ class Recorder:
         """Record the robot's measurements, at most once in MEASURED_NS."""
         if self._on and now_ns - self._measured_ns >= MEASURED_NS:
             self._measured_ns = now_ns
-            self._append(form.MEASURED, now_ns, form.measured(values))
+            self._append(form.MEASURED, now_ns, elkapod.answer(values))
 
     def mistake(self, detail: str) -> None:
         """Record an unexpected exception, which ends the service."""
@@ -389,7 +391,7 @@ class Recorder:
         """Record the calibration in force. Call it at the start, and at each change."""
         if self._ring is None:
             return
-        before, now = self._ring.calibration, form.calibration(report_of(calibration))
+        before, now = self._ring.calibration, form.text(report_of(calibration).model_dump_json())
         if before == now:
             return
         if before:
@@ -400,7 +402,7 @@ class Recorder:
 
     def ended(self, why: str) -> None:
         """Record the end, after the last Stops."""
-        self._append(form.END, self._clock(), form.mode(why))
+        self._append(form.END, self._clock(), form.text(why))
 
     def _begins(self, now_ns: int) -> bool:
         """Return whether an incident now would be a new one, and not prolong the latest."""
@@ -415,7 +417,7 @@ class Recorder:
             self.incident = incident_id(wall_ns, what)
             self.incidents += 1
             self._first_ns = now_ns
-            self._append(form.INCIDENT, now_ns, form.incident(wall_ns, self.incident))
+            self._append(form.INCIDENT, now_ns, form.at_wall_time(wall_ns, self.incident))
         self._copies.happened()
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident

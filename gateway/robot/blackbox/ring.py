@@ -60,16 +60,13 @@ class RecordRing:
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:
         """Write a record, in several slots if it does not fit in one."""
-        sequence = self.sequence
-        offset = _HEADER + sequence % self._slots * _SLOT
-        if len(rest) <= _ROOM:
-            body = pack_head(len(rest) + HEAD_BYTES, kind, 0, sequence, ns) + rest  # `form.put`, without a call
-            pack_slot_into(self._map, offset, crc32(body), body)
-            self.sequence = sequence + 1
-            return
-        form.put(self._map, offset, kind, sequence, ns, rest[: form.ROOM], True)
+        sequence, part = self.sequence, rest[:_ROOM]
+        more = len(rest) > _ROOM
+        body = pack_head(len(part) + HEAD_BYTES, kind, more, sequence, ns) + part
+        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
         self.sequence = sequence + 1
-        self.append(form.MORE, ns, rest[form.ROOM :])
+        if more:
+            self.append(form.MORE, ns, rest[_ROOM:])
 
     def put(self, body: bytes) -> None:
         """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
@@ -79,7 +76,7 @@ class RecordRing:
 
     @property
     def calibration(self) -> bytes:
-        """The header's calibration, as bytes of `format.calibration`; empty: none."""
+        """The header's calibration, as JSON; empty: none."""
         return header.calibration(self._map[: form.HEADER_BYTES])
 
     @calibration.setter

@@ -23,12 +23,9 @@ from gateway.model.power_board import (
     SET_SUPPLY,
     TWO_BOARDS,
     BoardError,
+    BoardNotice,
     CanFrame,
-    Cleared,
     Currents,
-    GoingOff,
-    NoError,
-    OffPressed,
     Rails,
     Supplied,
     mask_of,
@@ -258,12 +255,12 @@ class PowerBoard:
                     self._failed(BoardError(TWO_BOARDS), now_ns)
             case BoardError():
                 self._failed(answer, now_ns)
-            case NoError():
+            case BoardNotice.NO_ERROR:
                 self._errors.none_left()
-            case Cleared():
+            case BoardNotice.CLEARED:
                 self._errors.deleted(now_ns)
-            case OffPressed() | GoingOff():
-                why = _OFF_PRESSED if isinstance(answer, OffPressed) else _GOING_OFF
+            case BoardNotice.OFF_PRESSED | BoardNotice.GOING_OFF:
+                why = _OFF_PRESSED if answer is BoardNotice.OFF_PRESSED else _GOING_OFF
                 if self._begins(why, now_ns):
                     self._news.append(News(Kind.OFF_BUTTON, why))
         self.poll(now_ns)

@@ -19,7 +19,6 @@ from prometheus_client.registry import Collector
 from gateway import __version__
 from gateway.endpoints import is_local
 from gateway.host import logs
-from gateway.model.telemetry import currents_a
 from gateway.robot.protocol.latency import BOUNDS_US, Latency
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.metrics_page import LOOPBACK, MetricsPage
@@ -132,7 +131,8 @@ def powered(power: PowerReport, measured: Telemetry | None, events: Mapping[Kind
     )
     supplied = {str(servo): servo in power.supplied for servo in SERVO_IDS}
     yield _gauge("servo_supplied", "1: the board fed this servo when it last reported it", supplied, "servo")
-    drawn = {str(servo): current_a for servo, current_a in currents_a(measured).items()}
+    servos = {} if measured is None else measured.servos or {}
+    drawn = {name: servo.current_a for name, servo in servos.items() if servo.current_a is not None}
     yield _gauge("servo_current_amperes", "What this servo draws", drawn, "servo")
     supply = None if measured is None else measured.supply
     yield _gauge("supply_volts", "The voltage of the servos' supply", {} if supply is None else supply.voltage_v)

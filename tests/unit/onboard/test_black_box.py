@@ -85,7 +85,7 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
     """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
     ring_at = paths.prepare(folder)
     ring = RecordRing(ring_at, 100)
-    ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
+    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
     ring.close()
     os.chown(folder / RING_FILE, 65534, -1, follow_symlinks=False)
     os.chown(ring_at, 65534, -1)
@@ -100,7 +100,7 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
 
 def test_a_disk_that_gets_full_is_left_without_half_an_export(folder: Path, tmp_path: Path) -> None:
     ring = RecordRing(paths.prepare(folder), 100)
-    ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
+    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
     ring.close()
     copy = tmp_path / "stop.mcap"
 

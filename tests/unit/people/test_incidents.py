@@ -31,6 +31,8 @@ from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
 from tests.support.ring import parse
 from tests.support.robot import LEG_3, WALL_NS, Robot, leg
+from tests.support.ring import parse, start
+from tests.support.robot import WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
 from tests.unit.people.test_ring import image
@@ -278,8 +280,8 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     """Records that no gateway writes in this order, or at all."""
     place_of_ring = paths.prepare(folder)
     ring = RecordRing(place_of_ring, 100)
-    ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "20260921-141320-123-watchdog"))
-    ring.append(form.INCIDENT, 5 * SECOND, form.incident(WALL_NS, "../../etc/passwd"))
+    ring.append(form.INCIDENT, 5 * SECOND, form.at_wall_time(WALL_NS, "20260921-141320-123-watchdog"))
+    ring.append(form.INCIDENT, 5 * SECOND, form.at_wall_time(WALL_NS, "../../etc/passwd"))
     ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
     ring.append(form.DECISION, 5 * SECOND, form.decision(3, "made up", "no key", None))
     ring.append(form.COMMAND, 5 * SECOND, form.command(0, "put", "no key", None, float("inf"), ()))
@@ -297,8 +299,8 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
 def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
     def found(*later_s: float) -> Incident:
         """Of a watchdog's at 20 s, behind the start of a gateway, and emergency stops at these seconds."""
-        silent = form.incident(WALL_NS, "20260921-141320-123-watchdog")
-        behind = [(form.START, form.start(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
+        silent = form.at_wall_time(WALL_NS, "20260921-141320-123-watchdog")
+        behind = [(form.START, start(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
         stop = form.event("estop_engaged", "anna", None, None, "a sentence", 0)
         behind += [(form.EVENT, stop, round(at_s * SECOND)) for at_s in (20.0, *later_s)]
         (incident,) = find(parse(image(*behind))[0], written=True)

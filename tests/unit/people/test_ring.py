@@ -16,14 +16,14 @@ from gateway.people.recorder.incidents import MOST, find, is_id
 from gateway.people.recorder.ring_reader import NoRingError
 from gateway.robot.blackbox.ring import RecordRing
 from schemas.robot import SERVO_IDS
-from tests.support.ring import parse
+from tests.support.ring import parse, put, start
 from tests.support.robot import WALL_NS
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
 WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple[Any, ...]]] = [
-    (form.START, form.start, rec.Start, (5, {"version": "1"})),
-    (form.END, form.mode, rec.End, ("done",)),
+    (form.START, start, rec.Start, (5, {"version": "1"})),
+    (form.END, form.text, rec.End, ("done",)),
     (
         form.COMMAND,
         form.command,
@@ -33,12 +33,12 @@ WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple
     (form.COMMAND, form.command, rec.CommandRecord, (8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS)),
     (form.DECISION, form.decision, rec.Decision, (7, "stale", "k", None)),
     (form.FRAME, form.frame, rec.FrameWritten, (FRAME, "watchdog", 45_000)),
-    (form.MODE, form.mode, rec.ModeChange, ("active",)),
+    (form.MODE, form.text, rec.ModeChange, ("active",)),
     (form.EVENT, form.event, rec.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
     (form.LAG, form.number, rec.Lag, (20_000_000,)),
     (form.LEFT_OUT, form.left_out, rec.LeftOut, (1234, "anna")),
     (form.LEFT_OUT, form.left_out, lambda _, source: rec.LeftOut(2**32 - 1, source), (2**40, None)),
-    (form.INCIDENT, form.incident, rec.IncidentBegun, (9, "20260101-000000-000-estop")),
+    (form.INCIDENT, form.at_wall_time, rec.IncidentBegun, (9, "20260101-000000-000-estop")),
 ]
 """A record's kind, how it is written, what is read of it, and its values."""
 
@@ -53,7 +53,7 @@ def image(*records: tuple[int, bytes, int]) -> bytes:
     slots = len(records) + 1
     made = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
     for number, (kind, rest, ns) in enumerate(records, 1):
-        form.put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
+        put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
     return bytes(made)
 
 
@@ -61,7 +61,7 @@ def filled(path: Path, records: int, slots: int = 50) -> None:
     """A ring with so many modes, numbered from 1."""
     ring = RecordRing(path, slots)
     for number in range(1, records + 1):
-        ring.append(form.MODE, number, form.mode(str(number)))
+        ring.append(form.MODE, number, form.text(str(number)))
     ring.close()
 
 
@@ -131,7 +131,7 @@ def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str
     path.chmod(0o600)
     ring = RecordRing(path, 50)
     assert ring.note.startswith(f"the black box starts empty: {note}")
-    ring.append(form.MODE, 0, form.mode("1"))
+    ring.append(form.MODE, 0, form.text("1"))
     ring.close()
     assert modes(path) == [1]
     assert path.stat().st_blocks * 512 >= path.stat().st_size, "no hole that a full disk would turn into SIGBUS"
@@ -186,10 +186,10 @@ def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
 
 def begun(number: int) -> tuple[int, bytes]:
     name = f"20260921-{number // 60_000:02d}{number // 1000 % 60:02d}13-{number % 1000:03d}-watchdog"
-    return form.INCIDENT, form.incident(WALL_NS + number, name)
+    return form.INCIDENT, form.at_wall_time(WALL_NS + number, name)
 
 
-@pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.start(WALL_NS, {}))], ids=["incidents", "starts"])
+@pytest.mark.parametrize("what", [begun, lambda _: (form.START, start(WALL_NS, {}))], ids=["incidents", "starts"])
 def test_a_ring_of_nothing_but_incidents_is_no_endless_work(what: Callable[[int], tuple[int, bytes]]) -> None:
     records, _, _ = parse(image(*((*what(number), number * 1_000_000) for number in range(1, 5_001))))
     decoded: list[int] = []
@@ -220,15 +220,15 @@ def test_an_id_begins_with_a_time(name: str, good: bool) -> None:
 def test_a_gateway_does_not_run_out_of_sequence_numbers(tmp_path: Path, sequence: int) -> None:
     path = tmp_path / "ring"
     ring = RecordRing(path, 15)  # divides 2**64 - 1
-    ring.append(form.MODE, 1, form.mode("active"))
+    ring.append(form.MODE, 1, form.text("active"))
     ring.close()
     image = bytearray(path.read_bytes())
     offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
-    form.put(image, offset, form.MODE, sequence, 2, form.mode("idle"))
+    put(image, offset, form.MODE, sequence, 2, form.text("idle"))
     path.write_bytes(image)
     assert [record.sequence for record in ring_reader.read(path).records] == [1]
     ring = RecordRing(path, 15)
-    ring.append(form.MODE, 3, form.mode("idle"))
+    ring.append(form.MODE, 3, form.text("idle"))
     ring.close()
     assert [record.sequence for record in ring_reader.read(path).records] == [1, 2]
 
@@ -269,7 +269,7 @@ def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
 
 @pytest.mark.parametrize("fact", ["\ud800", [[[]]], {"a": 1}], ids=repr)
 def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
-    records, damaged, _ = parse(image((form.START, form.start(WALL_NS, {"pid": fact}), 1)))
+    records, damaged, _ = parse(image((form.START, start(WALL_NS, {"pid": fact}), 1)))
     assert (len(records), damaged) == (0, 1)
-    records, damaged, _ = parse(image((form.START, form.start(WALL_NS, {"\udfff": 1}), 1)))
+    records, damaged, _ = parse(image((form.START, start(WALL_NS, {"\udfff": 1}), 1)))
     assert (len(records), damaged) == (0, 1)

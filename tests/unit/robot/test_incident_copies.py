@@ -124,7 +124,7 @@ def filled(ring: Path, last: int, first: int = 1) -> None:
     """A ring with so many modes, numbered from 1."""
     made = RecordRing(ring, SLOTS)
     for number in range(first, last + 1):
-        made.append(form.MODE, number, form.mode(str(number)))
+        made.append(form.MODE, number, form.text(str(number)))
     made.close()
 
 
