@@ -185,11 +185,6 @@ class SpiSettings(Section):
         return replace(self, speed_hz=speed_hz, framing=self.framing if wire.framed else Framing.PLAIN)
 
     @property
-    def avoid_cdeg(self) -> tuple[int, int] | None:
-        """Wire angles that are never sent: first <= angle < second, in hundredths of a degree; None: all are sent."""
-        return self.framing.avoid_cdeg
-
-    @property
     def too_fast(self) -> str:
         """Why the controller would lose frames at this clock and pause, or ""."""
         return self.framing.too_fast(self.speed_hz, self.frame_gap_us)

@@ -3,8 +3,6 @@
 import enum
 from typing import Final
 
-from gateway.model.frames import PROTOCOL_VERSION
-
 ZERO: Final = b"\0"
 PREAMBLE_ZEROS: Final = 16
 """Zeros that synchronise a controller that awaits an announced body: the longest body has 14 bytes.
@@ -20,11 +18,6 @@ class Framing(enum.StrEnum):
 
     PLAIN = "plain"
     LENGTH_PREFIXED = "length-prefixed"
-
-    @property
-    def protocol(self) -> str:
-        """The version of HexapodProtocol, as the gateway reports it."""
-        return PROTOCOL_VERSION
 
     @property
     def controller(self) -> str:

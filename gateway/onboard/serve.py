@@ -64,7 +64,8 @@ def _run(
             body.connect(config)
         endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
         where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
-        say(f"hexapod-gateway is ready: {where} → {robot} ({settings.spoken})")
+        spoken = settings.spi.framing if settings.wire.framed else settings.wire.name
+        say(f"hexapod-gateway is ready: {where} → {robot} ({spoken})")
         _reach_by(endpoints)
         say(next_step(endpoints))
 

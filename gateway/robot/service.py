@@ -110,7 +110,7 @@ def rules(settings: Settings) -> Rules:
             int(servo): (centidegrees(limits.min_deg), centidegrees(limits.max_deg))
             for servo, limits in settings.limits.servos.items()
         },
-        avoid_cdeg=settings.spi.avoid_cdeg,
+        avoid_cdeg=settings.spi.framing.avoid_cdeg,
         max_speed_cdeg_s={
             int(servo): _speed_cdeg_s(limits.max_speed_deg_s)
             for servo, limits in settings.limits.servos.items()

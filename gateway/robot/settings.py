@@ -43,7 +43,7 @@ from gateway.host.settings_table import (
     WireSettings,
     ZenohSettings,
 )
-from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
+from gateway.model.frames import PROTOCOL_VERSION, STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.framing import Framing
 from gateway.own_command import CONNECT_VARIABLE
 from gateway.text import echo, key_name
@@ -82,7 +82,7 @@ class Settings:
     @property
     def protocol(self) -> str:
         """The protocol that the gateway reports: HexapodProtocol with its version, or the wire's name."""
-        return self.spi.framing.protocol if self.wire.framed else self.wire.name
+        return PROTOCOL_VERSION if self.wire.framed else self.wire.name
 
     @property
     def framing(self) -> str:
@@ -93,11 +93,6 @@ class Settings:
     def device(self) -> str:
         """The device to which frames are written, or a plug-in's name."""
         return self.wire.name if self.wire.built_in is None else self.spi.device
-
-    @property
-    def spoken(self) -> str:
-        """The framing, or the wire's name, that the controller has to understand."""
-        return self.spi.framing if self.wire.framed else self.wire.name
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "spi", self.spi.of(self.wire))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import ButtonDo, ButtonRequest, Effect, RequestAnswer
+from gateway.robot.core.events import ButtonRequest, Effect, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import announced, cloned, demand
@@ -114,18 +114,18 @@ class ButtonsHistory:
         kinds = [(each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.BUTTON_SILENT]
         demand(kinds == ([] if event is None else [event]), f"{request.do}: {event} is announced, not {kinds}")
         (answer,) = answers
-        gives = reason is None and request.do is ButtonDo.REGISTER
+        gives = reason is None and request.do == "register"
         demand(
             answer.token == (request.fresh_token if gives else None), "who registers gets the token, and nobody else"
         )
 
     def _outcome(self, request: ButtonRequest, now_ns: int) -> tuple[Reason | None, tuple[Kind, str] | None]:
-        if request.do is ButtonDo.REGISTER:
+        if request.do == "register":
             return self._registered(request, now_ns)
         button = self.known.get(request.token)
         if button is None:
             return Reason.UNKNOWN_BUTTON, None
-        if request.do is ButtonDo.LEAVE:
+        if request.do == "leave":
             self._change(request.token, None, now_ns)
             return None, (Kind.BUTTON_LEFT, button.name)
         if request.count <= button.count:

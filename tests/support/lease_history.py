@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from gateway.robot.core.events import Do, Effect, LeaseRequest, RequestAnswer
+from gateway.robot.core.events import Effect, LeaseRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
 from tests.support.history import announced, demand
@@ -72,7 +72,7 @@ class LeaseHistory:
         answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
         reasons = [answer.reason for answer in answers]
         demand(reasons == [reason], f"{request.do} is answered with {reason}, not {reasons}")
-        by = self.holder if request.do is Do.RELEASE else request.source
+        by = self.holder if request.do == "release" else request.source
         if kind is not None and reason is None:
             events = [
                 (each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.LEASE_EXPIRED
@@ -81,30 +81,30 @@ class LeaseHistory:
         if reason is None:
             self._carry_out(request, now_ns)
         (answer,) = answers
-        gives = reason is None and request.do in (Do.ACQUIRE, Do.TAKE)
+        gives = reason is None and request.do in ("acquire", "take")
         demand(
             answer.token == (self.token if gives else None),
             "only the client that acquires the lease receives the token",
         )
-        return reason is None and request.do is Do.TAKE
+        return reason is None and request.do == "take"
 
     def _outcome(self, request: LeaseRequest) -> tuple[Reason | None, Kind | None]:
         """Return why the request must be rejected, or the event about it."""
         reason, kind = None, None
         free, handed_over = self.holder is None, self.holder is not None and self.token is None
         match request.do:
-            case Do.ACQUIRE:
+            case "acquire":
                 kind = Kind.LEASE_ACQUIRED
                 if not free and not (handed_over and request.source == self.holder):
                     reason = Reason.LEASE_HELD
-            case Do.TAKE:
+            case "take":
                 kind = Kind.LEASE_ACQUIRED if free else Kind.LEASE_TAKEN
-            case Do.ASK:
+            case "ask":
                 kind = Kind.LEASE_ASKED
                 if self.token is None:
                     reason = Reason.LEASE_HELD if handed_over else Reason.NO_LEASE
-            case Do.RENEW | Do.RELEASE:
-                kind = Kind.LEASE_RELEASED if request.do is Do.RELEASE else None
+            case "renew" | "release":
+                kind = Kind.LEASE_RELEASED if request.do == "release" else None
                 if request.token is None or request.token != self.token:
                     reason = Reason.NOT_HOLDER
                 elif request.to is not None and request.to not in self.askers:
@@ -113,13 +113,13 @@ class LeaseHistory:
 
     def _carry_out(self, request: LeaseRequest, now_ns: int) -> None:
         match request.do:
-            case Do.ACQUIRE | Do.TAKE:
+            case "acquire" | "take":
                 self._give(request.source, request.fresh_token, now_ns)
                 self.is_new = True
-            case Do.ASK:
+            case "ask":
                 others = tuple(name for name in self.askers if name != request.source)
                 self.askers = (*others, request.source or "")[-MOST_ASKERS:]
-            case Do.RENEW:
+            case "renew":
                 self.due_ns = now_ns + self.rules.lease_ttl_ns
-            case Do.RELEASE:
+            case "release":
                 self._give(request.to, None, now_ns if request.to is not None else None)

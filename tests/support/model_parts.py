@@ -10,11 +10,9 @@ from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.events import (
     BodyMeasured,
-    ButtonDo,
     ButtonRequest,
     Calibrate,
     CalibrationSaved,
-    Do,
     Event,
     LeaseRequest,
 )
@@ -67,13 +65,13 @@ def lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> 
     """Everything that each of them may want of it; a new token is one that nobody had."""
     fresh = f"token {number}"
     for name in drivers:
-        for do in (Do.ACQUIRE, Do.ASK, Do.TAKE):
+        for do in ("acquire", "ask", "take"):
             yield f"{name} wants to {do}", LeaseRequest(do, name, fresh_token=fresh)
     for whose, token in tokens(drivers, lease):
         if token is not None:
-            yield f"renewal{whose}", LeaseRequest(Do.RENEW, token=token)
-            yield f"release{whose}", LeaseRequest(Do.RELEASE, token=token)
-            yield f"handover{whose}", LeaseRequest(Do.RELEASE, token=token, to=drivers[-1])
+            yield f"renewal{whose}", LeaseRequest("renew", token=token)
+            yield f"release{whose}", LeaseRequest("release", token=token)
+            yield f"handover{whose}", LeaseRequest("release", token=token, to=drivers[-1])
 
 
 # ---- the buttons
@@ -102,7 +100,7 @@ def button_requests(
     A check-in is the next one, or the latest one again; it says when it was sent (so long ago), or does not.
     """
     for name in names:
-        register = ButtonRequest(ButtonDo.REGISTER, now_ns, name, fresh_token=f"token {number}")
+        register = ButtonRequest("register", now_ns, name, fresh_token=f"token {number}")
         yield f"{name} registers", register
         for delay_ns in delays_ns:
             yield f"{name} registers, {delay_ns} late", replace(register, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
@@ -110,12 +108,12 @@ def button_requests(
     for token in tokens if names else ():
         whose = buttons.known[token].name if token in buttons.known else "a former button"
         count = buttons.known[token].count if token in buttons.known else number
-        alive = ButtonRequest(ButtonDo.ALIVE, now_ns, token=token, count=count + 1)
+        alive = ButtonRequest("alive", now_ns, token=token, count=count + 1)
         yield f"{whose} is alive", alive
         yield f"a check-in of {whose} once more", replace(alive, count=count)
         for delay_ns in delays_ns:
             yield f"{whose} was alive {delay_ns} ago", replace(alive, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
-        yield f"{whose} leaves", ButtonRequest(ButtonDo.LEAVE, now_ns, token=token)
+        yield f"{whose} leaves", ButtonRequest("leave", now_ns, token=token)
 
 
 # ---- the body

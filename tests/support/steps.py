@@ -1,7 +1,7 @@
 """A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle."""
 
 from collections.abc import Collection
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
@@ -17,10 +17,10 @@ from gateway.robot.core.events import (
     CalibrationSaved,
     Command,
     Completed,
-    Do,
     Effect,
     EmergencyStop,
     Event,
+    LeaseDo,
     LeaseRequest,
     PowerSeen,
     Rejected,
@@ -182,7 +182,7 @@ class Steps:
         verb, _, name = words.partition(" ")
         to = name.removeprefix("to ") if name.startswith("to ") else None
         source = name if name and to is None else None
-        return self.take(at_ms, LeaseRequest(Do(verb), source, token=token, to=to, fresh_token=fresh))
+        return self.take(at_ms, LeaseRequest(cast(LeaseDo, verb), source, token=token, to=to, fresh_token=fresh))
 
     def button(
         self,
@@ -197,7 +197,7 @@ class Steps:
     ) -> list[str]:
         """`register` by a name, whose token that then is as well (with a certificate, its holder's before it); `alive`
         and `leave` by that token."""
-        do, token = ButtonDo(verb), who if holder is None else f"{holder}: {who}"
+        do, token = cast(ButtonDo, verb), who if holder is None else f"{holder}: {who}"
         return self.take(at_ms, ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
 
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:

@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import Final
 
 from gateway.host import effective
+from gateway.host.directories import state_to_read
 from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
-from gateway.robot.host.calibration_file import load, path_to_read
+from gateway.robot.host.calibration_file import load, path_of
 from gateway.robot.power.interface import BITRATE, open_bus
 from gateway.robot.spi import machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
@@ -141,7 +142,7 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
 def framing(robot: CheckedRobot) -> Iterator[Result | None]:
     """The framing, and whether the driver is known to release chip select between the transfers of a call."""
     spi, gpio = robot.settings.spi, machine.gpio_selects(robot.settings.spi.device, robot.root)
-    (low, high), driver = spi.avoid_cdeg or (0, 0), machine.driver_of(spi.device, robot.root) or "this driver"
+    (low, high), driver = spi.framing.avoid_cdeg or (0, 0), machine.driver_of(spi.device, robot.root) or "this driver"
     if robot.settings.wire.framed:
         yield first("framing",
             warning(spi.framing is Framing.PLAIN, "plain, as in the protocol document; with it the published STM32 "
@@ -159,7 +160,7 @@ def framing(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def calibration(robot: CheckedRobot) -> Iterator[Result | None]:
     """The calibration. Without a usable one the service starts, but moves nothing."""
-    path = path_to_read(robot.settings)
+    path = path_of(robot.settings, state_to_read)
     if path is None:
         yield first("calibration", well("is kept in memory only, until the gateway ends (state.path)"))
     else:

@@ -5,7 +5,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from gateway.host.directories import runtime_directory, state_directory, state_to_read, users_state
+from gateway.host.directories import runtime_directory, state_to_read, users_state
 from gateway.model.black_box.header import MAX_SLOTS, RING_FILE
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
@@ -33,11 +33,6 @@ def client_records_a_second(settings: Settings) -> int:
     """Return how many records a second messages may make: those of all legs at their rate, if the ring has room."""
     room = slots_for(settings) / REACH_S - OTHER_RECORDS_PER_S
     return max(1, round(min(RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz, room)))
-
-
-def folder_of(settings: Settings) -> Path | None:
-    """Return the gateway's own folder, or None if the black box is off."""
-    return state_directory(settings.state.path)
 
 
 def folder_to_read(settings: Settings) -> Path | None:

@@ -20,6 +20,7 @@ from typing import Any, Final, Self
 from gateway import __version__, durable
 from gateway.allowance import NS_PER_S, Allowance
 from gateway.errors import GatewayError
+from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
 from gateway.model import elkapod
 from gateway.model.black_box import format as form
@@ -238,7 +239,7 @@ class Recorder:
         self._measured_ns = -MEASURED_NS
         self._first_ns = self._until_ns = 0  # begin and end of the latest incident
         self._copies = IncidentCopies()
-        self._on = paths.folder_of(settings) is not None
+        self._on = state_directory(settings.state.path) is not None
         if self._on:
             self._about = form.text(json.dumps(_about(settings, facts)))
             self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
@@ -258,7 +259,7 @@ class Recorder:
 
     def open(self) -> None:
         """Open the ring, and write the records that wait for it. Never raises."""
-        folder = paths.folder_of(self._settings)
+        folder = state_directory(self._settings.state.path)
         if folder is None:
             return
         waiting, self._waiting = self._waiting, []

@@ -23,7 +23,7 @@ from operator import itemgetter
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, ButtonDo, ButtonRequest, Command, Effect, RequestAnswer, Reset
+from gateway.robot.core.events import Announce, ButtonRequest, Command, Effect, RequestAnswer, Reset
 from gateway.robot.core.interlock import Down, Interlock, Why, how_it_comes_down
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
@@ -137,11 +137,11 @@ class Buttons(Interlock[ButtonRequest]):
     def take(self, event: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
         """Handle one request. Return its events, and its answer as the last effect."""
         match event.do:
-            case ButtonDo.REGISTER:
+            case "register":
                 return self._register(event, now_ns, legs)
-            case ButtonDo.ALIVE:
+            case "alive":
                 return self._check_in(event, now_ns, legs)
-            case ButtonDo.LEAVE:
+            case "leave":
                 return self._leave(event, now_ns, legs)
 
     def _register(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
-from enum import StrEnum
 from typing import Final, Literal, final
 
 from gateway.model.black_box.format import ACCEPTED, COALESCED
@@ -162,21 +161,14 @@ class EmergencyStop:
     key: str | None = None
 
 
-class Do(StrEnum):
-    """The kinds of lease requests."""
-
-    ACQUIRE = "acquire"
-    ASK = "ask"
-    TAKE = "take"
-    RENEW = "renew"
-    RELEASE = "release"
+LeaseDo = Literal["acquire", "ask", "take", "renew", "release"]
 
 
 @value
 class LeaseRequest:
     """A request for the lease. `verified`: `source` was proved. `fresh_token` is 128 random bits for a new lease."""
 
-    do: Do
+    do: LeaseDo
     source: str | None = None
     verified: bool = False
     token: str | None = field(default=None, repr=False)
@@ -184,12 +176,7 @@ class LeaseRequest:
     fresh_token: str = field(default="", repr=False)
 
 
-class ButtonDo(StrEnum):
-    """The kinds of a button's requests."""
-
-    REGISTER = "register"
-    ALIVE = "alive"
-    LEAVE = "leave"
+ButtonDo = Literal["register", "alive", "leave"]
 
 
 @value

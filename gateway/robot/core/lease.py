@@ -22,7 +22,6 @@ from gateway.robot.core.events import (
     Calibrate,
     Command,
     Decision,
-    Do,
     Effect,
     LeaseRequest,
     RequestAnswer,
@@ -113,7 +112,7 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def halts(self, event: LeaseRequest) -> Halt | None:
         taken = f"{event.source} has taken the lease"
-        return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken) if event.do is Do.TAKE else None
+        return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken) if event.do == "take" else None
 
     def take(self, event: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
         published, answer = self.grant(event, now_ns)
@@ -126,15 +125,15 @@ class RobotLease(Interlock[LeaseRequest]):
     def grant(self, request: LeaseRequest, now_ns: int) -> Decision:
         """Handle one request. Return its events and its answer."""
         match request.do:
-            case Do.ACQUIRE:
+            case "acquire":
                 return self._acquire(request, now_ns)
-            case Do.TAKE:
+            case "take":
                 return self._take(request, now_ns)
-            case Do.ASK:
+            case "ask":
                 return self._ask(request)
-            case Do.RENEW:
+            case "renew":
                 return self._renew(request, now_ns)
-            case Do.RELEASE:
+            case "release":
                 return self._release(request, now_ns)
 
     def _acquire(self, request: LeaseRequest, now_ns: int) -> Decision:

@@ -7,6 +7,7 @@ would move to an angle that was not commanded.
 import glob
 import json
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,7 +19,7 @@ from pydantic_core import ErrorDetails
 
 from gateway import durable, nesting
 from gateway.errors import ConfigError
-from gateway.host.directories import state_directory, state_to_read
+from gateway.host.directories import state_directory
 from gateway.host.settings_reader import NO_SETTING, dotted
 from gateway.model.calibration import RobotCalibration, calibration_of, report_of
 from gateway.robot.settings import Settings
@@ -46,17 +47,12 @@ _HEAD: Final = """\
 """
 
 
-def path_of(settings: Settings) -> Path | None:
-    """Return the file in which the gateway keeps its calibration, or None for memory only."""
-    return _path(state_directory(settings.state.path))
+def path_of(settings: Settings, find: Callable[[str], Path | None] = state_directory) -> Path | None:
+    """Return the file in which the gateway keeps its calibration, or None for memory only.
 
-
-def path_to_read(settings: Settings) -> Path | None:
-    """Return the calibration's file for a reader that systemd need not have started, or None."""
-    return _path(state_to_read(settings.state.path))
-
-
-def _path(folder: Path | None) -> Path | None:
+    A reader that systemd need not have started finds its folder by `state_to_read`.
+    """
+    folder = find(settings.state.path)
     return None if folder is None else folder / CALIBRATION_FILE
 
 

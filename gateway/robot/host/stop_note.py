@@ -5,7 +5,6 @@ Only people use it, so every error is ignored.
 """
 
 from contextlib import suppress
-from pathlib import Path
 from typing import Final, NamedTuple
 
 from gateway.host.directories import runtime_directory
@@ -24,25 +23,21 @@ class StopNote(NamedTuple):
 
 def leave(note: StopNote) -> None:
     """Write the note, after the Stops. Without a runtime directory, do nothing. Never raises."""
-    path = _path()
-    if path is not None:
+    folder = runtime_directory()
+    if folder is not None:
         with suppress(OSError):
-            path.write_text(" ".join(map(str, note)))
+            (folder / _NAME).write_text(" ".join(map(str, note)))
 
 
 def take() -> StopNote | None:
     """Remove and return the note, or None if there is no readable one. Never raises."""
-    path = _path()
-    if path is None:
+    folder = runtime_directory()
+    if folder is None:
         return None
+    path = folder / _NAME
     with suppress(OSError, ValueError, TypeError):
         with path.open("rb") as file:
             found = StopNote(*map(int, file.read(_MOST_BYTES).split()))
         path.unlink()
         return found
     return None
-
-
-def _path() -> Path | None:
-    folder = runtime_directory()
-    return None if folder is None else folder / _NAME

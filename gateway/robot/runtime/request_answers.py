@@ -14,7 +14,7 @@ import zenoh
 from pydantic import BaseModel, ValidationError
 
 from gateway.host.settings_table import ButtonSettings
-from gateway.robot.core.events import ButtonDo, ButtonRequest, Do, LeaseRequest
+from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import Rejection, too_large
@@ -147,11 +147,11 @@ class LeaseAnswers(RequestAnswers):
                 if denied is not None:
                     return partial(self.reject, request.source, Reason.LEASE_DENIED, denied, reply)
                 fresh = self._proofs.fresh()
-                asked = LeaseRequest(Do(request.do), request.source, self._proofs.wanted, fresh_token=fresh)
+                asked = LeaseRequest(request.do, request.source, self._proofs.wanted, fresh_token=fresh)
             case Renew():
-                asked = LeaseRequest(Do.RENEW, token=request.lease)
+                asked = LeaseRequest("renew", token=request.lease)
             case Release():
-                asked = LeaseRequest(Do.RELEASE, token=request.lease, to=request.to)
+                asked = LeaseRequest("release", token=request.lease, to=request.to)
         return partial(self.ask, asked, reply)
 
     def ask(self, request: LeaseRequest, reply: Reply) -> None:
@@ -200,7 +200,7 @@ class ButtonAnswers(RequestAnswers):
                     return partial(self.reject, request.source, Reason.BUTTON_DENIED, denied, reply)
                 holder = self._proofs.holder(request.proof)
                 asked = ButtonRequest(
-                    ButtonDo.REGISTER,
+                    "register",
                     now_ns,
                     request.source,
                     None if holder is None else " ".join(holder),
@@ -210,10 +210,10 @@ class ButtonAnswers(RequestAnswers):
                 )
             case Alive():
                 asked = ButtonRequest(
-                    ButtonDo.ALIVE, now_ns, token=request.button, count=request.count, sent_ms=request.sent_ms
+                    "alive", now_ns, token=request.button, count=request.count, sent_ms=request.sent_ms
                 )
             case Leave():
-                asked = ButtonRequest(ButtonDo.LEAVE, now_ns, token=request.button)
+                asked = ButtonRequest("leave", now_ns, token=request.button)
         return partial(self.ask, asked, reply)
 
     def ask(self, request: ButtonRequest, reply: Reply) -> None:

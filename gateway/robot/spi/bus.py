@@ -141,7 +141,7 @@ class Bus(Wire):
         self._lists = True  # until the kernel rejects one
         self._resync_ns = resync_ns
         self._computed = computed
-        self._avoid_cdeg = settings.avoid_cdeg
+        self._avoid_cdeg = settings.framing.avoid_cdeg
         self._clock = clock
         self._pause = pause
         self._device: SpiDevice | None = None

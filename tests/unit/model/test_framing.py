@@ -2,7 +2,6 @@
 
 import pytest
 
-from gateway.model.frames import PROTOCOL_VERSION
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing, avoided_by
 from tests.support.transfers import preamble_of
 
@@ -43,4 +42,3 @@ def test_what_is_said_of_a_controller_follows_from_its_framing(
 ) -> None:
     assert framing.controller.startswith(controller)
     assert framing.needs_chip_select is needs_chip_select
-    assert framing.protocol == PROTOCOL_VERSION

@@ -203,8 +203,8 @@ def test_a_check_in_that_was_held_back_counts_no_longer_than_its_age() -> None:
 
 def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
     found, legs = Buttons(RULES), Supervisor(RULES).legs
-    found.take(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", fresh_token=KITCHEN), 0, legs)
-    check_in = ButtonRequest(ButtonDo.ALIVE, 5, token=KITCHEN, count=1)
+    found.take(ButtonRequest("register", 0, "kitchen", fresh_token=KITCHEN), 0, legs)
+    check_in = ButtonRequest("alive", 5, token=KITCHEN, count=1)
     (answer,) = found.take(check_in, 5 + TIMEOUT_MS * NS_PER_MS, legs)
     assert isinstance(answer, RequestAnswer)
     assert answer.reason is Reason.STALE
@@ -216,7 +216,7 @@ def offset_of(rise_ms: list[tuple[float, float]]) -> float:
     buttons, legs = Buttons(RULES), Supervisor(RULES).legs
     for number, (at_s, delay_ms) in enumerate(rise_ms):
         received_ns = round(at_s * 1e9)
-        do = ButtonDo.ALIVE if number else ButtonDo.REGISTER
+        do: ButtonDo = "alive" if number else "register"
         request = ButtonRequest(
             do,
             received_ns,
@@ -245,13 +245,13 @@ def test_check_ins_that_are_held_back_ever_longer_are_old(hours: int) -> None:
     """0.19 ms more each second is less than a slow clock may lose, and was 6.8 s after ten hours."""
     buttons, legs = Buttons(RULES), Supervisor(RULES).legs
     token = "0" * 32
-    buttons.take(ButtonRequest(ButtonDo.REGISTER, 0, "kitchen", sent_ms=0, fresh_token=token), 0, legs)
+    buttons.take(ButtonRequest("register", 0, "kitchen", sent_ms=0, fresh_token=token), 0, legs)
     counts_ms = 0.0
     for second in range(1, hours * 3600):
         sent_ms, held_back_ms = second * 1000, 0.19 * second
         came_ns = round((sent_ms + held_back_ms) * NS_PER_MS)
         buttons.expire(came_ns, legs)
-        check_in = ButtonRequest(ButtonDo.ALIVE, came_ns, token=token, count=second, sent_ms=sent_ms)
+        check_in = ButtonRequest("alive", came_ns, token=token, count=second, sent_ms=sent_ms)
         buttons.take(check_in, came_ns, legs)
         if buttons.due_ns is not None:
             counts_ms = max(counts_ms, buttons.due_ns / NS_PER_MS - sent_ms)

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
+from gateway.host.directories import state_to_read
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import (
@@ -12,7 +13,6 @@ from gateway.robot.host.calibration_file import (
     from_toml,
     load,
     path_of,
-    path_to_read,
     previous,
     read,
     to_toml,
@@ -120,5 +120,5 @@ def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> No
     assert path_of(Settings()) is None
     assert path_of(named) == Path("/mnt/own/calibration.toml")
     monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/var/lib/other")
-    assert path_of(Settings()) == path_to_read(Settings()) == tmp_path / "calibration.toml"
+    assert path_of(Settings()) == path_of(Settings(), state_to_read) == tmp_path / "calibration.toml"
     assert path_of(named) == Path("/mnt/own/calibration.toml")

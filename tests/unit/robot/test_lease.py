@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from gateway.robot.core.events import Do, LeaseRequest, RequestAnswer
+from gateway.robot.core.events import LeaseRequest, RequestAnswer
 from gateway.robot.core.lease import MOST_ASKERS
 from tests.support.scenes import Scenes, play, scene_test
 
@@ -69,13 +69,13 @@ def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
     assert not Scenes().supervisor.lease.verified
     robot = play(HELD)
     lease = robot.supervisor.lease
-    robot.take(2, LeaseRequest(Do.ASK, "bert", verified))
+    robot.take(2, LeaseRequest("ask", "bert", verified))
     assert not lease.verified, "anna's is not"
     robot.lease(3, "release to bert", "anna")
     assert lease.verified is verified
     robot.lease(3, "acquire carl", fresh="carl")
     assert (robot.only(RequestAnswer).detail, lease.verified) == ("the lease is handed over to bert", verified)
-    robot.take(4, LeaseRequest(Do.ACQUIRE, "bert", verified, fresh_token=BERT))
+    robot.take(4, LeaseRequest("acquire", "bert", verified, fresh_token=BERT))
     assert lease.verified is verified
     robot.lease(5, "release", "bert")
     assert not lease.verified

@@ -25,10 +25,10 @@ from gateway.robot.core.events import (
     CalibrationSaved,
     Command,
     Completed,
-    Do,
     Effect,
     EmergencyStop,
     Event,
+    LeaseDo,
     LeaseRequest,
     PowerSeen,
     Rejected,
@@ -205,14 +205,14 @@ class SupervisorMachine(RuleBasedStateMachine):
         """From now on."""
         self.carries = whose
 
-    @rule(do=st.sampled_from([Do.ACQUIRE, Do.ACQUIRE, Do.ASK, Do.TAKE]), name=DRIVERS, wait_ns=WAITS_NS)
-    def wants_the_lease(self, do: Do, name: str, wait_ns: int) -> None:
+    @rule(do=st.sampled_from(["acquire", "acquire", "ask", "take"]), name=DRIVERS, wait_ns=WAITS_NS)
+    def wants_the_lease(self, do: LeaseDo, name: str, wait_ns: int) -> None:
         self.tokens += 1
         self.step(LeaseRequest(do, name, fresh_token=f"{self.tokens:032x}"), wait_ns)
 
     @rule(whose=WHOSE, to=st.one_of(st.none(), st.none(), DRIVERS), renew=st.booleans(), wait_ns=WAITS_NS)
     def keeps_or_releases_it(self, whose: str, to: str | None, renew: bool, wait_ns: int) -> None:
-        do = Do.RENEW if renew else Do.RELEASE
+        do: LeaseDo = "renew" if renew else "release"
         self.step(LeaseRequest(do, token=self.token(whose), to=None if renew else to), wait_ns)
 
     @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
