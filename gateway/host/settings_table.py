@@ -144,7 +144,7 @@ class WireSettings(Section):
     @property
     def supply_starts(self) -> bool:
         """Whether servos start by a power board's supply."""
-        return self.built_in is not None and self.built_in.supply_starts
+        return self.has_uart
 
     @property
     def capabilities(self) -> Capabilities:

@@ -25,8 +25,10 @@ BEGIN: Final = 0x7E
 END: Final = 0x0F
 MIDDLE_CDEG: Final = 90_00
 """The angle in a frame for a servo that was never commanded, while all are shut down."""
+VALUES: Final = 19
+"""The number of values in an answer."""
 _FRAME: Final = struct.Struct("<B18f6xB")
-_ANSWER: Final = struct.Struct("<B19f2xB")
+_ANSWER: Final = struct.Struct(f"<B{VALUES}f2xB")
 
 UART_BAUD: Final = 1_152_000
 """8 bits, no parity, two stop bits, no flow control."""
@@ -36,18 +38,6 @@ SHUTDOWN: Final = bytes.fromhex("7E 11 38 00 00 00 00 00 FF 0F")
 HEARTBEAT_BYTES: Final = 20
 _HEARTBEAT_BEGIN: Final = bytes((BEGIN, 0xAA))
 _HEARTBEAT_END: Final = bytes((0xFF, END))
-
-
-VALUE_NAMES: Final = (
-    "temperature",
-    "battery voltage",
-    "battery percentage",
-    *("orientation",) * 4,
-    *("angular velocity",) * 3,
-    *("linear acceleration",) * 3,
-    *("feet",) * 6,
-)
-"""The name of each value of an answer, in its order."""
 
 
 class AnswerError(ValueError):
@@ -121,7 +111,7 @@ def measured(data: bytes) -> Measured:
 
 
 def values_of(data: bytes) -> tuple[float, ...]:
-    """Return the values of a well-formed answer, one for each of `VALUE_NAMES`."""
+    """Return the values of a well-formed answer, `VALUES` of them."""
     return _ANSWER.unpack(data)[1:-1]
 
 

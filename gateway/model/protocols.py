@@ -18,11 +18,6 @@ class SpiProtocol(enum.StrEnum):
         return Capabilities() if self.framed else Capabilities(whole_robot=True, measures=True)
 
     @property
-    def supply_starts(self) -> bool:
-        """Whether servos start by a power board's supply, with their angles on the wire before."""
-        return not self.framed
-
-    @property
     def framed(self) -> bool:
         """Whether the wire's frames need a framing (`spi.framing`). If not, a UART starts and stops the servos."""
         return self is SpiProtocol.HEXAPOD_1_0

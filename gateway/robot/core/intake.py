@@ -6,7 +6,7 @@ is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, 
 """
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
@@ -76,18 +76,6 @@ def _targets(legs: Iterable[tuple[int | str, dict[str, Any]]]) -> Targets:
 # ---- the table
 
 
-def _all(_number: int) -> tuple[int, ...]:
-    return SERVO_IDS
-
-
-def _none(_number: int) -> tuple[int, ...]:
-    return ()
-
-
-def _own(servo_id: int) -> tuple[int, ...]:
-    return (servo_id,)
-
-
 def may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shortcut: what follows finds the same
     """Return whether a payload may contain a Stop, in any spelling. It has false positives, but misses none.
 
@@ -102,12 +90,12 @@ def may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shor
 
 
 class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand around less than a leg
-    """One target. A key's `number` is the leg, the servo, or 0."""
+    """One target. The number of its keys is the leg, the servo, or 0."""
 
-    servos: Callable[[int], tuple[int, ...]]
-    """The servos that a message on the key may start, set or stop. A delete stops them, and so do lost messages."""
-    follows: Callable[[int], tuple[int, ...]]
-    """The servos whose older messages, on any key, are taken before a message on this key takes effect."""
+    servos: Mapping[int, tuple[int, ...]]
+    """By number: the servos that a message on the key may start, set or stop. A delete stops them; lost messages, too."""
+    follows: Mapping[int, tuple[int, ...]]
+    """By number: the servos whose older messages, on any key, are taken before a message on this key takes effect."""
     read: Callable[[int, bytes], Command | Reset] | None
     """Reads a payload; None: any payload is accepted."""
     may_stop: bool | None
@@ -128,17 +116,19 @@ class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand aroun
     """Set if the key must be named: how a rejected delete or wildcard continues. The sender may not have meant it."""
 
 
+_ALL: Final = {0: SERVO_IDS}
+_OWN: Final = {servo_id: (servo_id,) for servo_id in SERVO_IDS}
 _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
 """Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
 
 TARGETS: Final[dict[Target, TargetRules]] = {
-    Target.LEGS: TargetRules(_all, _all, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
-    Target.LEG: TargetRules(servo_ids_of, servo_ids_of, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
-    Target.SERVO: TargetRules(_own, _own, _read_servo, None, _SENDER + _SETPOINT),
-    Target.ESTOP: TargetRules(_all, _all, None, True, 0),  # mutants accepted (Step): nothing of its payload is read
+    Target.LEGS: TargetRules(_ALL, _ALL, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: TargetRules(_IDS_OF_LEG, _IDS_OF_LEG, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: TargetRules(_OWN, _OWN, _read_servo, None, _SENDER + _SETPOINT),
+    Target.ESTOP: TargetRules(_ALL, _ALL, None, True, 0),  # mutants accepted (Step): nothing of its payload is read
     # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
     Target.RESET: TargetRules(
-        _none, _all, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
+        {0: ()}, _ALL, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }
 """Every target. If a row is missing, `unit/robot/test_intake.py` fails, and no gateway starts."""
@@ -146,17 +136,17 @@ TARGETS: Final[dict[Target, TargetRules]] = {
 
 def servos_of(key: CommandKey) -> frozenset[int]:
     """Return the servos that a message on this key may start, set or stop."""
-    return frozenset(TARGETS[key.target].servos(key.number))
+    return frozenset(TARGETS[key.target].servos[key.number])
 
 
 def follows(key: CommandKey) -> frozenset[int]:
     """Return the servos whose older messages are taken before a message on this key takes effect."""
-    return frozenset(TARGETS[key.target].follows(key.number))
+    return frozenset(TARGETS[key.target].follows[key.number])
 
 
 def stops_of(key: CommandKey) -> Targets:
     """Return Stops for all servos that the key names."""
-    return tuple((servo_id, STOP) for servo_id in TARGETS[key.target].servos(key.number))
+    return tuple((servo_id, STOP) for servo_id in TARGETS[key.target].servos[key.number])
 
 
 # ---- a message

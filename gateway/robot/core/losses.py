@@ -52,7 +52,7 @@ def stops_in(rejected: Received) -> Targets:
     key = rejected.target
     if key is None or words_of_stop(rejected) is None:
         return ()
-    servo_ids = TARGETS[key.target].servos(key.number)
+    servo_ids = TARGETS[key.target].servos[key.number]
     try:
         payload = json.loads(rejected.payload, object_pairs_hook=each_name_once)
         if isinstance(payload, dict) and isinstance(payload.get("source"), str):

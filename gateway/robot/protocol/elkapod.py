@@ -111,7 +111,7 @@ class Changes:
     def __init__(self, begun_ns: int) -> None:
         self._answer = b""
         self._values: tuple[float, ...] = ()
-        self._changed_ns = [begun_ns] * len(elkapod.VALUE_NAMES)
+        self._changed_ns = [begun_ns] * elkapod.VALUES
         self._newest_ns = begun_ns
         self._changed: set[int] = set()
         self._rested: set[int] = set()
