@@ -20,6 +20,7 @@ from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
 from gateway.robot.settings import Settings
+from gateway.robot.wires import SimulatedParts
 from gateway.simulation.body import endpoint
 from gateway.zenoh_config import listen_endpoints
 
@@ -69,10 +70,13 @@ def _run(
         _reach_by(endpoints)
         say(next_step(endpoints))
 
-    physics = None if body is None else service.Physics(body.page, body.sensed, body.zenoh_id, body.folder)
-    at = None if board is None else service.PowerBoardAt(board.channel, board.page)
+    parts = SimulatedParts(simulated)
+    if body is not None:
+        parts = SimulatedParts(simulated, body.page, body.sensed, body.zenoh_id, body.folder)
+    if board is not None:
+        parts = parts._replace(page=board.page, board_channel=board.channel)
     try:
-        service.run(settings, simulated=simulated, physics=physics, board=at, on_ready=ready)
+        service.run(settings, parts, ready)
     except (SpiError, ZenohError) as error:
         if not is_ready and NOTIFY_SOCKET in os.environ:
             _pause(error)

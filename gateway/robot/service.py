@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
@@ -21,7 +21,6 @@ from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.mounts import forgets
 from gateway.host.settings_reader import ForStops
-from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
 from gateway.own_command import command
@@ -48,6 +47,7 @@ from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within,
 from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.wires import SimulatedParts
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.late_addresses import LateAddresses
@@ -70,26 +70,6 @@ page. A systemd watchdog may need a shorter period."""
 T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
-
-
-class Physics(NamedTuple):
-    """The process that simulates the robot's body."""
-
-    page: ServoPage
-    """Shared memory from which the process reads the servos' commanded angles."""
-    sensed: SensedPage
-    """Shared memory to which the process writes its sensors' values."""
-    zenoh_id: str
-    folder: Path
-    """Private folder of the socket that connects the process with the gateway."""
-
-
-class PowerBoardAt(NamedTuple):
-    """A simulated power board."""
-
-    channel: str
-    page: ServoPage
-    """Shared memory from which the board reads the servos' targets, and to which it writes which servos are powered."""
 
 
 def _speed_cdeg_s(deg_s: float) -> int:
@@ -145,17 +125,13 @@ def _recorder(settings: Settings, *, simulated: bool) -> Recorder:
 
 def run(
     settings: Settings,
-    *,
-    simulated: bool,
-    physics: Physics | None = None,
-    board: PowerBoardAt | None = None,
+    simulated: SimulatedParts,
     on_ready: Callable[[zenoh.Config], None] = lambda _: None,
 ) -> None:
     """Run the service until SIGTERM or SIGINT, then leave the process.
 
-    `physics` and `board` are simulated parts, if any. `on_ready` is called with Zenoh's configuration once commands are
-    accepted. Raises ConfigError for a wrong setting or file, SpiError if the bus does not open or no Stop is written,
-    ZenohError if Zenoh does not open.
+    `on_ready` is called with Zenoh's configuration once commands are accepted. Raises ConfigError for a wrong setting
+    or file, SpiError if the bus does not open or no Stop is written, ZenohError if Zenoh does not open.
     """
     descriptors.ensure()
     realtime.prefer_process()
@@ -163,35 +139,34 @@ def run(
     receive_each_session_alone()
     logs.set_up()
     logs.keep_stacks()
-    if not simulated:
+    if not simulated.controller:
         _show_settings(settings)  # before the first frame
     # epoll and poll round a timer up to the next millisecond, which would delay Stops; select takes microseconds.
     with (
-        _recorder(settings, simulated=simulated) as recorder,
+        _recorder(settings, simulated=simulated.controller) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        made = partial(_run, settings, recorder, simulated=simulated, physics=physics, board=board)
-        end = runner.run(made(on_ready=on_ready))
+        end = runner.run(_run(settings, recorder, simulated, on_ready))
         if end.failure is not None:
             recorder.ended(end.failure)
     end.leave()  # the interpreter's own exit would abort while a thread is inside Zenoh
 
 
 def _configured(
-    settings: Settings, physics: Physics | None
+    settings: Settings, folder: Path | None
 ) -> tuple[zenoh.Config, "ProofChecker | None", RevocationState | None]:
     """Return Zenoh's configuration; if it names a CA, also the checker of proofs and the revocations.
 
-    Raises ConfigError if the Zenoh file or a certificate cannot be used.
+    `folder` has the socket of a simulated body. Raises ConfigError if the Zenoh file or a certificate cannot be used.
     """
     config = service_config(settings.zenoh)
     shut_out = revocation_state(config, settings)
     revoked = None if shut_out is None else shut_out.known
     list_common_names(config, revoked)
-    if physics is not None:
+    if folder is not None:
         from gateway.simulation.body import admit  # noqa: PLC0415  (a robot's first Stops do not wait for it)
 
-        admit(config, physics.folder)
+        admit(config, folder)
     if revoked is not None:
         names = ", ".join(sorted(revoked.common_names)) or "nobody"
         logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")
@@ -214,24 +189,16 @@ def _show_settings(settings: Settings) -> None:
 async def _run(
     settings: Settings,
     recorder: Recorder,
-    *,
-    simulated: bool,
-    physics: Physics | None,
-    board: PowerBoardAt | None,
+    simulated: SimulatedParts,
     on_ready: Callable[[zenoh.Config], None],
 ) -> ServiceEnd:
     # The servos file exists before systemd counts the service as active, when an upgrade reads it.
     loop, owner, servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
     state, failed = state_directory(settings.state.path), partial(report_mistake, loop, "a thread failed")
     end, notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
-    config, checker, shut_out = _configured(settings, physics)
-    bus = wires.wire(
-        settings,
-        simulated=simulated,
-        page=physics and physics.page if board is None else board.page,
-        sensed=physics and physics.sensed,
-    )
-    supply = supply_of(settings, bus, board and board.channel, loop, owner, failed)
+    config, checker, shut_out = _configured(settings, simulated.folder)
+    bus = wires.wire(settings, simulated)
+    supply = supply_of(settings, bus, simulated.board_channel, loop, owner, failed)
     outbox = ZenohOutbox()
     conductor = Conductor(
         settings,
@@ -240,8 +207,8 @@ async def _run(
         outbox,
         loop,
         clock=time.monotonic_ns,
-        simulated=simulated,
-        physics=physics and physics.zenoh_id,
+        simulated=simulated.controller,
+        physics=simulated.body_id,
         recorder=recorder,
         owner=owner,
         calibration_kept=_is_kept(state),
@@ -254,7 +221,7 @@ async def _run(
         with owner:
             conductor.start()
             recorder.open()
-        _go_on(bus, conductor, settings, failed, simulated=simulated)
+        _go_on(bus, conductor, settings, failed, simulated=simulated.controller)
         opening = asyncio.gather(_in_thread(partial(_open, settings, config, conductor)), keeper.known())
         ended = asyncio.ensure_future(end.wait())
         await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
@@ -286,7 +253,7 @@ async def _run(
             inbox,
             outbox,
             _reports(settings, conductor),
-            UnknownKeys(session, physics and physics.zenoh_id),
+            UnknownKeys(session, simulated.body_id),
             servos,
             end,
         )

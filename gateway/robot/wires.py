@@ -3,7 +3,8 @@
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_MS
 from gateway.host.descriptors import Spare
@@ -13,7 +14,7 @@ from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.own_command import command
 from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
-from gateway.robot.spi import DuplexDevice, SpiDevice
+from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
@@ -28,41 +29,47 @@ logger = logging.getLogger(__name__)
 _simulator = logging.getLogger("gateway.simulation.controller")
 
 
-def device_opener(settings: Settings, *, simulated: bool, page: ServoPage | None = None) -> Callable[[], SpiDevice]:
-    """Return a function that opens the bus's device. A simulated controller keeps its state when it is reopened."""
-    if not simulated:
-        spare = Spare()
-        return lambda: KernelDevice(settings.spi.device, settings.spi.speed_hz, spare=spare)
-    from gateway.simulation.controller import SimulatedController  # noqa: PLC0415  (a robot's first Stops need none)
+class SimulatedParts(NamedTuple):
+    """The simulated parts of a robot, and how they are reached; none by default."""
 
-    controller = SimulatedController(settings.spi.framing, on_change=_simulator.debug, page=page)
-    return lambda: controller
+    controller: bool = False
+    page: ServoPage | None = None
+    """Shared memory from which the body, or else the power board, reads the servos' commanded angles.
+
+    The power board writes to it which servos are powered.
+    """
+    sensed: SensedPage | None = None
+    """Shared memory to which the body's process writes its sensors' values."""
+    body_id: str | None = None
+    """The Zenoh id of the body's process."""
+    folder: Path | None = None
+    """Private folder of the socket that connects the body's process with the gateway."""
+    board_channel: str | None = None
+    """The power board's terminal."""
 
 
-def wire(
-    settings: Settings,
-    *,
-    simulated: bool,
-    page: ServoPage | None = None,
-    sensed: SensedPage | None = None,
-) -> Wire:
-    """Return the wire to the robot's controller, not yet open. `page` and `sensed` belong to a simulated body."""
-    protocol = settings.wire.built_in
-    if protocol is None and not simulated:
+def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
+    """Return the wire to the robot's controller, not yet open. A simulated controller keeps its state when reopened."""
+    protocol, spi, spare = settings.wire.built_in, settings.spi, Spare()
+    if protocol is None and not simulated.controller:
         return PluginBus(settings.wire)
     if protocol is None or protocol.framed:
-        return Bus(settings.spi, device_opener(settings, simulated=simulated, page=page))
-    spare, spi, uart = Spare(), settings.spi, settings.controller.uart
+        if not simulated.controller:
+            return Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, spare=spare))
+        from gateway.simulation.controller import SimulatedController  # noqa: PLC0415  (first Stops need none)
+
+        framed = SimulatedController(spi.framing, on_change=_simulator.debug, page=simulated.page)
+        return Bus(spi, lambda: framed)
     open_device: Callable[[], DuplexDevice]
     open_uart: Callable[[], Uart]
-    if simulated:
+    if simulated.controller:
         from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart  # noqa: PLC0415  (likewise)
 
-        controller = SimulatedElkapod(on_change=_simulator.debug, page=page, sensed=sensed)
+        controller = SimulatedElkapod(on_change=_simulator.debug, page=simulated.page, sensed=simulated.sensed)
         open_device, open_uart = (lambda: controller), (lambda: SimulatedUart(controller))
     else:
         open_device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare)
-        open_uart = partial(SerialUart, uart)
+        open_uart = partial(SerialUart, settings.controller.uart)
     return CyclicBus(
         open_device,
         open_uart,

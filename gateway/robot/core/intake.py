@@ -93,7 +93,7 @@ class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand aroun
     """One target. The number of its keys is the leg, the servo, or 0."""
 
     servos: Mapping[int, tuple[int, ...]]
-    """By number: the servos that a message on the key may start, set or stop. A delete stops them; lost messages, too."""
+    """By number: the servos that a message on the key may start, set or stop. A delete and lost messages stop them."""
     follows: Mapping[int, tuple[int, ...]]
     """By number: the servos whose older messages, on any key, are taken before a message on this key takes effect."""
     read: Callable[[int, bytes], Command | Reset] | None

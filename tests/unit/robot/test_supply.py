@@ -10,10 +10,12 @@ from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
 from tests.support.slcan_adapter import Adapter
 
+_PARTS = wires.SimulatedParts(controller=True)
+
 
 async def test_without_an_interface_there_is_no_supply() -> None:
     settings = Settings()
-    wire = wires.wire(settings, simulated=True)
+    wire = wires.wire(settings, _PARTS)
     assert supply_of(settings, wire, None, asyncio.get_running_loop(), Ownership(), failed) is None
 
 
@@ -23,7 +25,12 @@ async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_th
     settings = Settings.of({"power": {"interface": "sim", "confirm_ms": 2000}})
     owner, heard = Ownership(), asyncio.Event()
     supply = supply_of(
-        settings, wires.wire(settings, simulated=True), channel, asyncio.get_running_loop(), owner, failed
+        settings,
+        wires.wire(settings, _PARTS),
+        channel,
+        asyncio.get_running_loop(),
+        owner,
+        failed,
     )
     assert supply is not None
 
