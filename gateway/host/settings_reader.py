@@ -30,8 +30,6 @@ class SettingFault(NamedTuple):
 
     place: Place
     sentence: str
-    together: bool = False
-    """Whether each value is valid alone, but not together with the others."""
 
 
 class Text(str):
@@ -72,7 +70,7 @@ def read(kind: type[S], table: object, faults: list[SettingFault], place: Place 
     made = kind(**found)
     sentence = made.fault() if isinstance(made, Section) and len(faults) == before else ""
     if sentence:
-        faults.append(SettingFault(place, sentence, together=True))
+        faults.append(SettingFault(place, sentence))
     return made
 
 

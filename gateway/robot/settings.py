@@ -115,7 +115,7 @@ class Settings:
         """Yield the faults between settings that are valid alone but not together."""
         wire = self.wire.name
         if self.spi.too_fast:
-            yield SettingFault(("spi",), self.spi.too_fast, together=True)
+            yield SettingFault(("spi",), self.spi.too_fast)
         if self.starts_whole and self.power.interface:
             yield SettingFault(("power", "interface"), f"{wire} starts all servos at once, which no power board does")
         if self.starts_whole and self.limits.start_stagger_ms:
