@@ -1,10 +1,16 @@
 """Background threads for work that may take long. Callers never block."""
 
+import asyncio
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from queue import SimpleQueue
+from typing import TypeVar
 
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
+
+T = TypeVar("T")
 
 
 class Worker:
@@ -44,3 +50,20 @@ class Worker:
                 return
             work()
             del work  # releases what it refers to, such as a query whose sender waits
+
+
+def in_thread(name: str, call: Callable[[], T]) -> "asyncio.Future[T]":
+    """Call it in a daemon thread: a thread of `asyncio.to_thread` would keep the process from ending."""
+    loop = asyncio.get_running_loop()
+    result: asyncio.Future[T] = loop.create_future()
+
+    def run_call() -> None:
+        try:
+            finish = partial(result.set_result, call())
+        except Exception as error:
+            finish = partial(result.set_exception, error)
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            loop.call_soon_threadsafe(finish)
+
+    threading.Thread(target=run_call, name=name, daemon=True).start()
+    return result

@@ -3,15 +3,13 @@
 import asyncio
 import logging
 import selectors
-import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import zenoh
 
@@ -21,6 +19,7 @@ from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.mounts import forgets
 from gateway.host.settings_reader import ForStops
+from gateway.host.worker import in_thread
 from gateway.model.black_box.format import STOP_FACTS
 from gateway.model.frames import centidegrees
 from gateway.own_command import command
@@ -66,8 +65,6 @@ if TYPE_CHECKING:
 BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
 page. A systemd watchdog may need a shorter period."""
-
-T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
@@ -222,7 +219,7 @@ async def _run(
             conductor.start()
             recorder.open()
         _go_on(bus, conductor, settings, failed, simulated=simulated.controller)
-        opening = asyncio.gather(_in_thread(partial(_open, settings, config, conductor)), keeper.known())
+        opening = asyncio.gather(in_thread("open", partial(_open, settings, config, conductor)), keeper.known())
         ended = asyncio.ensure_future(end.wait())
         await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
         if not opening.done():
@@ -441,20 +438,3 @@ class _Beat:
             for publish in wanted:
                 publish()
         self.begin()
-
-
-def _in_thread(call: Callable[[], T]) -> "asyncio.Future[T]":
-    """Call it in a daemon thread: a thread of `asyncio.to_thread` would keep the process from ending."""
-    loop = asyncio.get_running_loop()
-    result: asyncio.Future[T] = loop.create_future()
-
-    def run_call() -> None:
-        try:
-            finish = partial(result.set_result, call())
-        except Exception as error:
-            finish = partial(result.set_exception, error)
-        with suppress(RuntimeError):  # the loop is closed: the service has ended
-            loop.call_soon_threadsafe(finish)
-
-    threading.Thread(target=run_call, name="open", daemon=True).start()
-    return result

@@ -1,5 +1,6 @@
 """The supervisor's settings; a leg's rate slots, its servos, and its frames' effects. Pure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -309,10 +310,18 @@ def as_it_is(servo: Servo) -> ServoOp:
     return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
 
 
-def stops(leg: Leg, servos: list[Servo], cause: Cause, commands: tuple[Command, ...] = ()) -> list[Effect]:
-    """Return Stops for these servos of a leg: one frame for all three, else one for each."""
-    if len(servos) == len(leg.servos):
-        return [Transmit(stop_leg(leg.number), cause, None, commands)]
+def stops(
+    leg: Leg,
+    servos: Sequence[Servo],
+    cause: Cause,
+    commands: tuple[Command, ...] = (),
+    *,
+    joins: bool = False,
+    singly: bool = False,
+) -> list[Effect]:
+    """Return Stops for these servos of a leg: one frame for all three, else, or `singly`, one for each."""
+    if len(servos) == len(leg.servos) and not singly:
+        return [Transmit(stop_leg(leg.number), cause, None, commands, joins=joins)]
     return [Transmit(OneServo(servo.servo_id, STOP), cause, None, commands) for servo in servos]
 
 

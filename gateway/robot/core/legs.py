@@ -28,7 +28,7 @@ from gateway.robot.core.leg import (
     withdrawn,
 )
 from gateway.robot.core.power import held_starts, note_supply
-from gateway.robot.core.rest import RestStops, rest_stops
+from gateway.robot.core.rest import RestStops
 from gateway.robot.core.speed import LimitedSpeeds
 from schemas.keys import LEGS_COMMAND
 from schemas.robot import LEGS
@@ -199,11 +199,11 @@ class Legs:
         singly = (due or not self.at_rest) and self.rest.take(now_ns, is_run=due and self.at_rest)
         self._changed, effects = None, list[Effect]()
         for leg in resting:
-            stops = any(not servo.repeats_left and servo.servo_id not in self.stopping for servo in leg.servos)
-            if stops:
-                effects += rest_stops(leg, joins=at_once, singly=singly)
+            stopped = any(not servo.repeats_left and servo.servo_id not in self.stopping for servo in leg.servos)
+            if stopped:  # lost bytes make no start of a frame for one servo
+                effects += stops(leg, leg.servos, Cause.REPEAT, joins=at_once, singly=singly)
                 self.stopping.update(servo.servo_id for servo in leg.servos)
-            if come_to_rest or (stops and at_once):
+            if come_to_rest or (stopped and at_once):
                 for servo in leg.servos:
                     self._stopped(servo, now_ns)
         return effects

@@ -5,10 +5,7 @@ A controller that lost bytes may run a servo that was not started. So legs at re
 not postponed, since it could be postponed forever.
 """
 
-from gateway.model.frames import STOP, OneServo, stop_leg
-from gateway.robot.core.events import Transmit
-from gateway.robot.core.leg import Leg, Rules
-from schemas.telemetry import Cause
+from gateway.robot.core.leg import Rules
 
 
 class RestStops:
@@ -54,10 +51,3 @@ class RestStops:
     def forget(self) -> None:
         """Cancel all Stops after a bus fault. The next opening of the bus stops all legs."""
         self.due_ns, self._runs_left = None, 0
-
-
-def rest_stops(leg: Leg, *, joins: bool, singly: bool) -> list[Transmit]:
-    """Return Stops for a leg at rest: one frame, or `singly` one for each servo, which lost bytes make no start."""
-    if singly:
-        return [Transmit(OneServo(servo.servo_id, STOP), Cause.REPEAT) for servo in leg.servos]
-    return [Transmit(stop_leg(leg.number), Cause.REPEAT, joins=joins)]

@@ -17,6 +17,7 @@ import zenoh
 import gateway
 from gateway.errors import GatewayError
 from gateway.host import logs
+from gateway.host.worker import in_thread
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
@@ -169,20 +170,14 @@ async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes:
 
     A frozen peer can delay Zenoh's close by ten seconds. The servos are already stopped.
     """
-    closed = asyncio.Event()
-    loop = asyncio.get_running_loop()
 
     def run_close() -> None:
         for close in closes:
             with suppress(zenoh.ZError):
                 close()
-        with suppress(RuntimeError):
-            loop.call_soon_threadsafe(closed.set)
 
-    threading.Thread(target=run_close, name="close", daemon=True).start()
-    try:
-        await asyncio.wait_for(closed.wait(), max(0.0, timeout_s))
-    except TimeoutError:
+    closed, _ = await asyncio.wait([in_thread("close", run_close)], timeout=max(0.0, timeout_s))
+    if not closed:
         logger.warning("a peer does not close its connection; ending without waiting for it")
         leave()
 
