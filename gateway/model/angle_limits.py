@@ -10,6 +10,8 @@ from types import MappingProxyType
 from typing import Final
 
 from gateway.model.calibration import RobotCalibration
+from gateway.model.frames import MAX_ANGLE_CDEG
+from schemas.robot import SERVO_IDS
 
 _WHY_AVOIDED: Final = (
     "are never sent: where one byte is lost, the published firmware dies of whole degrees 1 to 3, with its servos on"
@@ -39,9 +41,20 @@ class AngleLimits:
         """Converts frames for the wire; None: they need no conversion."""
         self.limited = bool(self._limits_cdeg or calibration.servos or self._avoid_cdeg)
         """Whether `why_not` may reject any angle."""
+        self._free_cdeg = {servo_id: self._free(servo_id) for servo_id in SERVO_IDS}
+
+    def _free(self, servo_id: int) -> tuple[int, int]:
+        """Return a range of a servo's users' angles that are all allowed: most setpoints need no other check."""
+        servo, (low, high) = self.calibration.of(servo_id), self._limits_cdeg.get(servo_id, (0, MAX_ANGLE_CDEG))
+        least_cdeg = 0 if self._avoid_cdeg is None else self._avoid_cdeg[1]
+        ends = sorted(map(servo.user_cdeg, (least_cdeg, MAX_ANGLE_CDEG)))
+        return max(low, servo.min_cdeg, ends[0]), min(high, servo.max_cdeg, ends[1])
 
     def why_not(self, servo_id: int, angle_cdeg: int) -> str | None:
         """Return why the servo must not go to this user's angle (hundredths of a degree), or None if it may."""
+        free = self._free_cdeg[servo_id]
+        if free[0] <= angle_cdeg <= free[1]:
+            return None
         limits = self._limits_cdeg.get(servo_id)
         if limits is not None and not limits[0] <= angle_cdeg <= limits[1]:
             low, high, angle = (cdeg / 100 for cdeg in (*limits, angle_cdeg))

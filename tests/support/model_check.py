@@ -87,7 +87,7 @@ _KNOWN: Final = (
     (_ROBOT.power, "_rules alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
-    (_ROBOT._limits, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited"),
+    (_ROBOT._limits, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited _free_cdeg"),
     (_ROBOT.calibrating, "_rules _limits fault _on_its_way"),
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
     (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),

@@ -132,6 +132,16 @@ def test_a_way_across_angles_that_are_never_sent(
         assert (free.why_not(32, to_cdeg) is None) == (1 <= to_deg <= 4)
 
 
+@given(calibrations, st.sampled_from(SERVO_IDS), angles, st.sampled_from([None, (1_00, 4_00)]), angles, angles)
+def test_an_angle_is_allowed_if_all_rules_allow_it(
+    calibration: RobotCalibration, servo_id: int, at_cdeg: int, avoid: tuple[int, int] | None, low: int, high: int
+) -> None:
+    reach = AngleLimits({servo_id: (low, high)}, avoid_cdeg=avoid)
+    reach.use(calibration)
+    rejected = calibration.why_not(servo_id, at_cdeg) or reach.why_avoided(calibration, servo_id, at_cdeg)
+    assert (reach.why_not(servo_id, at_cdeg) is None) == (low <= at_cdeg <= high and rejected is None)
+
+
 def test_the_formula() -> None:
     assert RobotCalibration(1, {11: ServoMapping(-1)}).why_not(11, 0) is not None, "by a hundredth"
     for inverted, user_cdeg, wire_cdeg in ((False, 90_00, 97_00), (True, 45_00, 142_00)):
