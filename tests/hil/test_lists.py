@@ -8,7 +8,7 @@ import pytest
 
 from gateway.client import leg_payload
 from gateway.model.frames import OneServo, Op, ServoOp
-from gateway.robot.spi.machine import SELECT_BY_GPIO
+from gateway.onboard.computer import SELECT_BY_GPIO
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S, STOPS, Replay, Wire, settings_for

@@ -15,11 +15,11 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.model.protocols import BUILT_IN
 from gateway.onboard.check.bench import Bench
+from gateway.onboard.computer import SELECT_BY_GPIO
 from gateway.own_command import command
 from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
 from gateway.people.terminal import ask, say
-from gateway.robot.spi.machine import SELECT_BY_GPIO
 from schemas.robot import LEGS, MAX_DEG, SERVO_IDS
 from schemas.telemetry import Telemetry
 

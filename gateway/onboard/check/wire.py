@@ -19,6 +19,7 @@ from gateway.host.directories import state_to_read
 from gateway.model.elkapod import FRAME_BYTES
 from gateway.model.frames import ONE_LEG_LEN
 from gateway.model.framing import Framing
+from gateway.onboard import computer
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
@@ -110,19 +111,19 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
         well(f"{spi.device} is held by a running gateway") if robot.gateway_runs else None,
         *_open_faults(spi.device, error, "SPI device"),
         well(f"{spi.device} opens"))
-    release, built = machine.kernel(root)
+    release, built = computer.kernel(root)
     selects = {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}
-    named = (machine.computer(root), release and f"Linux {release}", machine.driver_of(spi.device, root),
+    named = (computer.computer(root), release and f"Linux {release}", machine.driver_of(spi.device, root),
              selects[machine.gpio_selects(spi.device, root)])
     found = ", ".join(filter(None, named)) or "nothing is known of it"
-    loses = machine.on_rp1(spi.device, root) and (built is None or built < machine.RP1_FIXED)
+    loses = computer.on_rp1(spi.device, root) and (built is None or built < computer.RP1_FIXED)
     when = f"of {built}" if built else "that was built at an unknown time"
     yield first("SPI controller",
         warning(loses, f"{found}: a kernel {when}. Before February 2025 this driver lost clock edges of transfers "
                 "that only send; then the controller receives nothing until it is reset",
                 "update the kernel (sudo apt full-upgrade) and reboot"),
         well(found))
-    others = ", ".join(f"{each} (driver {driver})" for each, driver in machine.neighbours(spi.device, root))
+    others = ", ".join(f"{each} (driver {driver})" for each, driver in computer.neighbours(spi.device, root))
     yield first("SPI bus",  # a neighbour's transfer of 2 ms is what docs/safety.md allows
         warning(others, f"shared with {others}: an emergency stop waits for two to four of its transfers",
                 "move it to another bus, or limit its transfers to 2 ms each"),
@@ -154,7 +155,7 @@ def framing(robot: CheckedRobot) -> Iterator[Result | None]:
             well("chip select is a GPIO, which Linux releases between the transfers of a call") if gpio else None,
             warning(spi.framing.needs_chip_select, f"it is unknown whether {driver} releases chip select between the "
                     f"transfers of a call", f"{command('check --move')} shows it: if servo 61 still holds when all "
-                    f"are stopped, {machine.SELECT_BY_GPIO}"),
+                    f"are stopped, {computer.SELECT_BY_GPIO}"),
             well(f"{driver} may keep chip select within a call; {spi.framing.controller} ignores it"))
 
 

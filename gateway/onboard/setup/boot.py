@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from gateway import durable
+from gateway.onboard.computer import is_pi_5
 from gateway.onboard.setup.machine import Machine
 from gateway.people.terminal import say
-from gateway.robot.spi.machine import is_pi_5
 
 _FOLDERS: Final = ("/boot/firmware", "/boot")
 _SERIAL: Final = "/dev/serial0"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.onboard import computer
 from gateway.robot.spi import machine
 from tests.support.machine_tree import OF_MAY, PI_4, MachineTree
 
@@ -12,12 +13,12 @@ SPIDEV = "/dev/spidev0.0"
 
 
 def test_where_nothing_is_said_nothing_is_known(tmp_path: Path) -> None:
-    assert machine.computer(tmp_path) == ""
-    assert machine.kernel(tmp_path) == ("", None)
+    assert computer.computer(tmp_path) == ""
+    assert computer.kernel(tmp_path) == ("", None)
     assert machine.driver_of(SPIDEV, tmp_path) is None
     assert machine.gpio_selects(SPIDEV, tmp_path) is None
-    assert machine.neighbours(SPIDEV, tmp_path) == []
-    assert not machine.on_rp1(SPIDEV, tmp_path)
+    assert computer.neighbours(SPIDEV, tmp_path) == []
+    assert not computer.on_rp1(SPIDEV, tmp_path)
 
 
 def test_a_controller_without_a_device_tree_says_nothing_of_chip_select(tmp_path: Path) -> None:
@@ -47,16 +48,16 @@ BUILT = {
 def test_when_the_kernel_was_built(tmp_path: Path, version: str) -> None:
     """Not when its compiler was."""
     MachineTree(tmp_path, version=version)
-    assert machine.kernel(tmp_path)[1] == BUILT[version]
+    assert computer.kernel(tmp_path)[1] == BUILT[version]
 
 
 def test_neighbours_are_those_of_another_driver(tmp_path: Path) -> None:
     tree = MachineTree(tmp_path)
     tree.add("spi0.2", None)
-    assert machine.neighbours(SPIDEV, tmp_path) == []
+    assert computer.neighbours(SPIDEV, tmp_path) == []
     tree.add("spi0.1", "fb_st7789v")
     tree.add("spi0.3", "mcp251x")
-    assert machine.neighbours(SPIDEV, tmp_path) == [("spi0.1", "fb_st7789v"), ("spi0.3", "mcp251x")]
+    assert computer.neighbours(SPIDEV, tmp_path) == [("spi0.1", "fb_st7789v"), ("spi0.3", "mcp251x")]
 
 
 @pytest.mark.parametrize(
@@ -65,4 +66,4 @@ def test_neighbours_are_those_of_another_driver(tmp_path: Path) -> None:
 )
 def test_a_pi_5_is_known_by_its_name(model: str, is_one: bool, tmp_path: Path) -> None:
     MachineTree(tmp_path, model=model)
-    assert machine.is_pi_5(tmp_path) is is_one
+    assert computer.is_pi_5(tmp_path) is is_one
