@@ -31,7 +31,7 @@ def test_an_incident_is_listed_shown_and_exported_by_its_name_or_as_the_last(fol
     config, file = tmp_path / "gateway.toml", tmp_path / "stop.mcap"
     config.write_text(f'state.path = "{folder}"\n')
     ring = RecordRing(paths.prepare(folder), 100)
-    ring.append(form.INCIDENT, 5, form.incident(WALL_NS, NAME))
+    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
     ring.close()
 
     def run(*arguments: str) -> tuple[int, str]:

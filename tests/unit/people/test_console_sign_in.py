@@ -15,8 +15,6 @@ from multidict import CIMultiDict
 from yarl import URL
 
 from gateway.errors import ConfigError
-from gateway.host.boot_clock import Now
-from gateway.people.console.address import site
 from gateway.people.console.server.auth import NONCE_NS, Auth, proof
 from gateway.people.console.server.boot_clock import Now
 from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Sessions, SignIn, kept

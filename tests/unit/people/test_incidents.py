@@ -29,10 +29,8 @@ from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
-from tests.support.ring import parse
-from tests.support.robot import LEG_3, WALL_NS, Robot, leg
 from tests.support.ring import parse, start
-from tests.support.robot import WALL_NS, Robot, leg
+from tests.support.robot import LEG_3, WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
 from tests.unit.people.test_ring import image

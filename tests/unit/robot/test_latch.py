@@ -6,7 +6,6 @@ from gateway.robot.core.events import EstopKept
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Verb
 from gateway.robot.core.supervisor import IllegalEvent
-from gateway.robot.runtime.supply import off_button
 from schemas import keys
 from schemas.telemetry import Mode
 from tests.support.robot import started_and_quiet

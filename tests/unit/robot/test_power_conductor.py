@@ -9,7 +9,6 @@ import pytest
 
 from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.events import StoppedOutside
-from gateway.robot.runtime.supply import MOST_ASKERS
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason, Telemetry

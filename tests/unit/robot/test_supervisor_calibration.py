@@ -10,9 +10,8 @@ import pytest
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.robot.core.events import CalibrationSaved
 from gateway.robot.core.leg import Rules
-from tests.support.scenes import Scenes, play, scene_test
 from gateway.robot.core.supervisor import IllegalEvent
-from tests.support.scenes import Scenes, play
+from tests.support.scenes import Scenes, play, scene_test
 
 MIRRORED = RobotCalibration(3, {32: ServoMapping(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
 """90 is 97 on its wire, and 10 is 177."""
