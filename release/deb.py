@@ -1,7 +1,7 @@
 """hexapod-gateway_VERSION_ARCHITECTURE.deb: all that a robot needs but Python itself, for Debian 12 and 13.
 
 `python -m release.deb [--architecture arm64] [--to DIR]`; `make deb` runs it. Nothing is compiled: each dependency
-comes as a wheel with the lock's hash. Compiled parts have
+comes as a wheel with the lock's hash; spidev has none, and the gateway makes its calls itself. Compiled parts have
 their Python in their names, so one folder holds those of all of them. Of one commit each machine makes the same bytes.
 """
 
@@ -43,7 +43,7 @@ def dependencies(folder: Path, architecture: str) -> Path:
     """All wheels of the lock in one folder, as they are installed for each of the Pythons."""
     requirements = folder / "requirements.txt"
     export = [UV, "export", "--quiet", "--frozen", "--no-config", "--no-header", "--no-annotate"]
-    export += ["--format", "requirements.txt", "--no-emit-project", *EXTRAS]
+    export += ["--format", "requirements.txt", "--no-emit-project", "--no-emit-package", "spidev", *EXTRAS]
     requirements.write_bytes(run(export))
     install = [
         UV,

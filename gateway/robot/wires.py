@@ -14,7 +14,7 @@ from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.own_command import command
 from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
-from gateway.robot.spi import DuplexDevice
+from gateway.robot.spi import DuplexDevice, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
@@ -81,8 +81,10 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
 
 def warn_of_driver(wire: WireSettings, spi: SpiSettings, *, simulated: bool) -> None:
     """Warn if the driver may not release chip select between the transfers of a call, as `plain` framing needs."""
-    if simulated:
+    if simulated or wire.built_in is None:
         return
+    if ioctls.are_used():
+        logger.info("%s", ioctls.USED)
     if wire.framed and spi.framing.needs_chip_select and not gpio_selects(spi.device):
         logger.warning(
             "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "

@@ -14,6 +14,7 @@ into `asyncio.to_thread`.
 """
 
 import errno as errors
+import importlib.util
 import json
 import os
 import socket
@@ -45,7 +46,10 @@ def missing_packages() -> str:
         not Path(SYSTEM_PYTHON).exists()
         or subprocess.run([SYSTEM_PYTHON, "-c", NEEDS], capture_output=True, check=False).returncode
     )
-    return f"Debian packages missing, of: {PACKAGES}" if missing else ""
+    lacks = [f"Debian packages missing, of: {PACKAGES}"] * bool(missing)
+    if importlib.util.find_spec("spidev") is None:
+        lacks.append("Python package missing: spidev (hexapod-gateway[spi])")
+    return "; ".join(lacks)
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Opened:
-    """A program opened the device (seen at its first call, which the gateway makes as it opens); numbered from 1."""
+    """A program opened the device (seen at its first call, which spidev makes as it opens); numbered from 1."""
 
     monotonic_ns: int
     opening: int

@@ -1,4 +1,4 @@
-"""The service on a robot of elkapod-2025, with unmodified pyserial, commanded through Zenoh.
+"""The service on a robot of elkapod-2025, with unmodified spidev and pyserial, commanded through Zenoh.
 
 What is said over SPI and over the UART is one stream in order. Only a start that was asked for may stand in it, each
 Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.

@@ -1,4 +1,4 @@
-"""The service as a user starts it, on the emulated device, commanded through Zenoh.
+"""The service as a user starts it, with the unmodified spidev on the emulated device, commanded through Zenoh.
 
 The gateway is a process of its own; the test, or a command that it runs, is the client. Everything that reaches the
 device is expected byte for byte and in order, so a frame too many fails a test as surely as one too few.

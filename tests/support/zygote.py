@@ -203,7 +203,7 @@ def _imported() -> Callable[[], None]:
         if name != "__main__" and not module.name.endswith(_NEEDS_ROS):
             with suppress(ImportError):
                 importlib.import_module(module.name)
-    for name in ("serial", "can"):
+    for name in ("spidev", "serial", "can"):
         with suppress(ImportError):
             importlib.import_module(name)
     from gateway.__main__ import main  # noqa: PLC0415

@@ -48,7 +48,9 @@ PURE_FILES: Final = frozenset(
 """In rooms that also do I/O."""
 ALSO_PURE: Final = frozenset({"allowance", "errors", "geometry", "nonces", "text", "wire", *WINGS})
 """Geometry but for reading its file, which is for whoever calls."""
-NOT_PURE: Final = frozenset({"zenoh", "asyncio", "time", "logging", "socket", "threading", "subprocess", "os"})
+NOT_PURE: Final = frozenset(
+    {"zenoh", "spidev", "asyncio", "time", "logging", "socket", "threading", "subprocess", "os"}
+)
 """What reads a clock, does I/O, or waits: its time is an argument, its I/O somebody else's."""
 
 

@@ -30,7 +30,7 @@ from gateway.people.terminal import clear_line, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
 
-_LOADED_LATE: Final = ("gateway.certs.folder", "serial")
+_LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """Loaded before the change of user: the service's user may not be able to read this Python's folder."""
 _DRIVE: Final = "reach the gateway"
 

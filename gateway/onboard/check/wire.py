@@ -25,7 +25,7 @@ from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import load, path_of
 from gateway.robot.power.interface import BITRATE, open_bus
-from gateway.robot.spi import machine, outside
+from gateway.robot.spi import ioctls, machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.plugin import PluginDevice
@@ -110,7 +110,7 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
         *rows,
         well(f"{spi.device} is held by a running gateway") if robot.gateway_runs else None,
         *_open_faults(spi.device, error, "SPI device"),
-        well(f"{spi.device} opens"))
+        well(f"{spi.device} opens" + (f"; {ioctls.USED}" if ioctls.are_used() else "")))
     release, built = computer.kernel(root)
     selects = {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}
     named = (computer.computer(root), release and f"Linux {release}", machine.driver_of(spi.device, root),

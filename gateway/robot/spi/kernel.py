@@ -1,13 +1,8 @@
-"""The real device: Linux's spidev, with 8 bits, the most significant first; mode 0 for HexapodProtocol v1.0.0.
-
-It makes the kernel's calls (linux/spi/spidev.h) itself. The Python package spidev would have to be compiled on a robot,
-and has no lists of transfers.
-"""
+"""The real device: Linux's spidev, with 8 bits, the most significant first; mode 0 for HexapodProtocol v1.0.0."""
 
 import array
 import errno
 import fcntl
-import os
 import struct
 import sys
 from contextlib import suppress
@@ -17,7 +12,7 @@ from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare
-from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
+from gateway.robot.spi import Batch, DuplexDevice, SpiDevice, ioctls
 from gateway.robot.spi.outside import Listener
 
 _MOST_TRANSFERS: Final = 32
@@ -41,16 +36,11 @@ _READ_BITS: Final = 2 << 30 | 1 << 16 | ord("k") << 8 | 3
 """SPI_IOC_RD_BITS_PER_WORD."""
 _READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
 """SPI_IOC_RD_MAX_SPEED_HZ."""
-_WRITE_BITS: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 3
-"""SPI_IOC_WR_BITS_PER_WORD."""
-_WRITE_SPEED: Final = 1 << 30 | 4 << 16 | ord("k") << 8 | 4
-"""SPI_IOC_WR_MAX_SPEED_HZ."""
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
-_CLOSED: Final = -1
 
 
 class KernelDevice(SpiDevice, DuplexDevice):
-    """`/dev/spidevB.C`. A batch is one SPI_IOC_MESSAGE, so it is atomic on its bus.
+    """`/dev/spidevB.C`, opened by the `spidev` package. A batch is one SPI_IOC_MESSAGE, so it is atomic on its bus.
 
     Mode, speed and bits belong to the device, so another program may change them at any time. Therefore each segment
     contains speed and bits, and `put_right` checks the mode, which no segment has.
@@ -68,7 +58,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._spare = spare
         self._speed_hz = speed_hz
         self._flags = bytes((mode,))
-        self._fd = _CLOSED
+        self._spi = ioctls.spi_dev()()
         self._listener: Listener | None = None
         self.most_transfers = most_transfers()
         self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
@@ -77,37 +67,37 @@ class KernelDevice(SpiDevice, DuplexDevice):
         # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Only `exchange` reads the buffer.
         self._received = array.array("B", bytes(_LONGEST))
         self._received_at = self._received.buffer_info()[0]
-        # Every exception counts as a fault of the device, since the gateway must get to its Stops.
+        # Every exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
+        # behaved unexpectedly, and the gateway must get to its Stops.
         try:
-            fd = self._fd = self._open(path)
-            self._read(_READ_MODE)  # raises for a file that is no SPI device, before it is locked
+            self._open(path)
             if exclusive:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._listener = Listener(fd)
-            # This clears all flags: a flag of another program, such as "no chip select", outlives that program.
-            fcntl.ioctl(fd, _WRITE_MODE, self._flags)
-            fcntl.ioctl(fd, _WRITE_BITS, bytes((_BITS,)))
-            fcntl.ioctl(fd, _WRITE_SPEED, struct.pack("=I", speed_hz))
+                fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._listener = Listener(self._spi.fileno())
+            # This clears all flags: a flag of another program, such as "no chip select", outlives that program, and
+            # spidev's own `mode` changes two bits only.
+            fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
+            self._spi.bits_per_word = _BITS
+            self._spi.max_speed_hz = speed_hz
             # The mode may differ from the flags: some kernels add SPI_CS_HIGH if chip select is a GPIO.
             self._mode = self._read(_READ_MODE)
         except Exception as error:
             self.close()
             raise SpiError(_why_not_opened(path, error)) from error
 
-    def _open(self, path: str) -> int:
+    def _open(self, path: str) -> None:
         """Open the device. Clients may hold all other descriptors, so spare ones are closed first."""
         while True:
             more = self._spare is not None and self._spare.give_up()
             try:
-                fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-            except OSError as error:
-                if not (more and error.errno == errno.EMFILE):
+                self._spi.open_path(path)
+            except Exception as error:
+                if not (more and isinstance(error, OSError) and error.errno == errno.EMFILE):
                     raise
             else:
                 break
         if self._spare is not None:
             self._spare.fill()
-        return fd
 
     def transfer(self, batch: Batch) -> None:
         """Write the batch in one call. Raises SpiError if the transfer fails.
@@ -130,12 +120,12 @@ class KernelDevice(SpiDevice, DuplexDevice):
             self._bytes[: len(data)] = data
             at = self._data_at, self._received_at
             try:
-                sent = fcntl.ioctl(self._fd, *_segments(sizes, pauses_us, *at, self._speed_hz))
+                sent = fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, *at, self._speed_hz))
             except OSError as error:
                 if error.errno != errno.EINVAL or not self._received_at or answered:
                     raise
                 # An SPI controller that cannot receive while it sends rejects receive buffers. Nothing was written.
-                sent = fcntl.ioctl(self._fd, *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz))
+                sent = fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz))
                 self._received_at = 0  # the receive buffers were the cause
         except Exception as error:
             if not answered and isinstance(error, OSError) and error.errno in _NO_LISTS:
@@ -160,22 +150,20 @@ class KernelDevice(SpiDevice, DuplexDevice):
             return None
         found = f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
         with suppress(OSError):
-            fcntl.ioctl(self._fd, _WRITE_MODE, self._flags)
+            fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
             found += f", {self._read(_READ_SPEED)} Hz and {self._read(_READ_BITS)} bits"
         return found
 
     def _read(self, request: int) -> int:
         value = bytearray(request >> 16 & 0x3FFF)
-        fcntl.ioctl(self._fd, request, value)
+        fcntl.ioctl(self._spi, request, value)
         return int.from_bytes(value, sys.byteorder)
 
     def close(self) -> None:
         """Release the device."""
         self._listener = None
-        fd, self._fd = self._fd, _CLOSED
-        if fd != _CLOSED:
-            with suppress(OSError):
-                os.close(fd)
+        with suppress(Exception):
+            self._spi.close()
         if self._spare is not None:
             self._spare.fill()
 
