@@ -71,7 +71,7 @@ class Oracle(RobotHistory):
         self._lost = frozenset()
         ran = bool(self.energised)
         due = any(servo.owed and now_ns >= servo.owed_ns for servo in self.servos.values())
-        self.owing, self.put_off, self.together = [], False, due and not ran
+        self.owing, self.sent_again, self.put_off, self.together = [], [], False, due and not ran
         stops = [isinstance(effect, Transmit) and effect.frame.is_stop for effect in effects]
         demand(stops == sorted(stops, reverse=True), "in every step, all Stops come before anything else")
         self.lease.pass_time(now_ns, effects)

@@ -63,6 +63,8 @@ class RobotHistory:
         self.settled_ns = 0
         """From when a run is one of them: far enough behind the last Stop and its repeats."""
         self.owing: list[ServoHistory] = []
+        self.sent_again: list[Frame] = []
+        """This step's repeats: an equal frame after one is of a run for legs at rest."""
         """The servos that get a Stop in this step which is no repetition."""
         self.together = False
         """Whether all repeats may go with one that is due, since nothing runs."""
@@ -264,8 +266,10 @@ class RobotHistory:
         for servo_id, _ in transmit.frame.servos:
             demand(not self.servos[servo_id].on, f"{servo_id} runs: its Stops are not repeated any more")
         owed = all(servo.owed > 0 and (self.together or servo.owed_ns <= now_ns) for servo in servos)
+        owed = owed and transmit.frame not in self.sent_again
         if transmit.joins or not owed:
             return [transmit]
+        self.sent_again.append(transmit.frame)
         for servo in servos:
             servo.owed -= not any(each is servo for each in self.owing)
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
@@ -313,9 +317,10 @@ class RobotHistory:
                 servos = servo_ids_of(number)
                 alone = any(not self.servos[each].owed and each not in stopped for each in servos)
                 if alone:
-                    whole: list[Frame] = [stop_leg(number)]
+                    whole = stop_leg(number)
                     singly: list[Frame] = [OneServo(each, STOP) for each in servos]
-                    expected += [(frame, at_once) for frame in (singly if final else whole)]
+                    # The last run has a call and a preamble of its own.
+                    expected += [(frame, False) for frame in singly] if final else [(whole, at_once)]
                 if came or (alone and at_once):
                     self.owe(self.servos_of(number), now_ns)
         found = [(transmit.frame, transmit.joins) for transmit in unowed]
