@@ -66,7 +66,7 @@ SUPPLY_LOW: Final = 8
 """Codes of errors."""
 UNREADABLE: Final = 0
 """The code of an error whose frame does not fit the table: it may concern any output."""
-TWO_BOARDS: Final = -1
+TWO_BOARDS: Final = -1  # mutants accepted (Step): no board's byte is negative
 """Two boards answer, so their outputs are unknown. No board sends this code."""
 
 
@@ -190,15 +190,3 @@ def explained(error: BoardError) -> tuple[str, int]:  # mutants accepted (Step):
     mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
     cause = "overcurrent" if error.code == CONVERTER_OVERCURRENT else "overtemperature"
     return f"{cause}: the power board has switched off its converter {' and '.join(map(str, numbers))}", mask
-
-
-# ---- the servo of the Elkapod's drawings, an MG996R
-
-NO_LOAD_DEG_S: Final = 60 / 0.17
-"""The servo's speed without load at 4.8 V: 60° in 0.17 s."""
-
-IDLE_A: Final = 0.01
-MOVING_A: Final = 0.25
-A_PER_NM: Final = 1.25
-"""A hobby servo's current at rest and in motion without load, and the current that a load adds (assumed, not measured
-on the robot). A servo stalled at 2 N·m draws 2.5 A."""

@@ -38,7 +38,8 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 from gateway.host.shared_page import SensedPage, ServoPage
-from gateway.model.power_board import A_PER_NM, CONVERTER_OVERCURRENT, IDLE_A, MOVING_A, NO_LOAD_DEG_S, CanFrame
+from gateway.model.power_board import CONVERTER_OVERCURRENT, CanFrame
+from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A, NO_LOAD_DEG_S
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 

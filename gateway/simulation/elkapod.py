@@ -33,7 +33,7 @@ from gateway.geometry.model import MASSES
 from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
-from gateway.model.power_board import A_PER_NM, IDLE_A, MOVING_A
+from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.uart import Uart
 from gateway.simulation.controller import KEPT_TRANSFERS, ServoState, SimulatedServos

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import pytest
 
 from gateway.geometry import MAX_SPEED_DEG_S, load
-from gateway.model.power_board import NO_LOAD_DEG_S
+from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.robot import Range, Robot

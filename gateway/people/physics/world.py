@@ -17,7 +17,7 @@ from gateway.geometry import Geometry, joint_name, urdf
 from gateway.geometry.kinematics import BASE, Quaternion, Vector, about, rotated
 from gateway.geometry.model import MASSES
 from gateway.host.shared_page import Sensed
-from gateway.model.power_board import NO_LOAD_DEG_S
+from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.physics.assumed import TORQUE_NM, USUAL, Assumed, Terrain
 from schemas.robot import LEGS, SERVO_IDS
 

@@ -3,7 +3,7 @@
 from collections.abc import Collection
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.model.power_board import (
@@ -91,6 +91,7 @@ def test_an_error_frame_that_is_not_in_the_table_is_an_unknown_error_that_may_co
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
+@example(0x6C, bytes(3))
 def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
     answer = read(CanFrame(identifier, data))
     if isinstance(answer, Supplied):
