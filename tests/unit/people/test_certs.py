@@ -20,7 +20,6 @@ from cryptography import x509
 from cryptography.hazmat.primitives import serialization
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from cryptography.x509.verification import PolicyBuilder, Store, VerificationError
-from typer.testing import CliRunner
 
 from gateway import certs
 from gateway.certs import access, authority, revocation
@@ -29,7 +28,6 @@ from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 from gateway.host.settings_table import ZenohSettings
-from gateway.people.commands.certs import app
 from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io import revoked
@@ -38,22 +36,20 @@ from schemas.revocation import RevocationAck
 from tests.support.certs_folder import (
     DAY,
     HOSTS,
-    MADE_BY_INIT,
     NOW,
     contents,
     fault,
     make_folder,
     mode,
-    names,
     with_one_bit_changed,
 )
+from tests.support.command import Ended, run_here
 from tests.support.robot import Robot as HarnessedRobot
 
 __all__ = ["make_folder"]  # a fixture
 
 
 def test_init_makes_its_files_and_only_the_owner_reads_the_keys(folder: Path) -> None:
-    assert names(folder) == MADE_BY_INIT
     assert mode(folder) == 0o700
     assert {path.name: mode(path) for path in folder.iterdir()} == {
         "ca.key": 0o600,
@@ -145,46 +141,30 @@ def test_a_further_robot_has_a_folder_that_is_installed_like_the_first_ones(fold
 # --- the commands
 
 
-def run(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(app, list(arguments))
-    if isinstance(result.exception, ConfigError):
-        return result.exception.exit_code, str(result.exception)
-    assert result.exception is None or isinstance(result.exception, SystemExit)
-    return result.exit_code, result.output
-
-
-def test_the_commands_from_init_to_list(tmp_path: Path) -> None:
+def test_the_commands_from_init_to_list_and_each_fault_in_one_line(tmp_path: Path) -> None:
     directory, bundle = str(tmp_path / "D"), str(tmp_path / "alice.zip")
-    assert run("init", "--dir", directory, "--host", "robot.local", "--host", "192.0.2.7")[0] == 0
-    code, text = run("issue", "alice", "--role", "operator", "--dir", directory, "--bundle", bundle, "--days", "90")
-    assert (code, "alice.json5" in text, bundle in text) == (0, True, True)
-    code, text = run("list", "--dir", directory)
-    rows = [re.split("  +", line) for line in text.splitlines()]
+
+    def run(*arguments: str, where: str = directory) -> Ended:
+        return run_here("certs", *arguments, "--dir", where)
+
+    init = ("init", "--host", "robot.local", "--host", "192.0.2.7")
+    assert run(*init).returncode == 0
+    issued = run("issue", "alice", "--role", "operator", "--bundle", bundle, "--days", "90")
+    assert (issued.returncode, "alice.json5" in issued.stdout, bundle in issued.stdout) == (0, True, True)
+    rows = [re.split("  +", line) for line in run("list").stdout.splitlines()]
     assert rows[0] == ["NAME", "ROLE", "EXPIRES", "COMMON NAME", "STATE"]
     assert [row[1] for row in rows[1:]] == ["ca", "gateway", "operator"]
-    assert (rows[3][0], rows[3][2:]) == (
-        "alice",
-        [f"{dt.datetime.now(dt.UTC) + 90 * DAY:%Y-%m-%d}", "operator-00", "good"],
-    )
-    listed = json.loads(run("list", "--dir", directory, "--json")[1])
+    expires = f"{dt.datetime.now(dt.UTC) + 90 * DAY:%Y-%m-%d}"
+    assert rows[3] == ["alice", "operator", expires, "operator-00", "good"]
+    listed = json.loads(run("list", "--json").stdout)
     assert [list(each.values()) for each in listed] == rows[1:]
     assert listed[2]["common_name"] == "operator-00"
-    code, text = run("issue", "web", "--role", "console", "--dir", directory, "--host", "robot.local")
-    assert (code, "--cert web.pem --key web.key" in text) == (0, True)
-    assert run("renew", "alice", "--dir", directory)[0] == 0
-
-
-def test_the_commands_fail_with_one_line_and_code_2(tmp_path: Path) -> None:
-    directory = str(tmp_path / "D")
-    assert run("init", "--dir", directory, "--host", "robot.local")[0] == 0
-    for arguments in (
-        ["init", "--dir", directory, "--host", "robot.local"],
-        ["issue", "../alice", "--role", "operator", "--dir", directory],
-        ["list", "--dir", str(tmp_path / "nowhere")],
-    ):
-        code, text = run(*arguments)
-        assert code == 2
-        assert len(text.splitlines()) == 1
+    web = run("issue", "web", "--role", "console", "--host", "robot.local")
+    assert (web.returncode, "--cert web.pem --key web.key" in web.stdout) == (0, True)
+    assert run("renew", "alice").returncode == 0
+    nowhere = run("list", where=str(tmp_path / "nowhere"))
+    for wrong in (run(*init), run("issue", "../alice", "--role", "operator"), nowhere):
+        assert (wrong.returncode, len(wrong.stderr.splitlines())) == (2, 1)
 
 
 # ---- for browsers
@@ -241,19 +221,11 @@ def trusted(authority_file: Path, certificate: Path, key: Path, host: str) -> bo
 # ---- who is shut out
 
 
-def common_name(directory: Path, name: str) -> str:
-    return certs.folder.describe(directory / f"{name}.pem").common_name
-
-
 def issue(directory: Path, *people: str, role: str = "operator") -> list[str]:
     """The common names that they get."""
     for name in people:
         certs.folder.issue(directory, name, role, now=NOW)
-    return [common_name(directory, name) for name in people]
-
-
-def states(directory: Path) -> dict[str, str]:
-    return {each.common_name: state for each, state in certs.folder.states(directory, NOW)}
+    return [certs.folder.describe(directory / f"{name}.pem").common_name for name in people]
 
 
 # ---- common names
@@ -334,7 +306,7 @@ def test_two_folders_that_each_revoked_somebody_are_merged(folder: Path) -> None
     assert revocation.why_not_newer(ours, theirs) is not None
     both = certs.folder.newest(folder, theirs.pem.decode(), now=NOW)
     assert (both.number, set(both.common_names)) == (2, {"operator-00", "operator-01"})
-    assert states(folder)["operator-01"] == "revoked"
+    assert {each.common_name: state for each, state in certs.folder.states(folder, NOW)}["operator-01"] == "revoked"
 
 
 # ---- on the robot
@@ -348,14 +320,17 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
     issue(folder, "anna")
     known = certs.folder.revoke(folder, "anna", now=NOW)
     config = load_config(folder / "gateway.json5")
-    written = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
-    assert written == {"operator": ["operator"], "observer": ["observer"], "button": ["button"]}
-    revoked.list_common_names(config, known)
-    listed = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
-    assert listed["operator"] == [f"operator-{number:02}" for number in range(1, 1000)]
-    assert listed["observer"] == access.every("observer")
-    revoked.list_common_names(config, list_of(folder, 9, *listed["observer"]))
-    nobody = {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
+
+    def listed(known: RevocationList | None) -> dict[str, list[str]]:
+        if known is not None:
+            revoked.list_common_names(config, known)
+        return {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
+
+    assert listed(None) == {"operator": ["operator"], "observer": ["observer"], "button": ["button"]}
+    but_for_anna = listed(known)
+    assert but_for_anna["operator"] == [f"operator-{number:02}" for number in range(1, 1000)]
+    assert but_for_anna["observer"] == access.every("observer")
+    nobody = listed(list_of(folder, 9, *but_for_anna["observer"]))
     assert nobody["observer"] == [access.NOBODY], "Zenoh takes a subject without names as everyone"
 
 
@@ -363,11 +338,8 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
 async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: Path) -> None:
     """Else an older one that comes meanwhile would take its place on the disk."""
     conductor = HarnessedRobot().conductor
-    loop, in_force = (
-        asyncio.get_running_loop(),
-        revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder)),
-    )
-    changes = Revocations(conductor, in_force, loop, lambda: None)
+    in_force = revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
+    changes = Revocations(conductor, in_force, asyncio.get_running_loop(), lambda: None)
     answers: SimpleQueue[bytes] = SimpleQueue()
     for number, accepted in ((6, True), (5, False)):
         changes.change(list_of(folder, number), answers.put)

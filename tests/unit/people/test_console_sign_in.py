@@ -36,9 +36,7 @@ class Visitor:
         self._auth = Auth(self._site, self._sessions)
 
     def sign_in(self) -> SignIn:
-        found = self._sessions.exchange(self._sessions.new_link().partition("=")[2])
-        assert found is not None
-        return found
+        return new_session(self._sessions)
 
     def follow_link(self, card: str) -> str:
         """Where a browser goes that opens a link to this card."""
@@ -62,6 +60,11 @@ class Visitor:
         found = json.loads(answer.text)
         assert session.key not in answer.text
         return found["nonce"], found["proof"]
+
+    def proved(self, session: SignIn) -> str:
+        """What a page with the session's key offers for its WebSocket."""
+        nonce, _ = self.nonce(session)
+        return f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
 
     def comes_in(self, session: SignIn, shown: str, **headers: str) -> bool:
         return isinstance(self.get(f"/ws?{shown}", session, **{"Origin": HERE, **headers}), Entry)
@@ -93,7 +96,7 @@ def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
     session = visitor.sign_in()
     nonce, shown = visitor.nonce(session)
     assert shown == proof(hashed(session.key), f"console mine {nonce}")
-    made = f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
+    made = visitor.proved(session)
     assert visitor.comes_in(session, made)
     assert not visitor.comes_in(session, made), "a nonce serves once"
 
@@ -113,8 +116,7 @@ def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
 def test_foreign_origins(visitor: Visitor, origin: str) -> None:
     """Another page on this machine is as foreign as any: its origin has another port, scheme or name."""
     session = visitor.sign_in()
-    nonce, _ = visitor.nonce(session)
-    made = f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
+    made = visitor.proved(session)
     assert not visitor.comes_in(session, made, Origin=origin)
     assert visitor.status("/", session, Origin=origin) == 403
     assert visitor.status(f"/ws?{made}", session) == 403, "a browser states a WebSocket's origin"
@@ -125,14 +127,8 @@ def test_foreign_origins(visitor: Visitor, origin: str) -> None:
 def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:
     session, other = visitor.sign_in(), visitor.sign_in()
     made = proof(hashed(session.key), "page ")
-    for shown in (
-        "",
-        "nonce=",
-        "nonce=&proof=",
-        f"nonce=&proof={made}",
-        f"key={session.key}",
-        f"nonce=\u00e4&proof={made}",
-    ):
+    empty = ("", "nonce=", "nonce=&proof=", f"nonce=&proof={made}")
+    for shown in (*empty, f"key={session.key}", f"nonce=\u00e4&proof={made}"):
         assert not visitor.comes_in(session, shown)
     for shown in ("\u00e4", "", session.key):
         nonce, _ = visitor.nonce(session)
@@ -153,10 +149,7 @@ def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:
 
 def test_a_nonce_serves_for_a_short_time(visitor: Visitor) -> None:
     session = visitor.sign_in()
-    late, early = (
-        f"nonce={nonce}&proof={proof(hashed(session.key), f'page {nonce}')}"
-        for nonce, _ in (visitor.nonce(session), visitor.nonce(session))
-    )
+    late, early = visitor.proved(session), visitor.proved(session)
     visitor.now_ns += NONCE_NS - 1
     assert visitor.comes_in(session, early)
     visitor.now_ns += 1
@@ -200,18 +193,13 @@ def token_of(link: str) -> str:
     return link.partition("token=")[2]
 
 
-def sign_in(sessions: Sessions) -> str:
-    """The cookie of a new session."""
-    return new_session(sessions).cookie
-
-
 def new_session(sessions: Sessions) -> SignIn:
     found = sessions.exchange(token_of(sessions.new_link()))
     assert found is not None
     return found
 
 
-def test_a_link_works_once(sessions: Sessions) -> None:
+def test_a_link_works_once_and_for_a_time(sessions: Sessions, clock: Clock) -> None:
     sessions.begin(START, "observer")
     token = token_of(sessions.new_link())
     found = sessions.exchange(token)
@@ -221,6 +209,9 @@ def test_a_link_works_once(sessions: Sessions) -> None:
     assert sessions.exchange(token) is None
     assert sessions.cookie(token) is None, "a link is no session"
     assert sessions.exchange(found.cookie) is None, "a session is no link"
+    late = token_of(sessions.new_link())
+    clock.passes(LINK_S)
+    assert sessions.exchange(late) is None
 
 
 def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
@@ -233,12 +224,6 @@ def test_sessions_are_of_one_certificate(sessions: Sessions) -> None:
     assert not sessions.still_valid(session.entry)
     sessions.begin(START, "operator", "operator-00")
     assert not sessions.still_valid(session.entry), "it is over for good"
-
-
-def test_a_link_becomes_too_old(sessions: Sessions, clock: Clock) -> None:
-    token = token_of(sessions.new_link())
-    clock.passes(LINK_S)
-    assert sessions.exchange(token) is None
 
 
 @pytest.mark.parametrize("step_s", [13 * 3600, -2 * 3600, 30 * 365 * 86400, -30 * 365 * 86400])
@@ -259,7 +244,7 @@ def test_a_clock_that_is_set_signs_nobody_out_and_shortens_no_link(
 def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
     sessions: Sessions, clock: Clock, wall_s: float, lasts_s: float
 ) -> None:
-    cookie, token = sign_in(sessions), token_of(sessions.new_link())
+    cookie, token = new_session(sessions).cookie, token_of(sessions.new_link())
     clock.reboots(clock.wall_s + wall_s)
     assert sessions.exchange(token) is None, "how old a link is, nobody knows now"
     sessions.begin(START, "operator")
@@ -274,7 +259,7 @@ def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
 
 
 def test_the_port_has_its_own(sessions: Sessions, tmp_path: Path, clock: Clock) -> None:
-    token = sign_in(sessions)
+    token = new_session(sessions).cookie
     other = Sessions(tmp_path, 8081, clock)
     assert other.cookie(token) is None
     with pytest.raises(ConfigError, match="no console has run there"):
@@ -282,21 +267,19 @@ def test_the_port_has_its_own(sessions: Sessions, tmp_path: Path, clock: Clock) 
 
 
 def test_the_file_holds_no_token_and_is_private(sessions: Sessions, tmp_path: Path) -> None:
-    token = sign_in(sessions)
-    link = token_of(sessions.new_link())
+    session, link = new_session(sessions), token_of(sessions.new_link())
     file = tmp_path / "console-8080.json"
-    assert token not in file.read_text()
-    assert link not in file.read_text()
+    assert not [secret for secret in (session.cookie, session.key, link) if secret in file.read_text()]
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"sessions": 3}', b'{"sessions": [{"sha256": ""}]}', b"\xff"])
 def test_a_faulty_file_lets_nobody_in(sessions: Sessions, tmp_path: Path, content: bytes) -> None:
-    token = sign_in(sessions)
+    token = new_session(sessions).cookie
     (tmp_path / "console-8080.json").write_bytes(content)
     assert sessions.cookie(token) is None
     sessions.begin(START, "operator")
-    assert sessions.cookie(sign_in(sessions)) is not None
+    assert sessions.cookie(new_session(sessions).cookie) is not None
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
