@@ -40,14 +40,12 @@ class Console(Closing):
         port: int | None = None,
         prefix: Sequence[str] = (),
         env: Mapping[str, str] | None = None,
-        descriptors: Sequence[int] = (),
     ) -> None:
-        """`descriptors` stay open in its process."""
         self.port = free_port() if port is None else port
         self.listen = ("--listen", f"{address}:{self.port}")
         self.env = {**os.environ, "STATE_DIRECTORY": str(folder), **(env or {})}
         self._folder = folder
-        self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env, descriptors=descriptors)
+        self.child = Child([*prefix, *COMMAND, "console", *self.listen, *arguments], self.env)
         self.url = self.child.wait_for_output(LINK).removeprefix(LINK).strip()
 
     def new_link(self, card: str = "") -> str:
@@ -99,13 +97,13 @@ class SignedIn(NamedTuple):
 NOBODY: Final = SignedIn("", "")
 
 
-def _opened(url: str, session: SignedIn, origin: str, verify: ssl.SSLContext | None) -> ClientConnection:
+def _opened(url: str, session: SignedIn, verify: ssl.SSLContext | None) -> ClientConnection:
     """A page's WebSocket; dialled again, as a page does, where a busy machine took longer than the console's 5 s."""
 
     def dial() -> ClientConnection:
         return connect(
             f"{url.replace('http', 'ws', 1)}/ws?{session.shown(url, verify)}",
-            additional_headers={"Cookie": session.cookie, "Origin": origin or url},
+            additional_headers={"Cookie": session.cookie, "Origin": url},
             ssl=verify,
             compression=None,
             max_size=2**20,
@@ -129,13 +127,13 @@ def sign_in(link: str, verify: ssl.SSLContext | bool = True) -> SignedIn:
 class Page(Closing):
     """A page's WebSocket. What it hears is read when it is waited for."""
 
-    def __init__(self, url: str, session: SignedIn, origin: str = "", verify: ssl.SSLContext | None = None) -> None:
+    def __init__(self, url: str, session: SignedIn, verify: ssl.SSLContext | None = None) -> None:
         self._ids = itertools.count(1)
         self.heard: list[str] = []
         """Every message so far, as it came."""
         self._kept: defaultdict[str, deque[dict[str, Any]]] = defaultdict(deque)
         with ExitStack() as stack:
-            self.socket: ClientConnection = stack.enter_context(_opened(url, session, origin, verify))
+            self.socket: ClientConnection = stack.enter_context(_opened(url, session, verify))
             self.hello = self.wait("hello")
             self.send(type="alive", now_ms=self.now_ms())
             self._stack = stack.pop_all()

@@ -1,4 +1,4 @@
-"""A simulated controller whose device fails, and whose wire loses bytes, when a test says so."""
+"""A simulated controller whose device fails when a test says so."""
 
 import random
 import time
@@ -26,7 +26,6 @@ class FaultyController(Controller):
         self._cost_ms = self._stall_ms = 0.0
         self._failing_transfers = 0
         self._failing_until_ns = clock()
-        self._bytes_to_take = self._bytes_to_lose = 0
         self.all_off_ns: int | None = None
         """When the last servo was off, since this was last None."""
 
@@ -37,10 +36,6 @@ class FaultyController(Controller):
     def fail_for_ms(self, duration_ms: float) -> None:
         """Let every transfer raise SpiError for a while."""
         self._failing_until_ns = self._clock() + round(duration_ms * 1e6)
-
-    def lose_bytes(self, count: int, *, behind: int = 0) -> None:
-        """Lose `count` bytes on the wire, behind the next `behind`."""
-        self._bytes_to_take, self._bytes_to_lose = behind, count
 
     def fail_where(self, fails: Callable[[bytes], bool], cost_ms: float = 0.0) -> None:
         """Let each transfer of which this is true raise SpiError, after so long."""
@@ -68,10 +63,3 @@ class FaultyController(Controller):
         super().take(data)
         if self.all_off_ns is None and not self.energised:
             self.all_off_ns = self._clock()
-
-    def _receive(self, data: bytes, now_ns: int) -> None:
-        taken = min(self._bytes_to_take, len(data))
-        lost = min(self._bytes_to_lose, len(data) - taken)
-        self._bytes_to_take -= taken
-        self._bytes_to_lose -= lost
-        super()._receive(data[:taken] + data[taken + lost :], now_ns)

@@ -26,9 +26,7 @@ def state(
     mode: Mode = Mode.IDLE,
     *,
     counts: tuple[int, int, int] = (0, 0, 0),
-    frames: int = 0,
     age_ms: float | None = None,
-    watchdog: WatchdogState = WatchdogState.IDLE,
     running: bool = False,
     started_s: float = 0.0,
 ) -> GatewayState:
@@ -47,7 +45,7 @@ def state(
         legs=tuple(
             LegReport(
                 leg=leg,
-                watchdog=watchdog if leg == 3 else WatchdogState.IDLE,
+                watchdog=WatchdogState.IDLE,
                 age_ms=age_ms if leg == 3 else None,
                 servos=(
                     servo(10 * leg + 1, running and leg == 3),
@@ -58,7 +56,7 @@ def state(
             for leg in range(1, 7)
         ),
         commands=CommandCounts(accepted=accepted, rejected=rejected, coalesced=coalesced),
-        spi=SpiReport(device="simulated controller", framing="plain", frames=frames, errors=0),
+        spi=SpiReport(device="simulated controller", framing="plain", frames=0, errors=0),
         watchdog=WatchdogReport(
             timeout_ms=250, expirations=0, stop_latency_us=StopLatency(p50=None, p99=None, max=None)
         ),

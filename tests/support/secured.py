@@ -26,14 +26,13 @@ class Secured(Closing):
         settings: Mapping[str, Mapping[str, Any]] | None = None,
         *,
         address: str = HOST,
-        hosts: Sequence[str] = (HOST,),
         bed: SpiTestbed | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
-        """It listens on `address`; its certificate names `hosts`."""
+        """It listens on `address`."""
         self.folder = folder / "D"
         self.port = free_port()
-        certs.folder.init(self.folder, hosts, port=self.port)
+        certs.folder.init(self.folder, [HOST], port=self.port)
         certs.folder.issue(self.folder, "anna", "operator")
         certs.folder.issue(self.folder, "otto", "observer")
         listen = {"config": str(self.folder / "gateway.json5"), "listen": [f"tls/{address}:{self.port}"]}

@@ -93,11 +93,6 @@ def all_stopped(cause: str) -> list[str]:
     return [f"{cause} {number} stop" for number in range(1, 7)]
 
 
-def staggered(pause_ms: float = 50) -> "Steps":
-    """A robot whose legs are energised one after the other."""
-    return Steps(Rules(repeats=0, rest_runs=0, start_pause_ns=round(pause_ms * NS_PER_MS)))
-
-
 def _ns(at_ms: float) -> int:
     return round((60_000 + at_ms) * NS_PER_MS)
 

@@ -98,5 +98,3 @@ FORMS: Final = {
     for name, form in _forms(setpoint).items()
 }  # fmt: skip
 """By name: the key, and the form of a Stop for servo 32 among others."""
-GOOD: Final = ("application/json; charset=utf-8", "application/json;charset=utf-8", "application/vnd.robot+json")
-"""Encodings with which a Stop is a valid command."""

@@ -6,7 +6,6 @@ import shlex
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Self
 
@@ -27,14 +26,16 @@ class Terminal:
     Without tmux the test is skipped or, in CI, fails in one line that names the package.
     """
 
-    def __init__(self, folder: Path, command: Sequence[str], *, columns: int = 80, rows: int = 24) -> None:
+    def __init__(self, folder: Path, program: str, endpoint: str) -> None:
+        """One of our programs, with its options, which dials this endpoint."""
         skip_where("" if shutil.which("tmux") else "Debian package missing: tmux")
         self._socket = folder / "tmux"  # a path, so that no server of somebody else's is met
         options = folder / "tmux.conf"
         options.write_text('set -g default-terminal "screen-256color"\n')
         # tmux itself loses an exit status now and then.
-        script = f'{shlex.join(command)}; echo "{_ENDED} $?"; stty -a; exec cat'
-        size = ("-x", str(columns), "-y", str(rows))
+        command = shlex.join([*COMMAND, *program.split(), "--connect", endpoint])
+        script = f'{command}; echo "{_ENDED} $?"; stty -a; exec cat'
+        size = ("-x", "80", "-y", "24")
         self._tmux("-f", str(options), "new-session", "-d", *size, shlex.join(["sh", "-c", script]))
 
     def __enter__(self) -> Self:
@@ -47,66 +48,29 @@ class Terminal:
         """Press keys: "Space", "r", "C-c"."""
         self._tmux("send-keys", *keys)
 
-    @property
-    def pid(self) -> int:
-        """The command's process."""
-        shell = self._tmux("display-message", "-p", "#{pane_pid}").strip()
-        return int(Path(f"/proc/{shell}/task/{shell}/children").read_text().split()[0])
-
-    def close(self) -> None:
-        """Close the window, as a person does."""
-        self._tmux("kill-session")
-
-    @property
-    def screen(self) -> str:
-        return self._tmux("capture-pane", "-p")
-
-    @property
-    def words(self) -> str:
-        """The screen with each run of blanks and line ends as one blank, so that wrapping does not matter."""
-        return _words(self.screen)
-
-    @property
-    def status(self) -> int | None:
-        """The command's exit status, None while it runs."""
-        found = re.search(rf"{_ENDED} (\d+)", self.words)
-        return int(found[1]) if found else None
-
     def wait(self, *texts: str, timeout_s: float = LATE_S) -> str:
-        """Wait until all of `texts` are on the screen; its words."""
-        return self.wait_until(lambda words: all(text in words for text in texts), f"{texts}", timeout_s)
+        """Wait until all of `texts` are on the screen; its words, of which wrapping parts none.
 
-    def wait_until(self, holds: Callable[[str], bool], what: str, timeout_s: float = LATE_S) -> str:
-        """Wait until `holds` for the screen's words. Raises TimeoutError that shows the screen."""
-        screen = self.wait_for_screen(lambda screen: holds(_words(screen)), what, timeout_s)
-        return _words(screen)
-
-    def wait_for_screen(self, holds: Callable[[str], bool], what: str, timeout_s: float = LATE_S) -> str:
-        """The same for the screen, line by line: all of one picture is looked at, while the next may come."""
+        Raises TimeoutError that shows the screen.
+        """
         deadline = time.monotonic() + timeout_s
-        while not holds(screen := self.screen):
+        while True:
+            screen = self._tmux("capture-pane", "-p")
+            words = " ".join(screen.split())
+            if all(text in words for text in texts):
+                return words
             if time.monotonic() > deadline:
-                raise TimeoutError(f"waited {timeout_s} s for {what}; on the screen:\n{screen}")
+                raise TimeoutError(f"waited {timeout_s} s for {texts}; on the screen:\n{screen}")
             time.sleep(POLL_S)
-        return screen
 
     def wait_for_end(self, timeout_s: float = LATE_S) -> int:
         """Wait until the command ends; its exit status."""
-        self.wait_until(lambda _: self.status is not None, "its end", timeout_s)
-        assert self.status is not None
-        return self.status
+        found = re.search(rf"{_ENDED} (\d+)", self.wait(f"{_ENDED} ", timeout_s=timeout_s))
+        assert found is not None
+        return int(found[1])
 
     def _tmux(self, *arguments: str) -> str:
         command = ["tmux", "-u", "-S", str(self._socket), *arguments]
         env = {**os.environ, "LC_ALL": "C.UTF-8"}
         env.pop("TMUX", None)
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LATE_S, env=env).stdout
-
-
-def at_terminal(folder: Path, program: str, endpoint: str, *, columns: int = 80, rows: int = 24) -> Terminal:
-    """One of our programs, with its options, which dials this endpoint."""
-    return Terminal(folder, [*COMMAND, *program.split(), "--connect", endpoint], columns=columns, rows=rows)
-
-
-def _words(screen: str) -> str:
-    return " ".join(screen.split())

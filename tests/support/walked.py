@@ -62,20 +62,20 @@ class Walked:
         self.margin_m = math.inf
         self.velocity = STILL
 
-    def tick(self, velocity: Velocity = STILL, seconds: float = TICK_S) -> None:
+    def tick(self, velocity: Velocity = STILL) -> None:
         """One tick, and the checks."""
         before_feet, stood = dict(feet_of(self.engine)), legs_that_carry(self.engine)
         before_ground = {leg: self._on_the_floor(leg) for leg in before_feet}
         walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
-        after = self.engine.step(velocity, seconds)
-        self._check_servos(after, min(seconds, 0.1))
+        after = self.engine.step(velocity, TICK_S)
+        self._check_servos(after)
         if walked and self.engine.posture in (Posture.STANDING, Posture.WALKING):
             self._check_stance(before_feet, stood)
             for leg, (_, _, height_m) in before_feet.items():
                 if feet_of(self.engine)[leg][2] < height_m < _LOW_M:
                     moved_m = math.dist(before_ground[leg], self._on_the_floor(leg))
                     assert moved_m < 1e-9, "a foot that comes down moves over the ground"
-            self._check_velocity(seconds)
+            self._check_velocity()
         if self.checks_balance and self.engine.body.height_m > self.robot.lying_m + 0.001:
             self._check_balance()
         self.pose, self.velocity = after, velocity_of(self.engine)
@@ -85,12 +85,12 @@ class Walked:
         for _ in range(round(seconds / TICK_S)):
             self.tick(velocity)
 
-    def until(self, posture: Posture, at_most_s: float, velocity: Velocity = STILL) -> float:
+    def until(self, posture: Posture, at_most_s: float) -> float:
         """Ticks until it has that posture; how long that took."""
         for count in range(round(at_most_s / TICK_S) + 1):
             if self.engine.posture is posture:
                 return count * TICK_S
-            self.tick(velocity)
+            self.tick()
         raise AssertionError(f"after {at_most_s} s it is {self.engine.posture}, {self.engine.limit}")
 
     def copy(self) -> "Walked":
@@ -105,13 +105,13 @@ class Walked:
         cosine, sine = math.cos(at.heading_rad), math.sin(at.heading_rad)
         return at.x_m + cosine * x - sine * y, at.y_m + sine * x + cosine * y
 
-    def _check_servos(self, after: Pose, seconds: float) -> None:
+    def _check_servos(self, after: Pose) -> None:
         for leg, angles in after.items():
             for joint, (old, new) in enumerate(zip(self.pose.get(leg, angles), angles, strict=True), start=1):
                 allowed = self.robot.ranges[10 * leg + joint]
                 assert 0 <= new <= 180
                 assert allowed.min_deg <= new <= allowed.max_deg
-                most_deg = allowed.max_speed_deg_s * seconds + _ROUNDING
+                most_deg = allowed.max_speed_deg_s * TICK_S + _ROUNDING
                 assert abs(new - old) <= most_deg, f"servo {leg}{joint} is too fast"
 
     def _check_stance(self, before: dict[int, tuple[float, float, float]], stood: frozenset[int]) -> None:
@@ -125,11 +125,11 @@ class Walked:
             (a, b), (c, d) = moved[one], moved[other]
             assert math.dist(b, d) == pytest.approx(math.dist(a, c), abs=1e-9), "two feet that stand went apart"
 
-    def _check_velocity(self, seconds: float) -> None:
+    def _check_velocity(self) -> None:
         old, new = self.velocity, velocity_of(self.engine)
         gained = math.hypot(new.forward_m_s, new.left_m_s) - math.hypot(old.forward_m_s, old.left_m_s)
-        assert gained <= SLEW_M_S2 * seconds + _ROUNDING
-        assert abs(new.turn_rad_s) - abs(old.turn_rad_s) <= SLEW_RAD_S2 * seconds + _ROUNDING
+        assert gained <= SLEW_M_S2 * TICK_S + _ROUNDING
+        assert abs(new.turn_rad_s) - abs(old.turn_rad_s) <= SLEW_RAD_S2 * TICK_S + _ROUNDING
 
     def _check_balance(self) -> None:
         engine = self.engine

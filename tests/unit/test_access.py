@@ -55,7 +55,7 @@ def gateway(tmp_path: Path) -> zenoh.Config:
     return config(gateway_json5(["robot.local"], 7447), tmp_path)
 
 
-def allowed(made: zenoh.Config, role: str, prefix: str = "") -> set[Said]:
+def allowed(made: zenoh.Config, role: str) -> set[Said]:
     """All messages that a client with this common name may send or receive, by Zenoh's documented rules."""
     control = get(made, "access_control")
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
@@ -72,7 +72,7 @@ def allowed(made: zenoh.Config, role: str, prefix: str = "") -> set[Said]:
         if any(
             flow in rule["flows"]
             and message in rule["messages"]
-            and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(prefix + key)) for each in rule["key_exprs"])
+            and any(zenoh.KeyExpr(each).includes(zenoh.KeyExpr(key)) for each in rule["key_exprs"])
             for rule in rules
         )
     }

@@ -19,11 +19,6 @@ def check(config: Path) -> Ended:
     return run_here("check", "--config", str(config))
 
 
-def lines(config: Path, name: str) -> list[str]:
-    """What `check` prints under this name."""
-    return [line for line in check(config).stdout.splitlines() if line[9:].startswith(name)]
-
-
 # ---- the command
 
 

@@ -1,11 +1,8 @@
 """A gait's stream against a real gateway: what it sends, how it ends, and whose legs that end stops."""
 
-import time
-from collections.abc import Callable
-
 import pytest
 
-from gateway.client import Client, DisconnectedError, RejectedError, Stream
+from gateway.client import Client, DisconnectedError, RejectedError
 from gateway.model.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
 from tests.support.cut_link import CutLink
@@ -24,22 +21,6 @@ watcher = client_fixture("somebody else", rests=True)
 robot = client_fixture(None)
 anna = client_fixture("anna", rests=True)
 bert = client_fixture("bert")
-
-
-def go_on(stream: Stream, *legs: int, until: Callable[[], bool] = lambda: False) -> None:
-    """Set these legs until it raises, or that holds; for ten seconds at most."""
-    end_s = time.monotonic() + 10
-    while not until():
-        stream.set(dict.fromkeys(legs, POSE))
-        assert time.monotonic() < end_s, "nothing has ended it"
-
-
-def walk(robot: Client, then: Callable[[], object]) -> None:
-    """A stream of one leg, in which something happens."""
-    with robot.stream(HZ) as stream:
-        stream.set({1: POSE})
-        then()
-        go_on(stream, 1)
 
 
 def test_the_first_setpoint_of_a_leg_starts_it_and_the_end_stops_what_was_moved(robot: Client, watcher: Client) -> None:

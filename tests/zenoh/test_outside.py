@@ -10,9 +10,6 @@ import pytest
 
 from gateway.robot.spi import outside
 from gateway.robot.spi.outside import Listener, Notice
-from schemas import keys
-
-LEG_3 = keys.leg_command(3)
 
 
 @pytest.fixture

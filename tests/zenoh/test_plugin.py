@@ -15,7 +15,7 @@ from tests.support.child import Child
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, states
-from tests.support.plugin import NAME, Call, Installed
+from tests.support.plugin import NAME, Installed
 
 LEG_3 = {31: 90.0, 32: 45.0, 33: 120.0}
 
@@ -30,10 +30,6 @@ def gateway(plugin: Installed, tmp_path: Path) -> Iterator[Gateway]:
     env = {**plugin.env, "RUNTIME_DIRECTORY": str(tmp_path)}
     with Gateway(tmp_path, patient(wire=plugin.section), options=(), env=env) as running:
         yield running
-
-
-def stops_of(calls: list[Call]) -> list[set[int]]:
-    return [set(each.changes) for each in calls if each.stops]
 
 
 def stop_servos(gateway: Gateway, plugin: Installed) -> Child:

@@ -14,7 +14,7 @@ from schemas.telemetry import Mode
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
-from tests.support.tmux import LATE_S, at_terminal
+from tests.support.tmux import LATE_S, Terminal
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
@@ -23,7 +23,7 @@ watcher = client_fixture("watcher")
 
 
 def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
-    with at_terminal(tmp_path, "walk", gateway.endpoint) as terminal:
+    with Terminal(tmp_path, "walk", gateway.endpoint) as terminal:
         terminal.wait("Nothing moves before you press a key.", "drives", "It lies")
         assert watcher.state().mode == Mode.IDLE
         terminal.press("t")

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.people.client import pace as pace_module
 from gateway.people.client import silence as silence_module
-from gateway.people.client.pace import MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians, SetpointPace
+from gateway.people.client.pace import MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
 from gateway.people.client.silence import SILENT_MS, WHY_EVERY_S, Silence
 from gateway.people.console.pages.page_messages import LinkMessage
@@ -82,13 +82,6 @@ def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -
 
 
 BEGUN_S = 1000.0
-PERIOD_S = 0.02
-
-
-def begun() -> SetpointPace:
-    pace = SetpointPace(1 / PERIOD_S)
-    pace.begin(BEGUN_S)
-    return pace
 
 
 WATCHDOG_S = 0.25

@@ -126,11 +126,8 @@ def by_own_tools(name: x509.Name = OPERATOR, key: Any = ANNA.key, **changes: Any
     return proof(certificate=pem(own_certificate(key, name, **changes)))
 
 
-def armoured(text: str) -> Proof:
-    return proof(certificate=f"-----BEGIN CERTIFICATE-----\n{text}\n-----END CERTIFICATE-----\n")
-
-
 UNSIGNED, FORGED = "is not signed by this gateway's CA", "proof.signature is not made"
+RUBBISH = "-----BEGIN CERTIFICATE-----\nAAAA\n-----END CERTIFICATE-----\n"
 NO_OPERATOR, NO_PEM = "not that of an operator", "no X.509 certificate in PEM form"
 BAD: dict[str, tuple[Callable[[], Proof], str]] = {
     "another verb's": (lambda: proof(do="ask"), FORGED),
@@ -153,7 +150,7 @@ BAD: dict[str, tuple[Callable[[], Proof], str]] = {
     "without a person": (lambda: by_own_tools(x509.Name(OPERATOR.rdns[:1])), "source is not the person"),
     "of a key of another kind": (lambda: by_own_tools(key=ED), FORGED),
     "4 KB of rubbish": (lambda: proof(certificate="x" * 4000), NO_PEM),
-    "rubbish in PEM": (lambda: armoured("AAAA"), NO_PEM),
+    "rubbish in PEM": (lambda: proof(certificate=RUBBISH), NO_PEM),
     "nothing": (lambda: proof(certificate="", signature=""), NO_PEM),
     "no base64": (lambda: proof(signature=f"§{proof().signature}"), FORGED),
     "base64 with more in it": (lambda: proof(signature=f"!{proof().signature}"), FORGED),
@@ -204,8 +201,8 @@ def test_few_nonces_are_remembered_the_newest() -> None:
 class Desk(LeaseAnswers):
     """Wants proofs, in a time of the test's; keeps what it would ask the conductor, and what it rejects."""
 
-    def __init__(self, checker: ProofChecker | None = CHECKER) -> None:
-        super().__init__(cast(Conductor, None), 1000, checker, wall_clock=lambda: NOW)
+    def __init__(self) -> None:
+        super().__init__(cast(Conductor, None), 1000, CHECKER, wall_clock=lambda: NOW)
         self.now_ns = 1_000_000_000_000
         self.requests: list[LeaseRequest] = []
         self.rejected: list[tuple[str | None, Reason, str]] = []

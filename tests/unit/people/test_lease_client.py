@@ -110,9 +110,9 @@ class Told:
         self.once.set()
 
 
-def lease_of(robot: Any, told: Told | None = None, *, take: bool = False, wait_s: float = 0.0) -> Lease:
+def lease_of(robot: Any, told: Told | None = None, *, wait_s: float = 0.0) -> Lease:
     told = told or Told()
-    return Lease(robot, take=take, wait_s=wait_s, source=None, on_lost=told.on_lost, on_asked=told.on_asked)
+    return Lease(robot, take=False, wait_s=wait_s, source=None, on_lost=told.on_lost, on_asked=told.on_asked)
 
 
 def test_it_renews_by_itself_and_releases_at_the_end() -> None:
@@ -221,9 +221,6 @@ def test_nothing_that_can_be_printed_of_a_lease_that_is_lost_has_the_token(
 # ---- who it is: its certificate, and a nonce signed with the key of it
 
 
-NONCE = "0123456789abcdef" * 2
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("certs") / "D"
@@ -247,7 +244,7 @@ def test_it_is_the_person_of_the_certificate_that_the_zenoh_file_names(folder: P
 
 
 def test_it_fits_into_a_payload(folder: Path) -> None:
-    request = {"do": "acquire", "source": "a" * 64, "proof": anna(folder).prove("acquire", "a" * 64, NONCE)}
+    request = {"do": "acquire", "source": "a" * 64, "proof": anna(folder).prove("acquire", "a" * 64, TOKEN)}
     assert len(json.dumps(request)) < 2048
 
 
@@ -261,9 +258,9 @@ def test_a_key_that_cannot_sign_is_one_sentence(folder: Path, tmp_path: Path) ->
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ConfigError, match=said):
-            Identity(folder / "anna.pem", tmp_path / name).prove("ask", "anna", NONCE)
+            Identity(folder / "anna.pem", tmp_path / name).prove("ask", "anna", TOKEN)
     with pytest.raises(ConfigError, match="cannot read the key"):
-        Identity(folder / "anna.pem", tmp_path / "absent.key").prove("ask", "anna", NONCE)
+        Identity(folder / "anna.pem", tmp_path / "absent.key").prove("ask", "anna", TOKEN)
 
 
 def test_a_certificate_without_a_person_is_one_sentence(tmp_path: Path) -> None:

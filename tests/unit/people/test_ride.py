@@ -76,20 +76,15 @@ def test_legs_that_another_left_standing_are_held_at_once_and_sit_in_silence() -
 class Pad:
     """A page: wishes 25 times a second, until it is frozen."""
 
-    def __init__(self, silences: Silences = PAGE) -> None:
-        self.ridden = Ridden(silences, once=True)
+    def __init__(self) -> None:
+        self.ridden = Ridden(PAGE, once=True)
         self.press = 0
         self.hold()
 
-    def hold(
-        self, velocity: Velocity = STILL, *, gait: str = "tripod", height_m: float | None = None, sits: bool = False
-    ) -> None:
+    def hold(self, velocity: Velocity = STILL) -> None:
         """A new press."""
         self.press += 1
-        self.wanted = Wish(self.press, velocity, gait, height_m, sits)
-
-    def let_go(self) -> None:
-        self.wanted = self.wanted._replace(velocity=STILL)
+        self.wanted = Wish(self.press, velocity)
 
     def wish(self) -> None:
         self.ridden.ride.wish(self.wanted, self.ridden.now_s)
@@ -111,13 +106,12 @@ class Pad:
         return self.press <= self.ridden.ride.spent
 
 
-def held(velocity: Velocity = AHEAD, silences: Silences = PAGE) -> Pad:
-    """It walks, if that is a velocity."""
-    pad = Pad(silences)
+def held() -> Pad:
+    """It walks."""
+    pad = Pad()
     pad.until(Posture.STANDING)
-    pad.hold(velocity)
-    if velocity.moves:
-        pad.until(Posture.WALKING)
+    pad.hold(AHEAD)
+    pad.until(Posture.WALKING)
     return pad
 
 

@@ -1,6 +1,6 @@
 """What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import timedelta
 from types import SimpleNamespace
 from typing import Any, Self
@@ -131,12 +131,12 @@ def stream(robot: Any) -> Iterator[Stream]:
         yield found
 
 
-def go_on(robot: Robot, stream: Stream, for_s: float, legs: Iterable[int] = (1, 2), *, publishes: bool = True) -> None:
+def go_on(robot: Robot, stream: Stream, for_s: float, *, publishes: bool = True) -> None:
     end_s = robot.now_s + for_s
     for _ in range(round(for_s * HZ) + 1):
         if robot.now_s >= end_s:
             break
-        stream.set(dict.fromkeys(legs, POSE))
+        stream.set({1: POSE, 2: POSE})
         if publishes:
             robot.publish_state()
 

@@ -34,11 +34,9 @@ def telemetry(feet: list[float] | None = None, roll_rad: float = 0.0, pitch_rad:
 class Ground:
     """A floor below an engine: `height_m` at a place, and a slope that leans the body; a foot presses with 1."""
 
-    def __init__(
-        self, walked: Walked, height_m: Callable[[int, float], float], roll_rad: float = 0.0, pitch_rad: float = 0.0
-    ) -> None:
+    def __init__(self, walked: Walked, height_m: Callable[[int, float], float], pitch_rad: float = 0.0) -> None:
         self.engine = walked.engine
-        self._height_m, self._slope = height_m, (roll_rad, pitch_rad)
+        self._height_m, self._pitch_rad = height_m, pitch_rad
         self.stuck: dict[int, float] = {}
 
     def read(self) -> Telemetry:
@@ -49,7 +47,7 @@ class Ground:
         carried_m = sorted(deep_m)[-3] - 0.001  # the body sinks until three feet touch
         feet = [self.stuck.get(leg, float(depth > carried_m)) for leg, depth in zip(LEGS, deep_m, strict=True)]
         body = engine.body
-        return telemetry(feet, body.roll_rad + self._slope[0], body.pitch_rad + self._slope[1])
+        return telemetry(feet, body.roll_rad, body.pitch_rad + self._pitch_rad)
 
     def run(self, seconds: float, velocity: Velocity = STILL) -> None:
         for _ in range(round(seconds / TICK_S)):
