@@ -24,14 +24,6 @@ _LOW_M: Final = 0.010
 """Servos give way under load, so a foot may touch the ground from here on."""
 
 
-def copied(engine: Engine) -> Engine:
-    """Another engine that goes on by itself from here."""
-    new = copy(engine)
-    new._state, new._wanted, new._senses = engine._state.copy(), engine._wanted.copy(), copy(engine._senses)
-    new._senses._seen = dict(engine._senses._seen)
-    return new
-
-
 def feet_of(engine: Engine) -> Mapping[int, Vector]:
     """The positions of its feet, in the ground frame."""
     return engine._state.feet
@@ -95,8 +87,11 @@ class Walked:
 
     def copy(self) -> "Walked":
         """Another one that goes on by itself from here."""
-        new = copy(self)
-        new.engine = copied(self.engine)
+        new, engine = copy(self), copy(self.engine)
+        engine._state, engine._wanted = engine._state.copy(), engine._wanted.copy()
+        engine._senses = copy(engine._senses)
+        engine._senses._seen = dict(engine._senses._seen)
+        new.engine = engine
         return new
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:

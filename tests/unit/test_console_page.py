@@ -22,7 +22,8 @@ def test_every_file_that_the_page_names_is_there() -> None:
     assert {"main.js", "button.js", "button.css"} <= {*named}
     named.remove("button")  # a page of its own
     for module in MODULES:
-        named += [f"{module.parent.relative_to(PAGE)}/{path}" for path in _imports(module.read_text())]
+        imports = re.findall(r'(?:from|import\() ?"(\.[^"]+)"', module.read_text())
+        named += [f"{module.parent.relative_to(PAGE)}/{path}" for path in imports]
     for path in named:
         assert (PAGE / path).is_file(), path
 
@@ -47,7 +48,3 @@ def test_three_is_as_it_was_made_with_its_licence_and_has_what_the_page_uses() -
     exported = set(re.findall(r" as (\w+)[,}]", made.decode().rpartition("export{")[2]))
     used = {name for module in MODULES for name in re.findall(r"\bthree\.([A-Z]\w+)", module.read_text())}
     assert exported == used, "make three"
-
-
-def _imports(module: str) -> list[str]:
-    return re.findall(r'(?:from|import\() ?"(\.[^"]+)"', module)

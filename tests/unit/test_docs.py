@@ -39,14 +39,11 @@ MADE_ELSEWHERE = frozenset(
 """Files of the reader's own, which the pages tell how to make or fill."""
 
 
-def exists(path: str) -> bool:
-    """From the root, or inside `gateway/` or `tests/`."""
-    return any((ROOT / parent / path).exists() for parent in ("", "gateway", "tests"))
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_the_files_that_a_page_names_exist(page: Path) -> None:
-    assert {path for path in named(page.read_text()) if not exists(path)} == set()
+    """From the root, or inside `gateway/` or `tests/`."""
+    parents = (ROOT, ROOT / "gateway", ROOT / "tests")
+    assert {path for path in named(page.read_text()) if not any((each / path).exists() for each in parents)} == set()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -104,21 +104,12 @@ def test_schema_and_model_accept_the_same_with_each_value_in_each_place(name: st
     visit(value)
 
 
-def as_any_reader_sees_it(payload: object) -> object:
-    """A fault's payload as parsed JSON; None where only the text is at fault, which no schema can see."""
-    text = payload if isinstance(payload, str) else json.dumps(payload)
-    if any(word in text for word in ("NaN", "Infinity")):
-        return None
-    return json.loads(text)
-
-
 @pytest.mark.parametrize(("key", "payload", "detail"), FAULTS, ids=lambda value: repr(value)[:50])
 def test_what_the_intake_rejects_no_schema_accepts(key: CommandKey, payload: object, detail: str) -> None:
-    if "given twice" in detail:
-        return  # parsed, one of the two is left
-    value = as_any_reader_sees_it(payload)
-    if value is not None:
-        assert not VALIDATORS[NAMES[key.target]].is_valid(value)
+    """But where only the text is at fault, which no schema can see: parsed, one of two equal names is left."""
+    text = payload if isinstance(payload, str) else json.dumps(payload)
+    if "given twice" not in detail and not any(word in text for word in ("NaN", "Infinity")):
+        assert not VALIDATORS[NAMES[key.target]].is_valid(json.loads(text))
 
 
 def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:

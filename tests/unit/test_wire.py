@@ -27,13 +27,12 @@ BEFORE_CONFIG = ("1.0", "1.1", "1.2", "1.3")
 """Their states have the configuration inside, as recordings of rides do."""
 
 
-def model_of(path: Path) -> type[BaseModel]:
-    whole = path.stem == "state" and path.parent.name in BEFORE_CONFIG
-    return GatewayState if whole else MODELS[path.stem]
-
-
 RECORDED = [
-    (f"{path.parent.name}/{path.name}:{number}", model_of(path), line)
+    (
+        f"{path.parent.name}/{path.name}:{number}",
+        GatewayState if path.stem == "state" and path.parent.name in BEFORE_CONFIG else MODELS[path.stem],
+        line,
+    )
     for path in sorted(WIRE.glob("*/*.jsonl"))
     for number, line in enumerate(path.read_text().splitlines(), start=1)
 ]

@@ -15,14 +15,13 @@ from gateway.client import Client
 from gateway.model.frames import OneServo, Op, ServoOp, decode
 from gateway.onboard.check import move as module
 from gateway.people.walking.robot import Robot
-from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Cause, FrameRecord, GatewayState, Mode, Reason
+from schemas.telemetry import Cause, FrameRecord, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import Heard, frames
+from tests.support.heard import Heard, frames, is_stop, states
 
 # Patient, for a busy machine: no servo is stopped but by command; and each test starts where it says.
 gateway = gateway_fixture(
@@ -179,15 +178,6 @@ WHOLE: dict[str, dict[str, object]] = {
 }
 
 
-@pytest.fixture
-def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Gateway, Client, Heard[FrameRecord]]]:
-    """Its gateway, once the controller has answered."""
-    monkeypatch.setattr(module, "_HOLD_S", 0.2)
-    with Gateway(tmp_path, WHOLE) as gateway, gateway.client() as client:
-        Heard(client, keys.STATE, GatewayState).wait(lambda state: state.controller.alive is True)
-        yield gateway, client, frames(client)
-
-
 def legs_written(heard: Heard[FrameRecord]) -> list[tuple[Op, dict[int, int]]]:
     """Operation and angles of all six legs of each command, repeats of one target once."""
     records = [record for record in heard.all if record.cause == Cause.COMMAND]
@@ -198,15 +188,19 @@ def legs_written(heard: Heard[FrameRecord]) -> list[tuple[Op, dict[int, int]]]:
 
 
 def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
-    whole: tuple[Gateway, Client, Heard[FrameRecord]], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gateway, client, heard = whole
+    monkeypatch.setattr(module, "_HOLD_S", 0.2)
     monkeypatch.setattr(sys, "stdin", io.StringIO("23\n\nyes\nyes\nyes\n"))
-    end = gateway.run("check", "--move")
+    with Gateway(tmp_path, WHOLE) as gateway, gateway.client() as client:
+        states(client).wait(lambda state: state.controller.alive is True)
+        heard = frames(client)
+        end = gateway.run("check", "--move")
+        heard.wait(is_stop)
+        assert client.state().mode is Mode.IDLE
     assert end.returncode == 0, str(end)
     assert "all 18 servos will go at once to its lying pose" in end.stderr
     assert "All servos are stopped." in end.stderr
-    heard.wait(lambda record: decode(bytes.fromhex(record.bytes)).is_stop)
     start, held, moved, stopped = legs_written(heard)[:4]
     assert [op for op, _ in (start, held, moved, stopped)] == [Op.START, Op.SET, Op.SET, Op.STOP]
     assert start[1] == held[1]
@@ -218,4 +212,3 @@ def test_all_legs_start_lying_one_servo_moves_and_all_are_stopped(
     for leg in LEGS:
         one, two, three = (start[1][10 * leg + joint] / 100 for joint in JOINTS)
         assert robot.foot_m(leg, (one, two, three))[2] > -robot.lying_m, "no leg pushes against the ground"
-    assert client.state().mode is Mode.IDLE

@@ -113,10 +113,6 @@ def is_free(page: Page) -> None:
     page.state(lambda state: state["mode"] == "idle" and state["lease"]["holder"] is None)
 
 
-def is_idle(page: Page) -> None:
-    page.state(lambda state: state["mode"] == "idle")
-
-
 def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_one_that_is_closed_sits(
     console: Console, session: SignedIn, robot: Client
 ) -> None:
@@ -181,7 +177,7 @@ def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: P
     stopped = page.wait("state", lambda message: message["state"]["mode"] == "estopped")
     assert stopped["now"] == "Emergency stop by watcher: nothing runs until a reset"
     assert page.reset(robot.state().estop)["ack"]["accepted"]
-    is_idle(page)
+    page.state(lambda state: state["mode"] == "idle")
     assert page.wait("state", lambda _: True)["now"] == "No servo runs"
     for _ in range(10):
         assert page.state()["mode"] == "idle"

@@ -44,7 +44,8 @@ def test_as_the_first_process_it_ends_in_time_with_the_gateways_code(tmp_path: P
     config = write_settings(tmp_path / "gateway.toml", {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}})
     with _container(tmp_path, "--sim", "--config", str(config)) as child:
         child.wait_for_output(READY, timeout_s=60)
-        os.kill(_first(child.pid), number)
+        children = Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text()
+        os.kill(int(children.split()[0]), number)
         assert child.wait() == 0
 
 
@@ -67,7 +68,3 @@ def _container(folder: Path, *arguments: str) -> Child:
     runtime.mkdir()
     environment = {**os.environ, "RUNTIME_DIRECTORY": str(runtime), "PATH": f"{program.parent}:{os.environ['PATH']}"}
     return Child(["unshare", "--pid", "--fork", "--mount-proc", str(SCRIPT), *arguments], environment)
-
-
-def _first(parent: int) -> int:
-    return int(Path(f"/proc/{parent}/task/{parent}/children").read_text().split()[0])

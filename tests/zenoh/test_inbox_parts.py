@@ -150,29 +150,23 @@ async def test_its_answer_waits_for_nobody_elses(session: zenoh.Session, held: H
 # ---- threads
 
 
-def any_ended(threads: list[threading.Thread]) -> bool:
-    return not all(thread.is_alive() for thread in threads)
+ENDS: list[Callable[[Inbox], None]] = [
+    *(lambda inbox, place=place: inbox._declared[place].undeclare() for place in (-5, -4, -3, -2)),
+    lambda inbox: inbox._asked[LEASE].close(),
+    lambda inbox: inbox._replies.close(),
+    lambda inbox: inbox._estop_replies.close(),
+]
 
 
-async def test_each_of_its_threads_that_ends_is_noticed(session: zenoh.Session) -> None:
-    ways: list[Callable[[Inbox], None]] = [
-        *(lambda inbox, place=place: inbox._declared[place].undeclare() for place in (-5, -4, -3, -2)),
-        lambda inbox: inbox._asked[LEASE].close(),
-        lambda inbox: inbox._replies.close(),
-        lambda inbox: inbox._estop_replies.close(),
-    ]
-    ended = 0
-    for end in ways:
-        held = Held(session)
-        assert held.inbox.receives
-        alive = [thread for thread in held.inbox._threads if thread.is_alive()]
-        end(held.inbox)
-        await held.until(partial(any_ended, alive))
-        assert not held.inbox.receives
-        ended += 1
-        await held.close()
-        assert not any(thread.is_alive() for thread in held.inbox._threads)
-    assert ended == 7
+@pytest.mark.parametrize("end", ENDS)
+async def test_each_of_its_threads_that_ends_is_noticed(held: Held, end: Callable[[Inbox], None]) -> None:
+    assert held.inbox.receives
+    alive = [thread for thread in held.inbox._threads if thread.is_alive()]
+    end(held.inbox)
+    await held.until(lambda: not all(thread.is_alive() for thread in alive))
+    assert not held.inbox.receives
+    await held.close()
+    assert not any(thread.is_alive() for thread in held.inbox._threads)
 
 
 async def test_a_mistake_is_told_to_the_loop_and_does_not_end_the_hearing(session: zenoh.Session, held: Held) -> None:

@@ -7,7 +7,6 @@ from typing import Final
 import pytest
 import zenoh
 
-from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Kind
 from tests.support.child import Child
@@ -26,34 +25,30 @@ PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_00
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
 
 
-def walks_and_sinks(client: Client) -> None:
-    """It stands up, walks ten centimetres, sinks at an emergency stop, and stands up again."""
-    assert client.state().simulated
-    heard = bodies(client)
-    lying = heard.wait(lambda _: True)
-    assert lying.upright
-    assert lying.position_m[2] < 0.08
-    with client.walk() as walk:
-        walk.stand()
-        standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
-        assert any(servo.torque_nm for servo in standing.servos.values())
-        while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
-            walk.go(0.08)
-        walk.stand()
-        pose = client.state().legs[0].servos[1].angle_deg
-        assert pose is not None
-        heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
-        stopped = client.estop()
-        assert stopped.accepted
-        fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
-        assert fallen.velocity_m_s[2] < 0
-        client.reset(stopped.estop)
-        walk.start_again()
-
-
 def test_it_walks_and_an_emergency_stop_lets_it_sink(gateway: Gateway) -> None:
+    """It stands up, walks ten centimetres, sinks at an emergency stop, and stands up again."""
     with gateway.client() as client:
-        walks_and_sinks(client)
+        assert client.state().simulated
+        heard = bodies(client)
+        lying = heard.wait(lambda _: True)
+        assert lying.upright
+        assert lying.position_m[2] < 0.08
+        with client.walk() as walk:
+            walk.stand()
+            standing = heard.wait(lambda body: body.position_m[2] > 0.14 and all(body.feet))
+            assert any(servo.torque_nm for servo in standing.servos.values())
+            while heard.all[-1].position_m[0] < standing.position_m[0] + 0.1:
+                walk.go(0.08)
+            walk.stand()
+            pose = client.state().legs[0].servos[1].angle_deg
+            assert pose is not None
+            heard.wait(lambda body: abs(body.servos["12"].angle_deg - pose) < 5)
+            stopped = client.estop()
+            assert stopped.accepted
+            fallen = heard.wait(lambda body: body.position_m[2] < 0.1 and body.position_m[0] > 0.05)
+            assert fallen.velocity_m_s[2] < 0
+            client.reset(stopped.estop)
+            walk.start_again()
 
 
 def test_what_another_program_publishes_there_is_reported_and_recognised(gateway: Gateway, tmp_path: Path) -> None:

@@ -116,14 +116,6 @@ def make_robot(tmp_path: Path) -> Robot:
     return Robot(tmp_path)
 
 
-def may_command(client: Client) -> bool:
-    """Whether an emergency stop of this client arrives, which no stall of the machine lets be rejected."""
-    try:
-        return client.estop().accepted
-    except ZenohError:
-        return False
-
-
 def shut_out(robot: Robot, file: Path) -> None:
     """In a second, which is long for a laptop that is let in."""
     with pytest.raises(ZenohError), robot.client(file, timeout_s=1) as laptop:
@@ -173,7 +165,7 @@ def test_with_a_clock_in_1970_the_list_is_kept_nobody_gets_in_and_the_log_says_w
     with robot.start(LD_PRELOAD=in_1970) as gateway:
         gateway.child.wait_for_output("list 1 shuts out operator-00")
     with robot.start(), robot.laptop("bert") as bert:  # the clock is set
-        assert may_command(bert)
+        assert bert.estop().accepted, "which no stall of the machine lets be rejected"
         shut_out(robot, stolen)
 
 
@@ -233,13 +225,6 @@ def walking(client: Client) -> Iterator[None]:
         thread.join()
 
 
-def loading_s() -> float:
-    """What this machine takes for it now."""
-    begun_s = time.monotonic()
-    subprocess.run([sys.executable, "-c", LOADING], check=True)
-    return time.monotonic() - begun_s
-
-
 @pytest.mark.alone
 def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(robot: Robot) -> None:
     """Nor does she cost anybody a Stop afterwards, when her laptop presses the emergency stop every 50 ms."""
@@ -252,7 +237,10 @@ def test_revoked_in_mid_walk_and_everybody_else_is_back_within_three_seconds(rob
             revoked_s = time.monotonic()
             back = seen.wait(lambda state: since(state) - begun > MOMENT, timeout_s=20)
             took_s = time.monotonic() - revoked_s
-            assert took_s < BACK_S or took_s < TIMES * loading_s()
+            if took_s >= BACK_S:
+                begun_s = time.monotonic()
+                subprocess.run([sys.executable, "-c", LOADING], check=True)
+                assert took_s < TIMES * (time.monotonic() - begun_s)
             assert (back.mode, back.lease.holder) == (Mode.IDLE, None)
         logged = gateway.child.stderr
         assert 0 < logged.index('"kind": "revoked"') < logged.index('"kind": "stopping"')

@@ -23,7 +23,7 @@ from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.secured import HOST, Secured
 
-TLS = "transport/link/tls"
+TLS, TIMEOUT = "transport/link/tls", "connect/timeout_ms"
 
 
 @pytest.fixture(scope="module")
@@ -127,19 +127,16 @@ def test_a_link_ends_when_its_certificate_expires(secured: Secured) -> None:
         assert not list(session.get(keys.STATE, timeout=1))
 
 
-def turned_away(config: zenoh.Config) -> None:
-    config.insert_json5("connect/timeout_ms", "1000")
-    with pytest.raises(zenoh.ZError, match="Unable to connect"):
-        zenoh.open(config)
-
-
 def test_without_a_certificate_of_its_ca_nobody_comes_in(secured: Secured, tmp_path: Path) -> None:
     certs.folder.init(tmp_path / "E", [HOST])
     certs.folder.issue(tmp_path / "E", "eve", "operator")
     eve = str(tmp_path / "E" / "eve")
     for certificate, key in ((None, None), (f"{eve}.pem", f"{eve}.key")):
         shown = {f"{TLS}/connect_certificate": certificate, f"{TLS}/connect_private_key": key}
-        turned_away(secured.raw("anna", **{f"{TLS}/enable_mtls": certificate is not None}, **shown))
+        with pytest.raises(zenoh.ZError, match="Unable to connect"):
+            zenoh.open(
+                secured.raw("anna", **{f"{TLS}/enable_mtls": certificate is not None}, **shown, **{TIMEOUT: 1000})
+            )
 
 
 def test_off_loopback_it_does_not_start(tmp_path: Path) -> None:

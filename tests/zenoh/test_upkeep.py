@@ -1,7 +1,6 @@
 """What goes wrong out of sight is said: in the log, to systemd, in the state."""
 
 import datetime as dt
-import os
 import signal
 import socket
 from collections.abc import Iterator
@@ -17,7 +16,6 @@ from tests.support.gateway_process import Gateway, free_port
 pytestmark = pytest.mark.full
 
 DAY = dt.timedelta(days=1)
-MINUTE = dt.timedelta(minutes=1)
 
 
 class Systemd:
@@ -47,23 +45,12 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
     systemd.close()
 
 
-def certificates(folder: Path, days_left: dt.timedelta) -> dict[str, str]:
-    """Those of a robot whose own certificate expires in so many days."""
-    made = dt.datetime.now(dt.UTC) + days_left - 100 * DAY
-    certs.folder.init(folder, ["127.0.0.1"], days=100, now=made, port=free_port())
-    certs.folder.issue(folder, "anna", "operator")
-    return {"config": str(folder / "gateway.json5")}
-
-
-def gateway_with(folder: Path, zenoh: dict[str, str], systemd: Systemd) -> Gateway:
-    port = next(line for line in Path(zenoh["config"]).read_text().splitlines() if "tls/[::]:" in line)
-    listen = [f"tls/127.0.0.1:{port.partition('[::]:')[2].partition(chr(34))[0]}"]
-    return Gateway(folder, {"zenoh": {**zenoh, "listen": listen}}, env={**os.environ, **systemd.env})
-
-
 def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> None:
-    zenoh = certificates(tmp_path / "D", 59 * DAY + MINUTE)
-    with gateway_with(tmp_path, zenoh, systemd) as gateway:
+    made, port = dt.datetime.now(dt.UTC) - 41 * DAY + dt.timedelta(minutes=1), free_port()
+    certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=100, now=made, port=port)
+    certs.folder.issue(tmp_path / "D", "anna", "operator")
+    zenoh = {"config": str(tmp_path / "D" / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}
+    with Gateway(tmp_path, {"zenoh": zenoh}, env=systemd.env) as gateway:
         line = gateway.child.wait_for_output("gateway.pem expires on")
         assert ", in 59 days: then nobody can connect" in line
         assert "hexapod-gateway certs renew gateway --dir DIR, and copy gateway.pem here" in line

@@ -61,14 +61,10 @@ def terminal(tmp_path: Path) -> Iterator[Terminal]:
     made.close()
 
 
-def nothing(_: Terminal) -> None:
-    pass
-
-
 @pytest.mark.parametrize(
     ("plant", "verdict", "says"),
     [
-        (nothing, "ok", " opens"),
+        (lambda _: None, "ok", " opens"),
         (lambda each: each.console("tty1"), "ok", " opens"),
         (lambda each: setattr(each.robot, "gateway_runs", True), "ok", "is the running gateway's"),
         (lambda each: each.console(f"tty1 {Path(each.path).name}"), "failure", "console or a login"),

@@ -87,16 +87,10 @@ BEGUN_S = 1000.0
 WATCHDOG_S = 0.25
 
 
-def streaming() -> Doubt:
-    """A stream that has just sent, and just received."""
+def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
     doubt = Doubt(WATCHDOG_S)
     doubt.sent(BEGUN_S)
     doubt.received(BEGUN_S)
-    return doubt
-
-
-def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
-    doubt = streaming()
     for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True), (60.0, True)):
         doubt.sent(BEGUN_S + late_s)  # the program goes on
         assert doubt.is_there(BEGUN_S + late_s) is is_there

@@ -148,14 +148,6 @@ def test_help_says_the_defaults() -> None:
 G = 9.81
 
 
-def standing(terrain: str = "flat") -> tuple[World, Sensors]:
-    world = World(GEOMETRY, Assumed(terrain=Terrain.parsed(terrain)))
-    stand_up(world, Engine(Robot(GEOMETRY)), GEOMETRY)
-    sensors = Sensors(world)
-    run(world, 0.1)
-    return world, sensors
-
-
 def on_the_wire(sensed: Sensed) -> Measured:
     """What a controller with this body answers: its bytes, read again."""
     page = SensedPage()
@@ -174,7 +166,10 @@ def test_between_two_steps_it_feels_what_it_felt() -> None:
 
 
 def test_who_carries_more_finds_its_battery_lower() -> None:
-    _, sensors = standing()
+    world = World(GEOMETRY)
+    stand_up(world, Engine(Robot(GEOMETRY)), GEOMETRY)
+    sensors = Sensors(world)
+    run(world, 0.1)
     held = sensors.read()
     slack = held._replace(torques_nm=(0.0,) * len(SERVO_IDS))
     assert on_the_wire(held).voltage_v < on_the_wire(slack).voltage_v - 0.05
