@@ -1,6 +1,5 @@
 """Stop buttons on a real gateway: programs that are one, attacks, certificates, and a restart."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.meanwhile import meanwhile
 from tests.support.secured import Secured
+from tests.zenoh.test_lease import answer
 
 TIMEOUT_MS = 2000
 POSE = (90, 45, 120)
@@ -36,9 +36,7 @@ robot = client_fixture("kitchen")
 
 def ask(session: zenoh.Session, do: str, **fields: Any) -> ButtonAck:
     """One request as any Zenoh program sends it."""
-    (reply,) = session.get(keys.BUTTON, payload=json.dumps({"do": do, **fields}), timeout=5)
-    assert reply.ok is not None
-    return ButtonAck.model_validate_json(reply.ok.payload.to_bytes())
+    return ButtonAck.model_validate_json(answer(session, keys.BUTTON, do=do, **fields))
 
 
 def test_a_program_is_a_button_and_its_silence_stops_all_legs(robot: Client) -> None:

@@ -1,23 +1,14 @@
 """The commands of `calibrate` on a running gateway."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gateway.client import Client
 from schemas.calibration import ServoChange
-from tests.support.fixtures import client_fixture, patient
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
-
-
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    kept = tmp_path_factory.mktemp("kept") / "calibration.toml"
-    settings = patient(10_000, telemetry={"frames": True}, state={"path": str(kept.parent)})
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
-        yield running
 
 
 @pytest.fixture(autouse=True)
@@ -27,6 +18,7 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+gateway = gateway_fixture(patient(10_000))
 anna = client_fixture("anna", rests=True)
 
 

@@ -2,10 +2,9 @@
 
 import pytest
 
-from gateway.client import Client, DisconnectedError, RejectedError
+from gateway.client import Client, RejectedError
 from gateway.model.frames import decode
 from schemas.telemetry import Cause, FrameRecord, Kind
-from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames, running
@@ -21,17 +20,6 @@ watcher = client_fixture("somebody else", rests=True)
 robot = client_fixture(None)
 anna = client_fixture("anna", rests=True)
 bert = client_fixture("bert")
-
-
-def test_the_first_setpoint_of_a_leg_starts_it_and_the_end_stops_what_was_moved(robot: Client, watcher: Client) -> None:
-    assert watcher.start_leg(6, *POSE).accepted
-    with robot.stream(HZ) as stream:
-        stream.set({1: POSE})
-        assert 1 in running(watcher)
-        stream.set({1: POSE, 4: POSE})
-        assert {1, 4} <= set(running(watcher))
-        assert watcher.start_leg(6, *POSE).accepted
-    assert running(watcher) == [6]
 
 
 # ---- whose legs the end of a stream stops: its own, also where nobody knows whether they run, and nobody else's
@@ -63,17 +51,3 @@ def test_a_rejected_bystander_stops_nobody(gateway: Gateway, anna: Client, bert:
         assert running(watcher) == [1, 2]
         assert not stops(written)
         assert not [event for event in happened.all if event.kind == Kind.SOURCE_CHANGED]
-
-
-def test_a_start_that_nobody_answered_is_stopped(gateway: Gateway, anna: Client) -> None:
-    """It may still be on its way, and arrive later."""
-    written = frames(anna)
-    with CutLink(gateway.endpoint) as link, Client(link.endpoint, source="bert", timeout_s=1.5) as bert:
-        with bert.stream(HZ) as stream:
-            link.hold()
-            with pytest.raises(DisconnectedError):
-                stream.set({5: POSE})
-            link.fix()
-            written.wait(lambda record: record.cause is Cause.COMMAND)
-        assert running(anna) == []
-    assert len(stops(written)) == 1

@@ -13,7 +13,7 @@ from prometheus_client.samples import Sample
 
 from gateway import __version__, certs
 from gateway.model.frames import PROTOCOL_VERSION
-from tests.support.gateway_process import Gateway, free_port
+from tests.support.gateway_process import free_port
 from tests.support.metrics_page import described, documented
 from tests.support.secured import Secured
 
@@ -29,14 +29,16 @@ def value(samples: list[Sample], name: str, **labels: str) -> float:
     return float(found)
 
 
-def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
-    address = f"127.0.0.1:{free_port()}"
-    settings = {"telemetry": {"metrics": address}, "state": {"path": str(tmp_path / "box")}}
+def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_its_own(tmp_path: Path) -> None:
+    """DNS rebinding, or a page of another origin. All cases: tests/unit/test_web_hosts.py."""
+    port = free_port()
+    here = f"127.0.0.1:{port}"
+    settings = {"telemetry": {"metrics": f"0.0.0.0:{port}"}, "state": {"path": str(tmp_path / "box")}}
     with Secured(tmp_path, settings) as secured, secured.client("anna") as client, client.lease():
         assert client.estop().accepted
-        with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+        with urllib.request.urlopen(f"http://{here}/metrics", timeout=10) as answer:
             page = answer.read().decode()
-        samples = read(address)
+        samples = read(here)
         assert value(samples, "hexapod_sessions") == 1
         assert value(samples, "hexapod_incidents_total") == 1
         assert value(samples, "hexapod_build_info", version=__version__, protocol=PROTOCOL_VERSION) == 1
@@ -44,24 +46,17 @@ def test_the_list_in_the_docs_is_the_page(tmp_path: Path) -> None:
         assert expires == pytest.approx(time.time() + certs.LEAF_DAYS * 86400, abs=100)
         for path in ("/", "/metric", "/metrics/more", "/favicon.ico"):
             with pytest.raises(urllib.error.HTTPError, match="404"):
-                urllib.request.urlopen(f"http://{address}{path}", timeout=10)
-    assert described(page) == documented()
-
-
-def test_no_web_page_reads_them_by_a_name_of_its_own(tmp_path: Path) -> None:
-    """DNS rebinding, or a page of another origin. All cases: tests/unit/test_web_hosts.py."""
-    port = free_port()
-    telemetry = {"metrics": f"0.0.0.0:{port}"}
-    with Gateway(tmp_path, {"telemetry": telemetry}):
+                urllib.request.urlopen(f"http://{here}{path}", timeout=10)
         for headers, status in (
-            ({"Host": f"127.0.0.1:{port}"}, 200),
+            ({"Host": here}, 200),
             ({"Host": f"127.0.0.2:{port}"}, 200),
             ({"Host": f"{socket.gethostname().partition('.')[0]}.local:{port}"}, 200),
             ({"Host": f"evil.example:{port}"}, 403),
-            ({"Host": f"127.0.0.1:{port}", "Origin": "http://evil.example"}, 403),
+            ({"Host": here, "Origin": "http://evil.example"}, 403),
         ):
             reached = "127.0.0.2" if "127.0.0.2" in headers["Host"] else "127.0.0.1"
             asked = http.client.HTTPConnection(reached, port, timeout=10)
             asked.request("GET", "/metrics", headers=headers)
             assert asked.getresponse().status == status, headers
             asked.close()
+    assert described(page) == documented()

@@ -9,7 +9,7 @@ from gateway.people.client import pace as pace_module
 from gateway.people.client import silence as silence_module
 from gateway.people.client.pace import MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
-from gateway.people.client.silence import SILENT_MS, WHY_EVERY_S, Silence
+from gateway.people.client.silence import WHY_EVERY_S, Silence
 from gateway.people.console.pages.page_messages import LinkMessage
 from gateway.people.console.pages.presence import GatewayPresence
 
@@ -126,18 +126,6 @@ def opened() -> Silence:
     return silence
 
 
-def test_after_a_second_without_a_state_it_is_silent_until_the_next() -> None:
-    silence = opened()
-    assert [silence.is_long(ms * MS) for ms in (0, 1000, 1001)] == [False, False, True]
-    silence.received(5000 * MS)
-    assert [silence.is_long(ms * MS) for ms in (5000, 6000, 6001)] == [False, False, True]
-    assert SILENT_MS == 1000
-
-
-def test_while_the_first_session_is_being_opened_nobody_is_silent() -> None:
-    assert not Silence().is_long(3600_000 * MS)
-
-
 def test_where_no_session_can_be_opened_it_is_looked_why_at_once() -> None:
     silence = Silence()
     silence.not_opened()
@@ -208,12 +196,6 @@ def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_b
     assert presence.link == ended
     presence.received_token(True)
     presence.received_state()
-    assert presence.link == CONNECTED
-
-
-def test_why_nobody_was_there_is_not_shown_once_somebody_is() -> None:
-    presence = live()
-    presence.diagnosed(["it is off"])  # the look took a second
     assert presence.link == CONNECTED
 
 

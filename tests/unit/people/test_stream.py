@@ -174,6 +174,25 @@ def test_a_link_that_is_known_to_be_lost_ends_it_at_once(robot: Robot, stream: S
     assert (robot.published, robot.questions) == ([], 0)
 
 
+def test_the_first_setpoint_of_a_leg_starts_it_and_the_end_stops_what_was_moved(robot: Any) -> None:
+    robot.running = {6}
+    with Stream(robot, HZ) as stream:
+        stream.set({1: POSE})
+        assert robot.running == {1, 6}
+        stream.set({1: POSE, 4: POSE})
+        assert robot.running == {1, 4, 6}
+    assert robot.running == {6}
+
+
+def test_a_start_that_nobody_answered_is_stopped(robot: Any) -> None:
+    """It may still be on its way, and arrive later."""
+    with Stream(robot, HZ) as stream:
+        robot.answers = False
+        with pytest.raises(UnansweredError):
+            stream.set({5: POSE})
+    assert robot.asked == ["start", "stop"]
+
+
 def test_the_end_of_a_stream_whose_lease_is_elsewhere_stops_nothing(robot: Any) -> None:
     """Whoever was handed it, or took it, may drive these legs."""
     robot.carried_lease = SimpleNamespace(elsewhere=False, check=lambda: None)

@@ -27,6 +27,7 @@ TIMES: dict[tuple[ModuleType, str], float] = {
     (renewal, "RENEWALS"): 3,
     (ride, "START_PAUSE_S"): 0.015,
     (silence, "CHECK_EVERY_S"): 0.1,
+    (silence, "SILENT_MS"): 1000,
     (words, "NEWS_S"): 1.0,
 }
 
