@@ -14,7 +14,6 @@ from tests.support.pages import SCP, SSH, SUDO, commands
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 FOLDER = "/root/hexapod-certs"
-OWN = f"/etc/{NAME}/zenoh"
 STATE = f"/var/lib/{NAME}"
 
 

@@ -53,14 +53,6 @@ class Call(NamedTuple):
         return set(self.changes.values()) == {None}
 
 
-def declare(folder: Path, name: str, target: str) -> None:
-    """Let Pythons that search this folder find the plug-in, as if pip had installed it there."""
-    described = folder / f"{target.partition(':')[0]}-1.0.dist-info"
-    described.mkdir()
-    (described / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{name} = {target}\n")
-
-
 class Installed:
     """The plug-in, installed in a folder of its own."""
 
@@ -70,7 +62,10 @@ class Installed:
         names = ("unplugged", "mistake", "hangs", "hung")
         self.unplugged, self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in names)
         (folder / "to_file.py").write_text(WIRE)
-        declare(folder, NAME, "to_file:ToFile")
+        described = folder / "to_file-1.0.dist-info"  # as if pip had installed it
+        described.mkdir()
+        (described / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {NAME}\nVersion: 1.0\n")
+        (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{NAME} = to_file:ToFile\n")
 
     @property
     def section(self) -> dict[str, Any]:

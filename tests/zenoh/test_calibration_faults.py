@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway import durable
 from gateway.client import Client
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.people.commands.calibration import NotKeptYetError, once_kept
@@ -17,11 +18,6 @@ from tests.support.heard import events
 
 TRIM = {31: ServoChange(trim_deg=7.5)}
 OWN = RobotCalibration(4, {32: ServoMapping(7_50, inverted=True)})
-
-
-def staged(path: Path) -> Path:
-    """The file that is written before it takes the other's place."""
-    return path.with_name(f".{path.name}.new")
 
 
 @pytest.fixture
@@ -40,7 +36,7 @@ def until_it_is_being_kept(client: Client) -> Ack:
 
 def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None:
     """A pipe that nobody reads holds the write for as long as the test wants."""
-    os.mkfifo(staged(path))
+    os.mkfifo(durable.staged_for(path))
     answers: list[Ack] = []
     with (
         Gateway(tmp_path, {"state": {"path": str(path.parent)}}) as gateway,
@@ -62,13 +58,13 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path, path: Path) -> None
         )
         assert asking.is_alive()
         assert not answers
-        with staged(path).open("rb") as reader:  # the write goes on, and a pipe cannot be synced
+        with durable.staged_for(path).open("rb") as reader:  # the write goes on, and a pipe cannot be synced
             reader.read()
         asking.join(30)
         (ack,) = answers
         assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
         assert client.calibrate(TRIM).accepted
-        os.mkfifo(staged(path))  # and nobody ever reads this one
+        os.mkfifo(durable.staged_for(path))  # and nobody ever reads this one
         with Client(gateway.endpoint, timeout_s=1.5) as hasty, pytest.raises(NotKeptYetError, match="its disk"):
             once_kept(hasty, lambda: hasty.calibrate({31: ServoChange(trim_deg=8)}, check=False))
         until_it_is_being_kept(client)

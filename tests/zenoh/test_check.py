@@ -9,14 +9,10 @@ import pytest
 
 from gateway.onboard.check import security
 from gateway.onboard.check.table import CheckedRobot
-from tests.support.command import Ended, run_here
+from tests.support.command import run_here
 from tests.support.gateway_process import free_port, write_settings
 
 SPI = {"spi": {"framing": "length-prefixed"}}
-
-
-def check(config: Path) -> Ended:
-    return run_here("check", "--config", str(config))
 
 
 # ---- the command
@@ -29,7 +25,7 @@ def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
     monkeypatch.setenv("HEXAPOD_CONNECT", f"tcp/127.0.0.1:{free_port()}")  # which hides no file that is named
     config = tmp_path / "gateway.toml"
     config.write_text('[spi]\nframing = "plain"\nspeed_hz = 0\n[wings]\n')
-    said = check(config)
+    said = run_here("check", "--config", str(config))
     assert (said.returncode, said.stderr) == (1, "")
     *found, last = said.stdout.splitlines()
     faults = [line for line in found if line.startswith("failure  configuration")]
@@ -44,16 +40,9 @@ def test_each_fault_of_the_configuration_is_a_line_and_the_rest_is_looked_at(
     assert last.startswith("This machine cannot run the service: 3 failures, ")
 
 
-def test_the_service_and_a_laptop_are_not_checked_at_once(tmp_path: Path) -> None:
-    said = run_here("check", "--config", str(tmp_path), "--zenoh-config", str(tmp_path))
-    assert (said.returncode, said.stdout) == (2, "")
-    assert "name one of them" in said.stderr
-
-
 def test_as_json_the_same_is_for_programs(tmp_path: Path) -> None:
     config = write_settings(tmp_path / "gateway.toml", SPI)
-    shown = check(config)
-    found = run_here("check", "--config", str(config), "--json")
+    shown, found = (run_here("check", "--config", str(config), *options) for options in ((), ("--json",)))
     report = json.loads(found.stdout)
     assert found.returncode == shown.returncode == int(not report["passed"])
     told = [f"{each['verdict']:8} {each['name']:14} {each['sentence']}" for each in report["checks"]]

@@ -129,6 +129,7 @@ NOT_RUNNING = "servo_stopped: servo 41 does not run; start it before you set it"
         ("record --csv --live", 2, ".mcap"),
         ("record ride.bag", 2, ".mcap"),
         ("check --stops --only nonsense", 2, "no step nonsense; there are command, "),
+        ("check --config . --zenoh-config .", 2, "name one of them"),
         ("check --unplug", 2, "--only, --restart and --unplug go with --stops"),
         ("frobnicate", 2, "No such command"),
         *((arguments, 4, "") for arguments in ("send leg 3 stop", "send servo 32 stop", "stop", "estop", "reset")),

@@ -22,12 +22,6 @@ from gateway.model.elkapod import (
     values_of,
 )
 
-
-def single(value: float) -> float:
-    """The number of single precision that is nearest."""
-    return float(struct.unpack("<f", struct.pack("<f", value))[0])
-
-
 FRAME = bytes.fromhex(
     "7e0000a0420000a2420000a4420000a6420000a8420000aa420000ac420000ae420000b0420000b2420000b4420000b6420000b8420000ba"
     "420000bc420000be420000c0420000c2420000000000000f"

@@ -244,21 +244,15 @@ def test_each_laptop_has_a_common_name_of_its_own_until_all_are_taken(
 # ---- the list
 
 
-def test_who_cannot_be_revoked(folder: Path) -> None:
+def test_who_cannot_be_revoked_and_that_a_revoked_certificate_is_not_renewed(folder: Path) -> None:
     issue(folder, "anna")
-    before = contents(folder)
+    before, pem = contents(folder), (folder / "anna.pem").read_bytes()
     for name in ("nobody", "gateway", "ca", ""):
         assert "no laptop" in fault(partial(certs.folder.revoke, folder, name, now=NOW))
     assert contents(folder) == before
     certs.folder.revoke(folder, "anna", now=NOW)
     assert "revoked already" in fault(lambda: certs.folder.revoke(folder, "operator-00", now=NOW))
     assert "no laptop" in fault(lambda: certs.folder.revoke(folder, "anna2", now=NOW))
-
-
-def test_a_revoked_certificate_is_not_renewed(folder: Path) -> None:
-    issue(folder, "anna")
-    pem = (folder / "anna.pem").read_bytes()
-    certs.folder.revoke(folder, "operator-00", now=NOW)
     (folder / "again.pem").write_bytes(pem)
     assert "is revoked" in fault(lambda: certs.folder.renew(folder, "again", now=NOW))
 

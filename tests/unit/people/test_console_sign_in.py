@@ -188,20 +188,22 @@ def sessions(tmp_path: Path, clock: Clock) -> Sessions:
     return found
 
 
-def token_of(link: str) -> str:
+def new_token(sessions: Sessions) -> str:
+    """That of a new link."""
+    link = sessions.new_link()
     assert link.startswith(f"{HERE}/?token=")
     return link.partition("token=")[2]
 
 
 def new_session(sessions: Sessions) -> SignIn:
-    found = sessions.exchange(token_of(sessions.new_link()))
+    found = sessions.exchange(new_token(sessions))
     assert found is not None
     return found
 
 
 def test_a_link_works_once_and_for_a_time(sessions: Sessions, clock: Clock) -> None:
     sessions.begin(START, "observer")
-    token = token_of(sessions.new_link())
+    token = new_token(sessions)
     found = sessions.exchange(token)
     assert found is not None
     assert found.entry.role == "observer"
@@ -209,7 +211,7 @@ def test_a_link_works_once_and_for_a_time(sessions: Sessions, clock: Clock) -> N
     assert sessions.exchange(token) is None
     assert sessions.cookie(token) is None, "a link is no session"
     assert sessions.exchange(found.cookie) is None, "a session is no link"
-    late = token_of(sessions.new_link())
+    late = new_token(sessions)
     clock.passes(LINK_S)
     assert sessions.exchange(late) is None
 
@@ -231,7 +233,7 @@ def test_a_clock_that_is_set_signs_nobody_out_and_shortens_no_link(
     sessions: Sessions, clock: Clock, step_s: float
 ) -> None:
     """A Raspberry Pi without a battery learns the time minutes after its start: who drives must keep STOP ALL."""
-    session, token = new_session(sessions), token_of(sessions.new_link())
+    session, token = new_session(sessions), new_token(sessions)
     clock.wall_s += step_s
     assert sessions.still_valid(session.entry)
     assert sessions.cookie(session.cookie) == session.entry
@@ -244,7 +246,7 @@ def test_a_clock_that_is_set_signs_nobody_out_and_shortens_no_link(
 def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
     sessions: Sessions, clock: Clock, wall_s: float, lasts_s: float
 ) -> None:
-    cookie, token = new_session(sessions).cookie, token_of(sessions.new_link())
+    cookie, token = new_session(sessions).cookie, new_token(sessions)
     clock.reboots(clock.wall_s + wall_s)
     assert sessions.exchange(token) is None, "how old a link is, nobody knows now"
     sessions.begin(START, "operator")
@@ -267,7 +269,7 @@ def test_the_port_has_its_own(sessions: Sessions, tmp_path: Path, clock: Clock) 
 
 
 def test_the_file_holds_no_token_and_is_private(sessions: Sessions, tmp_path: Path) -> None:
-    session, link = new_session(sessions), token_of(sessions.new_link())
+    session, link = new_session(sessions), new_token(sessions)
     file = tmp_path / "console-8080.json"
     assert not [secret for secret in (session.cookie, session.key, link) if secret in file.read_text()]
     assert stat.S_IMODE(file.stat().st_mode) == 0o600

@@ -67,11 +67,6 @@ def test_where_it_does_not_listen(listen: str, says: str) -> None:
         site(listen, None, None)
 
 
-def test_a_certificate_without_its_key() -> None:
-    with pytest.raises(ConfigError, match="go together"):
-        site("0.0.0.0:8080", Path("c.pem"), None)
-
-
 def test_names_come_from_the_certificate(tmp_path: Path) -> None:
     certs.folder.init(tmp_path, ["robot.local", "192.0.2.7"])
     found = site("0.0.0.0:8443", tmp_path / "gateway.pem", tmp_path / "gateway.key")
@@ -79,6 +74,8 @@ def test_names_come_from_the_certificate(tmp_path: Path) -> None:
     assert found.url == "https://robot.local:8443"
     with pytest.raises(ConfigError, match="cannot be used together"):
         site("0.0.0.0:8443", tmp_path / "gateway.pem", tmp_path / "ca.key")
+    with pytest.raises(ConfigError, match="go together"):
+        site("0.0.0.0:8443", tmp_path / "gateway.pem", None)
     certs.folder.issue(tmp_path, "anna", "operator")
     with pytest.raises(ConfigError, match="names no host"):
         site("0.0.0.0:8443", tmp_path / "anna.pem", tmp_path / "anna.key")
