@@ -15,6 +15,7 @@ from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
+from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
@@ -22,24 +23,17 @@ LATE_S = 15.0
 
 
 @pytest.fixture
-def state(tmp_path: Path) -> Path:
-    folder = tmp_path / "state"
-    folder.mkdir()
-    return folder
+def gateway(tmp_path: Path) -> Iterator["Gateways"]:
+    with Gateways(tmp_path) as made:
+        yield made
 
 
-@pytest.fixture
-def gateway(tmp_path: Path, state: Path) -> Iterator["Gateways"]:
-    made = Gateways(tmp_path, state)
-    yield made
-    made.close()
-
-
-class Gateways:
+class Gateways(Closing):
     """One after the other, on the same state directory."""
 
-    def __init__(self, folder: Path, state: Path) -> None:
-        self._folder, self.state = folder, state
+    def __init__(self, folder: Path) -> None:
+        self._folder, self.state = folder, folder / "state"
+        self.state.mkdir()
         self._running: list[Gateway] = []
 
     def start(self) -> Gateway:

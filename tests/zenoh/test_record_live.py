@@ -6,8 +6,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from typing import Any
 
 from websockets import Subprotocol
@@ -34,13 +33,6 @@ def address_of(child: Child) -> str:
     return found[0]
 
 
-@contextmanager
-def viewing(child: Child) -> Iterator[ClientConnection]:
-    # The server answers no closing handshake while it sends, and nobody here waits for that.
-    with connect(address_of(child), subprotocols=[Subprotocol("foxglove.sdk.v1")], close_timeout=0.1) as viewer:
-        yield viewer
-
-
 def text(viewer: ClientConnection, op: str) -> dict[str, Any]:
     while True:
         message = viewer.recv(PATIENCE_S)
@@ -52,7 +44,8 @@ def text(viewer: ClientConnection, op: str) -> dict[str, Any]:
 def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> None:
     command = [*COMMAND, "record", "--live", "--port", "0", "--connect", gateway.endpoint]
     with closing(Child(command, os.environ)) as child, gateway.client() as robot:
-        with viewing(child) as viewer:
+        # The server answers no closing handshake while it sends, and nobody here waits for that.
+        with connect(address_of(child), subprotocols=[Subprotocol("foxglove.sdk.v1")], close_timeout=0.1) as viewer:
             assert text(viewer, "serverInfo")["capabilities"] == []
             channels: dict[int, Any] = {}
             while len(channels) < len(REPORTS) + len(DRAWN):

@@ -4,8 +4,8 @@ import asyncio
 import hashlib
 import json
 import socket
-from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -69,15 +69,9 @@ class Stand:
         return answer
 
 
-@contextmanager
-def listening() -> Iterator[socket.socket]:
-    with socket.create_server(("127.0.0.1", 0), backlog=200) as found:
-        yield found
-
-
 @pytest.fixture
 async def stand(tmp_path: Path) -> AsyncIterator[Stand]:
-    with listening() as taken:
+    with socket.create_server(("127.0.0.1", 0), backlog=200) as taken:
         found = Stand(tmp_path, taken)
         serving = asyncio.create_task(found.listener.serve([taken]))
         yield found

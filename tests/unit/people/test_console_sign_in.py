@@ -30,26 +30,19 @@ class Visitor:
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_ns = 100_000_000_000
         monkeypatch.setattr("gateway.people.console.server.auth.time.monotonic_ns", lambda: self.now_ns)
-        self._sessions = Sessions(folder, 8080)
-        self._sessions.begin(START, "operator")
+        self.sessions = Sessions(folder, 8080)
+        self.sessions.begin(START, "operator")
         self._site = site("127.0.0.1:8080", None, None)
-        self._auth = Auth(self._site, self._sessions)
+        self._auth = Auth(self._site, self.sessions)
 
     def sign_in(self) -> SignIn:
-        return new_session(self._sessions)
-
-    def follow_link(self, card: str) -> str:
-        """Where a browser goes that opens a link to this card."""
-        link = self._sessions.new_link().removeprefix(HERE)
-        answer = self._ask(URL(f"{link},{card}", encoded=True))
-        assert isinstance(answer, web.Response)
-        return answer.headers["Location"]
+        return new_session(self.sessions)
 
     def get(self, path: str, session: SignIn, **headers: str) -> web.Response | Entry:
         cookie = f"{self._site.cookie}={session.cookie}"
-        return self._ask(URL(path), Cookie=cookie, **headers)
+        return self.ask(URL(path), Cookie=cookie, **headers)
 
-    def _ask(self, url: URL, **headers: str) -> web.Response | Entry:
+    def ask(self, url: URL, **headers: str) -> web.Response | Entry:
         return asyncio.run(self._auth.answer(url, CIMultiDict({"Host": "127.0.0.1:8080", **headers})))
 
     def nonce(self, session: SignIn, mine: str = "mine") -> tuple[str, str]:
@@ -89,7 +82,10 @@ def hashed(key: str) -> str:
     [("cal", "?cal"), ("", ""), ("x%0d%0aSet-Cookie:%20a", ""), ("%C3%A4", ""), ("/evil.example", "")],
 )
 def test_a_link_leads_to_a_card_and_nowhere_else(visitor: Visitor, card: str, behind: str) -> None:
-    assert re.fullmatch(rf"/enter.html{re.escape(behind)}#[\w-]+", visitor.follow_link(card))
+    link = visitor.sessions.new_link().removeprefix(HERE)
+    answer = visitor.ask(URL(f"{link},{card}", encoded=True))
+    assert isinstance(answer, web.Response)
+    assert re.fullmatch(rf"/enter.html{re.escape(behind)}#[\w-]+", answer.headers["Location"])
 
 
 def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
