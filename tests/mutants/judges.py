@@ -30,7 +30,7 @@ _CONDUCTOR: Final = (
     *_SETTINGS,
     *_people("recorder"),
 )
-_INBOX: Final = (*_tests("zenoh", "inbox_wakeups inbox_parts"), *_robot("ownership"))
+_INBOX: Final = (*_tests("zenoh", "inbox_parts"), *_robot("ownership"))
 _SUPERVISOR: Final = (
     *_robot("supervisor_at_rest supervisor supervisor_stops supervisor_faults supervisor_speed supervisor_takeover"),
     *_robot("supervisor_landing supervisor_calibration supervisor_whole body_limits power_rule"),

@@ -1,19 +1,24 @@
-"""The calibration of a real gateway: changed by real clients, on the wire, on the disk, and after a restart."""
+"""The calibration of a real gateway: on the wire, on the disk, after a restart, by commands; and a disk at fault."""
 
+import os
+import re
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gateway import durable
 from gateway.client import Client
-from gateway.model.calibration import ServoMapping
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
+from gateway.people.commands.calibration import NotKeptYetError, once_kept
 from gateway.robot.host import calibration_file
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
-from schemas.telemetry import Reason
+from schemas.telemetry import Ack, Mode, Reason
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, frames
@@ -85,3 +90,134 @@ def test_on_a_file_system_that_a_boot_empties_it_does_not_count_as_kept(tmp_path
             )
         with Gateway(tmp_path, settings) as again, again.client() as client:
             assert client.calibration().servos["11"].trim_deg == 3
+
+
+# ---- the commands of `calibrate`
+
+
+@pytest.fixture(autouse=True)
+def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A login of its own: what a shell's lease leaves behind."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, client: Client) -> None:
+    nobody = gateway.run("calibrate", "landing")
+    assert nobody.returncode == 1
+    assert "no servo of the robot runs" in nobody.stdout
+    assert client.start_leg(1, 50, 60, 70).accepted
+    assert client.start_leg(2, 80, 85, 90.25).accepted
+    unasked = gateway.run("calibrate", "landing")
+    assert (unasked.returncode, unasked.stdout.splitlines()[-1]) == (
+        1,
+        "nothing is written: this is no terminal, so nobody can be asked; --yes agrees",
+    )
+    before = client.calibration().landing
+    end = gateway.run("calibrate", "landing", "--leg", "2", "--yes")
+    assert end.returncode == 0, str(end)
+    assert re.search(r"^ +23 +90\.25$", end.stdout, re.MULTILINE)
+    assert client.calibration().landing == before | {"21": 80, "22": 85, "23": 90.25}
+    assert all(servo.running for servo in client.state().legs[0].servos), "it stops nobody, and needs no lease for that"
+
+
+def test_what_was_exported_comes_back_whole(gateway: Gateway, client: Client, tmp_path: Path) -> None:
+    assert client.calibrate({51: ServoChange(trim_deg=2, inverted=True)}, {51: 30}).accepted
+    file = tmp_path / "robot.json"
+    file.write_text(gateway.run("calibrate", "export").stdout)
+    assert gateway.run("calibrate", "show", "--json").stdout == file.read_text()
+    before = client.calibration()
+    assert client.calibrate(
+        {51: ServoChange(trim_deg=0, inverted=False), 52: ServoChange(trim_deg=9)}, {51: None}
+    ).accepted
+    assert client.calibrate({}, {52: 20}).accepted
+    unasked = gateway.run("calibrate", "import", str(file))
+    assert unasked.returncode == 1
+    assert "nobody can be asked" in unasked.stdout
+    end = gateway.run("calibrate", "import", str(file), "--yes")
+    assert end.returncode == 0, str(end)
+    after = client.calibration()
+    assert (after.servos, after.landing) == (before.servos, before.landing)
+    again = gateway.run("calibrate", "import", str(file), "--yes")
+    assert (again.returncode, again.stdout.split(":")[0]) == (0, "there is nothing to change")
+
+
+# ---- a disk that hangs, and a broken file
+
+TRIM = {31: ServoChange(trim_deg=7.5)}
+OWN = RobotCalibration(4, {32: ServoMapping(7_50, inverted=True)})
+
+
+def until_it_is_being_kept(client: Client) -> Ack:
+    """A Set for a servo that stands still is rejected in any case; the sentence says whether the change has come."""
+    while "being calibrated" not in str((rejected := client.set_leg(3, 90, 90, 90, check=False)).detail):
+        assert not rejected.accepted
+    return rejected
+
+
+def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
+    """A pipe that nobody reads holds the write for as long as the test wants."""
+    path = tmp_path / "calibration.toml"
+    os.mkfifo(durable.staged_for(path))
+    answers: list[Ack] = []
+    with (
+        Gateway(tmp_path, {"state": {"path": str(tmp_path)}}) as gateway,
+        gateway.client() as client,
+        Client(gateway.endpoint, timeout_s=60) as patient,
+    ):
+        told = events(client)
+        asking = threading.Thread(target=lambda: answers.append(patient.calibrate(TRIM, check=False)))
+        asking.start()
+        rejected = until_it_is_being_kept(client)
+        assert rejected.reason == Reason.SERVO_STOPPED
+        assert client.start_leg(1, 90, 90, 90).accepted
+        told.wait(lambda event: event.kind == "watchdog_expired" and event.legs == (1,))
+        assert client.start_leg(1, 90, 90, 90).accepted
+        assert client.estop().stop_frames == 6
+        assert client.reset().accepted
+        assert client.calibrate({61: ServoChange(trim_deg=1)}, check=False).reason == Reason.STALE, (
+            "one after the other"
+        )
+        assert asking.is_alive()
+        assert not answers
+        with durable.staged_for(path).open("rb") as reader:  # the write goes on, and a pipe cannot be synced
+            reader.read()
+        asking.join(30)
+        (ack,) = answers
+        assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
+        assert client.calibrate(TRIM).accepted
+        os.mkfifo(durable.staged_for(path))  # and nobody ever reads this one
+        with Client(gateway.endpoint, timeout_s=1.5) as hasty, pytest.raises(NotKeptYetError, match="its disk"):
+            once_kept(hasty, lambda: hasty.calibrate({31: ServoChange(trim_deg=8)}, check=False))
+        until_it_is_being_kept(client)
+        gateway.child.terminate()
+        assert gateway.child.wait(10) == 0, str(gateway.child)
+    kept = calibration_file.read(path)
+    assert kept is not None
+    assert kept.of(31).trim_cdeg == 7_50
+
+
+def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    text = calibration_file.to_toml(OWN).partition("\n[servos.21]")[0]
+    calibration_file.write(path, RobotCalibration(3))
+    calibration_file.write(path, OWN)
+    path.write_text(text)
+    with Gateway(tmp_path, {"state": {"path": str(tmp_path)}}) as gateway, gateway.client() as client:
+        logged = gateway.child.wait_for_output("nothing is started until")
+        assert "hexapod-gateway calibrate accept-default" in logged
+        state = client.state()
+        assert (state.mode, state.calibration.revision) == (Mode.IDLE, 4)
+        assert str(state.calibration.fault).startswith(f"{path}: end: is missing;")
+        assert path.read_text() == text, "a person may want to look at it"
+        asked = gateway.run("calibrate", "accept-default")
+        assert (asked.returncode, f"{path}: end: is missing" in asked.stdout) == (1, True)
+        landing = gateway.run("calibrate", "landing", "--yes")
+        assert (landing.returncode, "calibrate accept-default" in landing.stdout) == (1, True)
+        assert gateway.run("calibrate", "accept-default", "--yes").returncode == 0
+        assert client.state().calibration.fault is None
+        assert client.start_leg(1, 90, 90, 90).accepted
+        kept = calibration_file.read(path)
+        assert kept is not None
+        assert (kept.revision, kept.servos) == (5, {})
+        assert path.with_name("calibration.broken.toml").read_text() == text
