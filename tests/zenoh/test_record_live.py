@@ -1,30 +1,42 @@
-"""`record --live` against a real gateway, with a viewer's side of its WebSocket."""
+"""`record` against a real gateway: a viewer's side of `--live`, and the file, also after the recorder was killed."""
 
+import itertools
 import json
 import math
 import os
+import random
 import re
 import signal
 import time
-from contextlib import closing
-from typing import Any
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any, Final
 
+import pytest
+from mcap.reader import make_reader
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
-from gateway.people.recorder.drawing import DRAWN, SIM_JOINT_STATES
+from gateway.client import Client
+from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_STATES, LOG, SIM_JOINT_STATES
 from gateway.people.recorder.record import REPORTS
-from schemas.keys import SIM_BODY, STATE, TELEMETRY
+from schemas.keys import EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
+from schemas.telemetry import FrameRecord
 from tests.support.child import Child
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import COMMAND, Gateway
+from tests.support.heard import Heard, events, frames, states
+from tests.support.mcap_file import checked, whole
+from tests.support.meanwhile import meanwhile
 from tests.support.measuring import MEASURED
 from tests.support.ros2_messages import decode
 
 PATIENCE_S = 30
 
 
-gateway = gateway_fixture({"telemetry": {"frames": True}})
+# On a busy machine a setpoint may come late, but hardly by two seconds.
+gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}})
 
 
 def address_of(child: Child) -> str:
@@ -92,3 +104,96 @@ def test_a_viewer_sees_all_channels_and_publishes_nothing(gateway: Gateway) -> N
         assert taken.returncode == 5, str(taken)
         child.send_signal(signal.SIGINT)
         assert child.wait() == 0, str(child)
+
+
+# ---- the file
+
+KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
+"""50 in the long form."""
+HZ: Final = 50
+
+
+robot = client_fixture("a gait")
+
+
+@contextmanager
+def walking(robot: Client) -> Iterator[None]:
+    """Six legs move at 50 Hz meanwhile."""
+    step = itertools.count()
+    with (
+        robot.stream(HZ) as stream,
+        meanwhile(lambda: stream.set(dict.fromkeys(range(1, 7), (90 + next(step) % 20, 45, 120)))),
+    ):
+        yield
+
+
+@contextmanager
+def recording(gateway: Gateway, path: Path, *options: str) -> Iterator[Child]:
+    with gateway.begin("record", str(path), *options) as child:
+        child.wait_for_output("recording into", timeout_s=20)
+        yield child
+
+
+def test_all_that_the_gateway_publishes_is_in_the_file_and_as_the_files_own_schemas_say(
+    gateway: Gateway, robot: Client, tmp_path: Path
+) -> None:
+    path = tmp_path / "ride.mcap"
+    heard, told = Heard(robot, FRAME, FrameRecord), events(robot)
+    with recording(gateway, path, "--csv") as child:
+        with walking(robot):
+            heard.wait(lambda _: len(heard.all) > 300)
+        assert not robot.set_leg(1, 90, 90, 90, check=False).accepted
+        told.wait(lambda event: event.kind == "command_rejected")
+        later = states(robot)  # half a second of them: until then the recorder has heard the event as well
+        later.wait(lambda _: len(later.all) > 5)
+        newest = heard.all[-1]
+        heard.wait(lambda record: record.cause == "repeat")
+        # Once the recorder has this event, it has what was said before it.
+        child.send_signal(signal.SIGINT)
+        assert child.wait() == 0, str(child)
+    assert f"{path}: " in child.stdout
+    assert "publishes no frames" not in child.stderr
+    found: dict[str, list[Any]] = {}
+    for topic, content in checked(path):
+        found.setdefault(topic, []).append(content)
+    with path.open("rb") as file:
+        (about,) = make_reader(file).iter_metadata()
+    expected = [json.loads(record.model_dump_json()) for record in heard.all]
+    in_file = found[FRAME]
+    assert in_file == expected[expected.index(in_file[0]) :][: len(in_file)]
+    assert json.loads(newest.model_dump_json()) in in_file
+    assert found[STATE]
+    assert [event["reason"] for event in found[EVENT] if event["kind"] == "command_rejected"] == ["servo_stopped"]
+    assert len(found[FRAMES][-1].transforms) == 24
+    assert len(found[JOINT_STATES][-1].name) == 18
+    assert found[LOG]
+    assert json.loads(about.metadata["watchdog"])["timeout_ms"] == 2000, "whose recording it is"
+    rows = path.with_suffix(".csv").read_text().splitlines()
+    assert len(rows) == 1 + len(found[STATE]) + len(found[FRAME])
+    assert any(row.count(",45.0,") == 6 for row in rows), "all six legs ran"
+
+    again = gateway.run("record", str(path))
+    assert again.returncode == 2
+    assert "exists" in again.stderr
+
+
+@pytest.mark.full
+@pytest.mark.alone
+def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Client, tmp_path: Path) -> None:
+    written = frames(robot)
+    chance = random.Random()  # noqa: S311
+    killed_ns: dict[Path, int] = {}
+    with walking(robot):
+        for number in range(KILLS):
+            path = tmp_path / f"ride-{number}.mcap"
+            with recording(gateway, path) as child:
+                written.wait(lambda _: True, count=len(written.all) + chance.randrange(200, 600), timeout_s=20)
+                child.kill()
+                killed_ns[path] = time.monotonic_ns()
+    expected = [json.loads(record.model_dump_json()) for record in written.all]
+    for path, end_ns in killed_ns.items():
+        found = [content for topic, content in whole(path) if topic == FRAME]
+        first = expected.index(found[0])
+        assert found == expected[first : first + len(found)], "none is missing between the first and the last"
+        lost_s = (end_ns - found[-1]["monotonic_ns"]) / 1e9
+        assert lost_s < 1, "a tenth of a second, and what a busy machine adds"
