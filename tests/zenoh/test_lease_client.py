@@ -1,4 +1,4 @@
-"""Programs that hold the lease, on a real gateway: what their commands carry, and how it ends."""
+"""Programs that hold the lease, on a real gateway: what their commands carry, how it ends, and whom they stop."""
 
 import time
 from functools import partial
@@ -6,16 +6,18 @@ from functools import partial
 import pytest
 import zenoh
 
-from gateway.client import Client, LeaseLostError, leg_payload
+from gateway.client import Client, LeaseLostError, RejectedError, leg_payload
 from schemas import keys
-from schemas.telemetry import Reason
-from tests.support.fixtures import client_fixture, gateway_fixture
-from tests.support.heard import events, running
+from schemas.telemetry import Cause, Kind, Reason
+from tests.support.fixtures import client_fixture, gateway_fixture, patient
+from tests.support.gateway_process import Gateway
+from tests.support.heard import events, frames, is_stop, running
 
 POSE = (90, 45, 120)
 LATE_S = 10
 
-gateway = gateway_fixture({"watchdog": {"timeout_ms": 1000}})
+# For setpoints every 20 ms, on a machine that may be busy for longer than the watchdog's 250.
+gateway = gateway_fixture(patient(1000, telemetry={"frames": True}))
 anna = client_fixture("anna", rests=True)
 bert = client_fixture("bert")
 
@@ -58,3 +60,22 @@ def test_what_was_published_after_a_loss_moves_nothing_though_nobody_drives(anna
             anna.start_leg(1, *POSE)
         assert lease.lost is not None
     assert anna.start_leg(1, *POSE).accepted, "outside it is a program that does nothing about leases"
+
+
+def test_a_rejected_bystander_stops_nobody(gateway: Gateway, anna: Client, bert: Client) -> None:
+    """One that gives up, and one that does not."""
+    with gateway.client() as watcher, anna.lease(), anna.stream(50) as stream:
+        happened, written = events(watcher), frames(watcher)
+        stream.set({1: POSE, 2: POSE})
+        with pytest.raises(RejectedError, match="anna holds the lease"), bert.stream(50) as rejected:
+            rejected.set({1: POSE, 6: POSE})
+        with bert.stream(50) as rejected:
+            for _ in range(2):
+                with pytest.raises(RejectedError, match="anna holds the lease"):
+                    rejected.set({1: POSE, 6: POSE})
+                rejected.start_again()
+        for _ in range(10):
+            stream.set({1: POSE, 2: POSE})
+        assert running(watcher) == [1, 2]
+        assert not [record for record in written.all if record.cause is Cause.COMMAND and is_stop(record)]
+        assert not [event for event in happened.all if event.kind == Kind.SOURCE_CHANGED]
