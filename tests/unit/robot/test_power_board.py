@@ -3,8 +3,17 @@
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import ASK_CURRENTS, ASK_RAILS, SET_SUPPLY, SUPPLIED, CanFrame, set_supply
-from gateway.robot.power.board import PowerBoard
+from gateway.model.power_board import (
+    ASK_CURRENTS,
+    ASK_RAILS,
+    GOING_OFF,
+    OFF_PRESSED,
+    SET_SUPPLY,
+    SUPPLIED,
+    CanFrame,
+    set_supply,
+)
+from gateway.robot.power.board import News, PowerBoard, Status
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, FLIGHT_NS, NONE, Link, fed
@@ -162,3 +171,25 @@ def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_
     board.receive(CanFrame(asked.id + 1, bytes(6 if asked.id in (0x7C, 0x80, 0x86) else 4)), 3)
     board.receive(CanFrame(0x6B, bytes(3)), 4)
     assert board.confirmed
+
+
+def test_what_had_no_room_is_sent_again_at_once_and_nothing_else() -> None:
+    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+    assert board.status == Status()
+    board.opened(0)
+    board.want(NONE, 1, 0)
+    for now_ns in range(10):
+        mask, question, *_ = frames = board.next_frames(now_ns)
+        assert (mask, question in ASK_RAILS) == (set_supply(0), True)
+        board.not_sent(frames[1:], now_ns)
+        assert set_supply(0) not in board.next_frames(now_ns)
+        board.not_sent([mask], now_ns)
+
+
+@pytest.mark.parametrize(("identifier", "words"), [(OFF_PRESSED, "pressed"), (GOING_OFF, "has asked")])
+def test_what_is_reported_once_has_ended_after_a_second_without_its_frames(identifier: int, words: str) -> None:
+    board, reported = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS), []
+    for at_ms in (0, 999, 1998, 2998):
+        board.receive(CanFrame(identifier), at_ms * NS_PER_MS)
+        reported += [(at_ms, words in news.detail) for news in board.news() if isinstance(news, News)]
+    assert reported == [(0, True), (2998, True)]
