@@ -10,7 +10,7 @@ from gateway.people.physics.assumed import Assumed
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Posture, Velocity, travelled
 from gateway.people.walking.robot import Robot
-from tests.walking.physics import TICK_S, heading_rad, presses_n, stood_up, walk
+from tests.walking.physics import TICK_S, heading_rad, stood_up, walk
 
 OFF: Final = 0.10
 """Of the distance that was commanded."""
@@ -101,7 +101,7 @@ class Walker:
         walk(self.world, self.engine, _GEOMETRY, wanted)
         self._heading_rad += math.remainder(heading_rad(self.world) - self._heading_rad, math.tau)
         self._tilt_deg = max(self._tilt_deg, self.world.body().tilt_deg)
-        for foot, newtons in presses_n(self.world).items():
+        for foot, newtons in zip(self.world.feet, self.world.feet_n(), strict=True):
             at = self.world.data.geom_xpos[foot][:2]
             if newtons > self._carries_n:
                 begun = self._stood.setdefault(foot, at.copy())

@@ -1,11 +1,8 @@
 """A robot in MuJoCo (gateway/people/physics/world.py): driven by frames, and by the pure gait engine."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Final
-
-import mujoco
-import numpy as np
 
 from gateway.geometry import Geometry
 from gateway.people.physics.assumed import Assumed
@@ -13,6 +10,7 @@ from gateway.people.physics.world import TIMESTEP_S, World
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Posture, Velocity
 from schemas.robot import JOINTS
+from schemas.telemetry import Telemetry
 
 TICK_S: Final = 0.02
 SPEEDS_M_S: Final = {"tripod": 0.08, "ripple": 0.04, "wave": 0.02}
@@ -30,6 +28,12 @@ SINKS_S: Final = 4.0
 
 Sent = tuple[float, Mapping[int, float | None]]
 """When (seconds), and where servos are sent, in degrees; None: stopped."""
+Sense = Callable[[World], Telemetry | None]
+"""What the robot measures; None: nothing."""
+
+
+def blind(_: World) -> None:
+    """Measure nothing."""
 
 
 def drive(world: World, angles: Mapping[int, float | None], geometry: Geometry) -> None:
@@ -44,20 +48,22 @@ def run(world: World, seconds: float) -> None:
         world.step()
 
 
-def walk(world: World, engine: Engine, geometry: Geometry, wanted: Velocity, seconds: float = TICK_S) -> None:
+def walk(
+    world: World, engine: Engine, geometry: Geometry, wanted: Velocity, seconds: float = TICK_S, sense: Sense = blind
+) -> None:
     """As a gateway passes its setpoints on, 50 a second, and the time until the next."""
     for _ in range(round(seconds / TICK_S)):
-        engine.step(wanted, TICK_S)
+        engine.step(wanted, TICK_S, sense(world))
         drive(world, angles_of(engine), geometry)
         run(world, TICK_S)
 
 
-def stand_up(world: World, engine: Engine, geometry: Geometry) -> None:
+def stand_up(world: World, engine: Engine, geometry: Geometry, sense: Sense = blind) -> None:
     """By its walk, and half a second longer."""
     engine.stand()
     while engine.posture is not Posture.STANDING:
-        walk(world, engine, geometry, STILL)
-    walk(world, engine, geometry, STILL, 0.5)
+        walk(world, engine, geometry, STILL, sense=sense)
+    walk(world, engine, geometry, STILL, 0.5, sense)
 
 
 def angles_of(engine: Engine) -> dict[int, float]:
@@ -69,11 +75,11 @@ def angles_of(engine: Engine) -> dict[int, float]:
     }
 
 
-def stood_up(geometry: Geometry, engine: Engine, assumed: Assumed | None = None) -> World:
+def stood_up(geometry: Geometry, engine: Engine, assumed: Assumed | None = None, sense: Sense = blind) -> World:
     """A robot that stands up from where this engine lies."""
     world = World(geometry, assumed or Assumed())
     world.lie_down({servo_id: geometry.joint_rad(servo_id, deg) for servo_id, deg in angles_of(engine).items()})
-    stand_up(world, engine, geometry)
+    stand_up(world, engine, geometry, sense)
     return world
 
 
@@ -81,15 +87,3 @@ def heading_rad(world: World) -> float:
     """Of the body, within half a turn."""
     x, y, z, w = world.body().rotation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
-def presses_n(world: World) -> dict[int, float]:
-    """The force on each foot's geometry."""
-    presses, force = dict.fromkeys(world.feet, 0.0), np.zeros(6)
-    for number in range(world.data.ncon):
-        contact = world.data.contact[number]
-        foot = next((geom for geom in (contact.geom1, contact.geom2) if geom in presses), None)
-        if foot is not None:
-            mujoco.mj_contactForce(world.model, world.data, number, force)
-            presses[foot] += float(force[0])
-    return presses

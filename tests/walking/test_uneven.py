@@ -4,22 +4,20 @@ import math
 from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
-from functools import cache
-from typing import Any, Final, NamedTuple
+from functools import cache, partial
+from typing import Final, NamedTuple
 
-import mujoco
-import numpy as np
 import pytest
 
 from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed, Terrain
 from gateway.people.physics.world import World
 from gateway.people.walking.engine import Engine
-from gateway.people.walking.motion import STILL, Posture, Velocity
+from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
-from tests.walking.physics import TICK_S, angles_of, drive, run
+from tests.walking import physics
 
 GEOMETRY: Final = load()
 ROBOT: Final = Robot(GEOMETRY)
@@ -75,17 +73,7 @@ class Outcome(NamedTuple):
 def measured(world: World, sensor: Sensor) -> Telemetry:
     """The body's truth as telemetry."""
     w, x, y, z = map(float, world.data.qpos[3:7])
-    presses = dict.fromkeys(LEGS, 0.0)
-    force: Any = np.zeros(6)
-    positions = np.array([world.data.geom_xpos[geom] for geom in world.feet])
-    legs = list(world.feet.values())
-    for number in range(world.data.ncon):
-        away = np.linalg.norm(positions - world.data.contact[number].pos, axis=1)
-        nearest = int(np.argmin(away))
-        if away[nearest] < 0.03:
-            mujoco.mj_contactForce(world.model, world.data, number, force)
-            presses[legs[nearest]] += float(force[0])
-    one, two, three, four, five, six = sensor(tuple(presses[leg] for leg in LEGS))
+    one, two, three, four, five, six = sensor(world.feet_n())
     still = (0.0, 0.0, 0.0)
     return Telemetry(
         time=_NOW,
@@ -97,30 +85,20 @@ def measured(world: World, sensor: Sensor) -> Telemetry:
 
 def walk(terrain: str, sensor: Sensor | None, seconds: float = 12.0) -> Outcome:
     """Stand up and walk ahead by a tripod gait; without a sensor: blind."""
-    engine, world = Engine(ROBOT, "tripod"), World(GEOMETRY, Assumed(terrain=TERRAINS[terrain]))
-    world.lie_down({servo_id: GEOMETRY.joint_rad(servo_id, deg) for servo_id, deg in angles_of(engine).items()})
-
-    def tick(wanted: Velocity) -> float:
-        engine.step(wanted, TICK_S, None if sensor is None else measured(world, sensor))
-        drive(world, angles_of(engine), GEOMETRY)
-        run(world, TICK_S)
-        _, x, y, _ = map(float, world.data.qpos[3:7])
-        return math.degrees(math.acos(max(-1.0, min(1.0, 1 - 2 * (x * x + y * y)))))  # against gravity
-
-    engine.stand()
-    while engine.posture is not Posture.STANDING:
-        tick(STILL)
-    for _ in range(round(2.0 / TICK_S)):
-        tick(STILL)
+    sense = physics.blind if sensor is None else partial(measured, sensor=sensor)
+    engine = Engine(ROBOT, "tripod")
+    world = physics.stood_up(GEOMETRY, engine, Assumed(terrain=TERRAINS[terrain]), sense)
+    physics.walk(world, engine, GEOMETRY, STILL, 1.5, sense)
     (begin_x_m, begin_y_m, _), tilts, limit = world.body().position_m, [], ""
-    for _ in range(round(seconds / TICK_S)):
-        tilts.append(tick(Velocity(0.08)))
+    for _ in range(round(seconds / physics.TICK_S)):
+        physics.walk(world, engine, GEOMETRY, Velocity(0.08), sense=sense)
+        _, x, y, _ = map(float, world.data.qpos[3:7])
+        tilts.append(math.degrees(math.acos(max(-1.0, min(1.0, 1 - 2 * (x * x + y * y))))))  # against gravity
         limit = engine.limit or limit
         if tilts[-1] > FALLEN_DEG:
             break
     x_m, y_m, _ = world.body().position_m
-    went_m = ((x_m - begin_x_m) ** 2 + (y_m - begin_y_m) ** 2) ** 0.5
-    return Outcome(went_m, sum(tilts) / len(tilts), max(tilts), limit)
+    return Outcome(math.hypot(x_m - begin_x_m, y_m - begin_y_m), sum(tilts) / len(tilts), max(tilts), limit)
 
 
 @cache
