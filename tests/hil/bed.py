@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, TypeVar
 
 from tests.benchmarks.processes import never_delay
 from tests.support.child import Child
@@ -53,20 +53,6 @@ def missing_packages() -> str:
 
 
 @dataclass(frozen=True)
-class Segment:
-    """One `spi_ioc_transfer` of a message; a plain write is one segment with the device's own speed and bits.
-
-    `delay_us` is the pause that was asked for behind it: Linux makes it while chip select is asserted.
-    """
-
-    data: bytes
-    speed_hz: int
-    bits_per_word: int
-    delay_us: int
-    cs_change: bool
-
-
-@dataclass(frozen=True)
 class Transfer:
     """One chip-select cycle that puts bytes on the wire; `errno` is what its call was answered for it, 0 for success.
 
@@ -80,29 +66,21 @@ class Transfer:
     errno: int
     opening: int
     mode: int
-    segments: tuple[Segment, ...]
     call: int
     """The number of its call: the same for what left together."""
     held: bool
     """Whether it hangs until `release`."""
-
-    @property
-    def pause_us(self) -> int:
-        """The pause at its end, while chip select is asserted; it is then released for 10 µs."""
-        return self.segments[-1].delay_us
+    speed_hz: int
+    bits_per_word: int
+    segments: int
+    """How many `spi_ioc_transfer` it is made of; a plain write is one, with the device's own speed and bits."""
+    pause_us: int
+    """The pause that was asked for at its end: Linux makes it while chip select is asserted, and then releases it."""
 
     @property
     def delivered(self) -> bool:
         """Whether the controller got it."""
         return self.errno == 0
-
-    @property
-    def speed_hz(self) -> int:
-        return self.segments[0].speed_hz
-
-    @property
-    def bits_per_word(self) -> int:
-        return self.segments[0].bits_per_word
 
 
 @dataclass(frozen=True)
@@ -133,6 +111,8 @@ class Message:
 
 
 Event = Transfer | Setting | Opened | Message
+KINDS = {kind.__name__: kind for kind in (Transfer, Setting, Opened, Message)}
+E = TypeVar("E", Transfer, Message)
 
 
 class SpiTestbed(Closing):
@@ -218,15 +198,7 @@ class SpiTestbed(Closing):
 
     def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until `predicate` holds for the transfers; these. Raises TimeoutError that lists what did arrive."""
-        transfers: list[Transfer] = []
-
-        def holds() -> bool:
-            transfers[:] = [event for event in self._events if isinstance(event, Transfer)]
-            return predicate(transfers)
-
-        if not self._wait(holds, timeout_s):
-            raise TimeoutError(f"waited {timeout_s} s; arrived: {self._summary()}")
-        return transfers
+        return self._wait_for(Transfer, predicate, 0, timeout_s)
 
     def wait_for_count(self, count: int, timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until at least `count` transfers have arrived since the start; all of them."""
@@ -240,17 +212,21 @@ class SpiTestbed(Closing):
 
         return found(self.wait_for(lambda transfers: bool(found(transfers)), timeout_s))[0]
 
-    def wait_for_message(self, data: bytes, *, since: int = 0, timeout_s: float = 20.0) -> Message:
-        """Wait for just this message on the UART, at index `since` of all events or later; the first such one."""
-        found: list[Message] = []
+    def wait_for_message(self, data: bytes, *, since: int = 0, timeout_s: float = 20.0) -> None:
+        """Wait for just this message on the UART, at index `since` of all events or later."""
+        self._wait_for(Message, lambda messages: any(each.data == data for each in messages), since, timeout_s)
 
-        def came() -> bool:
-            found[:] = [event for event in self._events[since:] if isinstance(event, Message) and event.data == data]
-            return bool(found)
+    def _wait_for(self, kind: type[E], predicate: Callable[[list[E]], bool], since: int, timeout_s: float) -> list[E]:
+        found: list[E] = []
 
-        if not self._wait(came, timeout_s):
-            raise TimeoutError(f"waited {timeout_s} s for {data.hex(' ')}; arrived: {self._summary()}")
-        return found[0]
+        def holds() -> bool:
+            found[:] = [event for event in self._events[since:] if isinstance(event, kind)]
+            return predicate(found)
+
+        if not self._wait(holds, timeout_s):
+            arrived = "\n".join(map(str, self._events[-20:])) or "nothing"
+            raise TimeoutError(f"waited {timeout_s} s; arrived:\n{arrived}")
+        return found
 
     def follow(self, since: int, timeout_s: float) -> list[Event] | None:
         """The events from index `since` on, as soon as there is one; none in time: []. None: there are no more."""
@@ -329,9 +305,6 @@ class SpiTestbed(Closing):
                 self._changed.wait(left_s)
         return held
 
-    def _summary(self) -> str:
-        return "\n".join(["", *(str(event) for event in self._events[-20:])]) if self._events else "nothing"
-
     def _read(self) -> None:
         with self._channel.makefile("r", encoding="utf-8") as lines:
             for line in lines:
@@ -341,34 +314,14 @@ class SpiTestbed(Closing):
             self._changed.notify_all()
 
     def _take(self, record: dict[str, Any]) -> None:
+        kind = record.pop("is")
         with self._changed:
-            if record["kind"] == "ready":
+            if kind == "ready":
                 self._ready = record["environment"]
-            elif record["kind"] == "reply":
+            elif kind == "reply":
                 self._replies[record["id"]] = record["error"]
             else:
-                self._events.append(_event(record))
+                if "data" in record:
+                    record["data"] = bytes.fromhex(record["data"])
+                self._events.append(KINDS[kind](**record))
             self._changed.notify_all()
-
-
-def _event(record: dict[str, Any]) -> Event:
-    now_ns, kind = record["t"], record["kind"]
-    if kind == "uart":
-        return Message(now_ns, bytes.fromhex(record["data"]))
-    opening = record["opening"]
-    if kind == "open":
-        return Opened(now_ns, opening)
-    if kind in ("mode", "bits", "speed", "lsb_first"):
-        return Setting(now_ns, kind, record["value"], record["errno"], opening)
-    segments = tuple(Segment(**{**part, "data": bytes.fromhex(part["data"])}) for part in record["segments"])
-    return Transfer(
-        now_ns,
-        cast(Literal["write", "message"], kind),
-        bytes.fromhex(record["data"]),
-        record["errno"],
-        opening,
-        record["mode"],
-        segments,
-        record["call"],
-        record["held"],
-    )

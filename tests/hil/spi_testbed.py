@@ -30,7 +30,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.hil.pseudo_uart import PseudoUart
@@ -53,6 +53,17 @@ SETTINGS = {NR_MODE: "mode", NR_LSB_FIRST: "lsb_first", NR_BITS: "bits", NR_SPEE
 # struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, nbits and padding.
 SEGMENT = struct.Struct("=QQIIHBBBBBB")
 
+
+class Segment(NamedTuple):
+    """What counts of it. A speed and bits of 0 are the device's own."""
+
+    data: bytes
+    speed_hz: int = 0
+    bits: int = 0
+    delay_us: int = 0
+    cs_change: int = 0
+
+
 Emit = Callable[[dict[str, object]], None]
 
 
@@ -72,7 +83,7 @@ class SpiController:
         }
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
         self._calls = 0
-        self.uart = PseudoUart(lambda now_ns, data: emit({"t": now_ns, "kind": "uart", "data": data.hex()}))
+        self.uart = PseudoUart(lambda now_ns, data: emit({"is": "Message", "monotonic_ns": now_ns, "data": data.hex()}))
         self._held: list[Callable[[], None]] = []
 
     def set(self, **faults: Any) -> None:
@@ -109,7 +120,7 @@ class SpiController:
             if not any(each.get_connected() for each in self._openings):  # umockdev notices a close some time after it
                 self._speed_hz = DEFAULT_SPEED_HZ
             self._openings[client] = len(self._openings) + 1
-            self._emit({"t": now_ns, "kind": "open", "opening": self._openings[client]})
+            self._emit({"is": "Opened", "monotonic_ns": now_ns, "opening": self._openings[client]})
         return self._openings[client]
 
     def handle_ioctl(self, _base: object, client: Any) -> bool:
@@ -131,7 +142,7 @@ class SpiController:
         return True
 
     def handle_write(self, _base: object, client: Any) -> bool:
-        self._transfer(time.monotonic_ns(), client, "write", [(bytes(client.get_arg().retrieve()), 0, 0, 0, 0)])
+        self._transfer(time.monotonic_ns(), client, "write", [Segment(bytes(client.get_arg().retrieve()))])
         return True
 
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
@@ -145,28 +156,29 @@ class SpiController:
             if rx_buf and length and (rx_buf, length) not in filled:  # each is a message to the program
                 argument.resolve(offset + 8, length).update(0, answer[:length].ljust(length, b"\0"))
                 filled.add((rx_buf, length))
-            segments.append((sent, speed_hz, bits, delay_us, cs_change))
+            segments.append(Segment(sent, speed_hz, bits, delay_us, cs_change))
         self._transfer(now_ns, client, "message", segments)
 
-    def _transfer(self, now_ns: int, client: Any, kind: str, segments: list[tuple[bytes, int, int, int, int]]) -> None:
+    def _transfer(self, now_ns: int, client: Any, kind: str, segments: list[Segment]) -> None:
         with self._lock:
             opening, length, at_ns = self._opening(now_ns, client), 0, now_ns
             self._calls += 1
-            code = self._rejection(client, [segment[0] for segment in segments])
+            code = self._rejection(client, [segment.data for segment in segments])
             rejected = bool(code)
-            about = {"kind": kind, "opening": opening, "mode": self._mode, "call": self._calls}
+            about = {"is": "Transfer", "kind": kind, "opening": opening, "mode": self._mode, "call": self._calls}
             about["held"] = blocking = self._faults["blocking"]
             for cycle in [segments] if rejected else self._cycles(segments):
                 code = code or self._verdict()
-                taken = [self._described(segment) for segment in cycle]
-                data = b"".join(segment[0] for segment in cycle)
-                self._emit({**about, "t": at_ns, "data": data.hex(), "errno": code, "segments": taken})
+                data = b"".join(segment.data for segment in cycle)
+                self._emit(
+                    {**about, "monotonic_ns": at_ns, "data": data.hex(), "errno": code, **self._described(cycle)}
+                )
                 length += len(data)
                 if code:
                     break
-                for segment, described in zip(cycle, taken, strict=True):
-                    at_ns += len(segment[0]) * 8_000_000_000 // max(described["speed_hz"], SLOWEST_HZ)
-                    at_ns += described["delay_us"] * 1000
+                for segment in cycle:
+                    at_ns += len(segment.data) * 8_000_000_000 // max(segment.speed_hz or self._speed_hz, SLOWEST_HZ)
+                    at_ns += segment.delay_us * 1000
                 at_ns += CS_CHANGE_NS
             if rejected:
                 at_ns = now_ns
@@ -178,24 +190,19 @@ class SpiController:
                 time.sleep((left_ns - SPIN_NS) / 1e9)
         _answer(client, length, code)
 
-    def _cycles(self, segments: list[tuple[bytes, int, int, int, int]]) -> list[list[tuple[bytes, int, int, int, int]]]:
+    def _cycles(self, segments: list[Segment]) -> list[list[Segment]]:
         """The same in chip-select cycles."""
-        cycles: list[list[tuple[bytes, int, int, int, int]]] = [[]]
+        cycles: list[list[Segment]] = [[]]
         for segment in segments:
             cycles[-1].append(segment)
-            if segment[4] and segment is not segments[-1] and not self._faults["ignores_cs_change"]:
+            if segment.cs_change and segment is not segments[-1] and not self._faults["ignores_cs_change"]:
                 cycles.append([])
         return cycles
 
-    def _described(self, segment: tuple[bytes, int, int, int, int]) -> dict[str, Any]:
-        data, speed_hz, bits, delay_us, cs_change = segment
-        return {
-            "data": data.hex(),
-            "speed_hz": speed_hz or self._speed_hz,
-            "bits_per_word": bits or self._bits,
-            "delay_us": delay_us,
-            "cs_change": bool(cs_change),
-        }
+    def _described(self, cycle: list[Segment]) -> dict[str, int]:
+        speed_hz, bits = cycle[0].speed_hz or self._speed_hz, cycle[0].bits or self._bits
+        pause_us = cycle[-1].delay_us
+        return {"speed_hz": speed_hz, "bits_per_word": bits, "segments": len(cycle), "pause_us": pause_us}
 
     def _rejection(self, client: Any, data: list[bytes]) -> int:
         """Why none of a call's transfers is made; 0: they are."""
@@ -242,7 +249,8 @@ class SpiController:
                 self._speed_hz = value
             elif kind != "lsb_first" or value:
                 code = errno.EINVAL
-            self._emit({"t": now_ns, "kind": kind, "value": value, "errno": code, "opening": opening})
+            about = {"is": "Setting", "monotonic_ns": now_ns, "kind": kind}
+            self._emit({**about, "value": value, "errno": code, "opening": opening})
         _answer(client, 0, code)
 
 
@@ -328,7 +336,7 @@ def serve(channel: socket.socket) -> int:
 
     bed = Testbed(emit)
     try:
-        emit({"kind": "ready", "environment": bed.environment})
+        emit({"is": "ready", "environment": bed.environment})
         for line in channel.makefile("r", encoding="utf-8"):
             request: dict[str, Any] = json.loads(line)
             number, name = request.pop("id"), request.pop("do")
@@ -338,7 +346,7 @@ def serve(channel: socket.socket) -> int:
             except (OSError, ValueError) as reason:
                 error = str(reason)
             if number:
-                emit({"kind": "reply", "id": number, "error": error})
+                emit({"is": "reply", "id": number, "error": error})
     finally:
         bed.close()
     return 0

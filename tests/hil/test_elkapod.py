@@ -75,7 +75,7 @@ def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot
     assert order.count("shutdown") >= ROUNDS
     assert "start" not in order
     assert {each.what for each in robot.said if not isinstance(each.what, str)} == {AT_REST}
-    assert {(each.kind, each.mode, each.speed_hz, each.bits_per_word, len(each.segments)) for each in frames} == {
+    assert {(each.kind, each.mode, each.speed_hz, each.bits_per_word, each.segments) for each in frames} == {
         ("message", 2, 1_000_000, 8, 1)
     }
     # Never more often than asked for: one that was late is not made up for.

@@ -136,7 +136,7 @@ def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
         assert heard.wait(lambda event: event.kind is Kind.STOPPING)
         assert "Traceback" not in gateway.child.stderr
         wire.expect(*STOPS)
-        wire.expect_repeats(3, *STOPS)
+        wire.expect_opening(*STOPS, times=3)
         wire.expect_nothing()
 
 

@@ -53,18 +53,14 @@ class Wire:
 
     def expect(self, *frames: str) -> list[Transfer]:
         """The next frames (hex), and nothing else among them; waits for them."""
-        return self.expect_transfers(transfers_of(self.framing, *frames))
+        return self._expect(transfers_of(self.framing, *frames))
 
-    def expect_opening(self, *frames: str) -> list[Transfer]:
-        """The preamble, where the framing has one, and these frames."""
-        return self.expect_transfers(opening_of(self.framing, *frames))
+    def expect_opening(self, *frames: str, times: int = 1) -> list[Transfer]:
+        """The preamble, where the framing has one, and these frames; so often."""
+        return self._expect(opening_of(self.framing, *frames) * times)
 
-    def expect_repeats(self, count: int, *frames: str) -> list[Transfer]:
-        """These Stops again, so often, each time behind the preamble."""
-        return self.expect_transfers(opening_of(self.framing, *frames) * count)
-
-    def expect_transfers(self, expected: list[bytes], *, errno: int = 0) -> list[Transfer]:
-        """The next transfers, byte for byte, each answered `errno`."""
+    def _expect(self, expected: list[bytes]) -> list[Transfer]:
+        """The next transfers, byte for byte, each delivered."""
         found: list[Transfer] = []
         while len(found) < len(expected):
             unit = self._next()
@@ -72,9 +68,7 @@ class Wire:
             if [each.data for each in unit] == wanted or not self._is_by_itself(unit):
                 found += unit
             self._follow(unit)
-        assert [(transfer.data.hex(), transfer.errno) for transfer in found] == [
-            (data.hex(), errno) for data in expected
-        ]
+        assert [(each.data.hex(), each.errno) for each in found] == [(data.hex(), 0) for data in expected]
         return found
 
     def _next(self) -> list[Transfer]:
@@ -147,7 +141,7 @@ def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, 
 def start(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Gateway:
     """A gateway on the wire, whose start has been read."""
     gateway = Gateway(folder, settings_for(wire, **sections), bed=wire.bed)
-    wire.expect_repeats(1 + 1 + STOP_REPEATS, *STOPS)  # the first come before the service is loaded
+    wire.expect_opening(*STOPS, times=1 + 1 + STOP_REPEATS)  # the first come before the service is loaded
     return gateway
 
 
