@@ -5,13 +5,25 @@
 With `--ask` it asks in place of publishing, and waits for no answer. It prints `flooding` once it has begun.
 """
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import zenoh
 
 from gateway.zenoh_config import client_config
+from tests.support.child import Child
 
 DELETE = "--delete"
+
+
+@contextmanager
+def flooding(endpoint: str, key: str, payload: str, *options: str) -> Iterator[None]:
+    """Such a program, which has begun."""
+    with Child([sys.executable, "-m", "tests.attack.flood", endpoint, key, payload, *options], os.environ) as child:
+        child.wait_for_output("flooding")
+        yield
 
 
 def main() -> None:

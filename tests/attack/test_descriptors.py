@@ -38,9 +38,10 @@ def wait_until(holds: Callable[[], bool], timeout_s: float = 10.0) -> None:
 
 
 @pytest.mark.hil
-def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path: Path) -> None:
     """They need no certificate: it takes connections to the TLS port that say nothing."""
     with (
+        SpiTestbed() as spi_testbed,
         Secured(tmp_path, {"spi": {"framing": "plain"}}, bed=spi_testbed, prefix=limited(LIMIT, LIMIT)) as secured,
         secured.client("anna") as anna,
         ExitStack() as end,

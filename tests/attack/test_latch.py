@@ -15,7 +15,7 @@ from schemas.telemetry import Event, Kind, Mode, Reason
 from tests.support.cut_link import CutLink
 from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import Heard, events
+from tests.support.heard import Heard, events, servos_on
 
 START = leg_payload("start", (90, 45, 120))
 MAX_AGE_MS = 1500
@@ -64,10 +64,6 @@ def rejected(heard: Heard[Event], key: str, count: int = 1) -> Event:
     return heard.wait(lambda event: event.kind is Kind.COMMAND_REJECTED and event.key == key, count=count)
 
 
-def running(client: Client) -> list[int]:
-    return [servo.id for leg in client.state().legs for servo in leg.servos if servo.running]
-
-
 def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
     gateway: Gateway, link: CutLink, laptop: Client, bystander: Client, heard: Heard[Event]
 ) -> None:
@@ -87,7 +83,7 @@ def test_a_reset_from_behind_a_cut_link_leaves_no_emergency_stop(
         rejected(heard, keys.leg_command(1), count=attempt)
         state = bystander.state()
         assert (state.mode, state.estop) == (Mode.ESTOPPED, second)
-        assert not running(bystander)
+        assert not servos_on(state)
         assert laptop.reset(first, check=False).detail == (
             f"a newer emergency stop was requested: estop is {first}, and the latest is {second}"
         )
@@ -106,7 +102,7 @@ def test_a_gateway_that_was_frozen_executes_nothing_that_waited_in_it(
     gateway.child.send_signal(signal.SIGCONT)
     for leg in (2, 3, 4):
         assert rejected(heard, keys.leg_command(leg)).reason is Reason.STALE
-    assert set(running(bystander)) <= {11, 12, 13}
+    assert servos_on(bystander.state()) <= {11, 12, 13}
     assert laptop.start_leg(2, 90, 45, 120).accepted, "its clock says that this one is fresh"
     assert bystander.stop().accepted
     assert bystander.estop().stop_frames == 6

@@ -5,10 +5,8 @@ lost by that: its renewals were pushed out.
 """
 
 import json
-import os
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
@@ -16,7 +14,7 @@ import pytest
 from gateway.errors import DisconnectedError
 from schemas.keys import BUTTON, LEASE
 from schemas.telemetry import Kind
-from tests.support.child import Child
+from tests.attack.flood import flooding
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
@@ -27,10 +25,7 @@ ASKERS = 3
 QUESTIONS = 400
 MOST_LOST = 16
 """While this machine puts the gateway aside for more than 25 ms. Without the deep rings it was 21 to 66."""
-SETTINGS: dict[str, dict[str, Any]] = {
-    "buttons": {"timeout_ms": 10_000},
-    "lease": {"ttl_ms": 2000},
-}
+SETTINGS: dict[str, dict[str, Any]] = {"buttons": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 2000}}
 ASKED = {
     "challenges": {"do": "challenge"},
     "claims": {"do": "acquire", "source": "mallory"},
@@ -44,11 +39,9 @@ gateway = gateway_fixture(SETTINGS, scope="function")
 @contextmanager
 def asking(gateway: Gateway, key: str, question: dict[str, str]) -> Iterator[None]:
     """Three programs ask this, some ten thousand times a second each."""
-    command = [sys.executable, "-m", "tests.attack.flood", gateway.endpoint, key, json.dumps(question), "--ask"]
     with ExitStack() as stack:
-        askers = [stack.enter_context(closing(Child(command, os.environ))) for _ in range(ASKERS)]
-        for each in askers:
-            each.wait_for_output("flooding")
+        for _ in range(ASKERS):
+            stack.enter_context(flooding(gateway.endpoint, key, json.dumps(question), "--ask"))
         yield
 
 

@@ -9,7 +9,7 @@ import json
 import random
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,7 @@ from schemas.keys import LEGS_COMMAND, leg_command, servo_command
 from tests.benchmarks.processes import program
 from tests.support.gateway_process import Gateway
 
-SETTINGS = {
-    "watchdog": {"timeout_ms": 10_000},
-    "limits": {"leg_rate_hz": 1000},
-}
+SETTINGS = {"watchdog": {"timeout_ms": 10_000}, "limits": {"leg_rate_hz": 1000}}
 TRIES = 160
 BLOCK = zenoh.CongestionControl.BLOCK
 KEYS = {"legs": LEGS_COMMAND, "leg": leg_command(1), "servo": servo_command(11)}
@@ -48,7 +45,7 @@ PAIRS = [(start, stop) for start in WAYS for stop in [*WAYS, *((key, "delete") f
 def traffic(gateway: Gateway, messages_hz: float) -> Iterator[None]:
     """Other legs' setpoints, that many a second in all, from another process."""
     options = ["--legs", "2", "3", "4", "5", "6", "--hz", str(messages_hz / 5)]
-    with closing(program("publisher", gateway.endpoint, *options)) as others:
+    with program("publisher", gateway.endpoint, *options) as others:
         others.wait_for_output("ready", timeout_s=20)
         others.tell("600")
         yield

@@ -8,6 +8,7 @@ from gateway.client import Client
 from gateway.people.ros2.messages import Twist, Vector3
 from schemas.telemetry import Mode
 from tests.support.bridged import PATIENT
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import running, states
 from tests.support.rclpy_peer import RclpyBridge, RclpyPeer, needs_rclpy
@@ -15,10 +16,7 @@ from tests.support.rclpy_peer import RclpyBridge, RclpyPeer, needs_rclpy
 pytestmark = [needs_rclpy, pytest.mark.full]
 
 
-@pytest.fixture(scope="module")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), PATIENT) as running_one:
-        yield running_one
+gateway = gateway_fixture(PATIENT)
 
 
 @pytest.fixture

@@ -7,13 +7,9 @@ from playwright.sync_api import expect
 
 from tests.console.browser import HIDE, SHOW, Visitor
 from tests.support.gateway_process import Gateway
+from tests.support.heard import servos_on
 
 pytestmark = pytest.mark.browser
-
-
-def running(gateway: Gateway) -> bool:
-    with gateway.client() as robot:
-        return any(servo.running for leg in robot.state().legs for servo in leg.servos)
 
 
 def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) -> None:
@@ -28,7 +24,8 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     anna["lease-hand-over"].click()
     expect(bert["driver"]).to_have_text("you")
     expect(bert.said).to_have_text("You drive: the lease was handed over to you. Press to move.")
-    assert not running(gateway)
+    with gateway.client() as robot:
+        assert not servos_on(robot.state())
     expect(anna["driver"]).not_to_have_text("you")
 
     anna["lease-take"].click()

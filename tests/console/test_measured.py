@@ -12,10 +12,10 @@ from gateway.client import Client
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Battery, GatewayState, Telemetry
+from schemas.telemetry import Battery, Telemetry
 from tests.console.browser import CHANGES, Opened, Visitor
 from tests.support.fixtures import client_fixture
-from tests.support.heard import states
+from tests.support.heard import servos_on, states
 from tests.support.measuring import LEANING, measures
 
 pytestmark = pytest.mark.browser
@@ -82,20 +82,16 @@ def test_one_hold_starts_all_six_legs_at_once_lying_and_a_stop_of_one_is_one_of_
     expect(page["stop-leg"]).to_have_text("Stop leg 1, and so all six")
     seen = states(robot)
     page.page.keyboard.down("h")
-    first = seen.wait(lambda state: running(state) == set(SERVO_IDS))
+    first = seen.wait(lambda state: servos_on(state) == set(SERVO_IDS))
     lying = lying_deg(Robot(geometry.load()))
     assert {servo.id: servo.angle_deg for leg in first.legs for servo in leg.servos} == pytest.approx(lying, abs=0.01)
     expect(page.said).to_have_text("Running legs 1, 2, 3, 4, 5 and 6 while you hold.")
     page["stop-leg"].click()
     expect(page.said).to_have_text("Stops sent to all six legs.")
-    states(robot).wait(lambda state: not running(state))
+    states(robot).wait(lambda state: not servos_on(state))
     page.page.keyboard.up("h")
     page["cal"].locator("summary").click()
     expect(page["cal-whole"]).to_be_visible()
     expect(page["cal-start"]).to_be_disabled()
     page.page.evaluate("window.controller.alive = false")
     expect(page["measured"]).to_have_text("Controller silent", use_inner_text=True)
-
-
-def running(state: GatewayState) -> set[int]:
-    return {servo.id for leg in state.legs for servo in leg.servos if servo.running}

@@ -12,7 +12,7 @@ from tests.console.other_browsers import Firefox, OtherBrowser, WebKit
 from tests.support.console_process import Console
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import states
+from tests.support.heard import servos_on, states
 
 pytestmark = [pytest.mark.other_browsers, pytest.mark.nightly]
 
@@ -61,4 +61,4 @@ def test_enter_drive_stand_walk_and_stop_all(page: OtherBrowser, console: Consol
     page.wait_for_words("6 Stops written within")
     state = robot.state()
     assert state.mode == "estopped"
-    assert not any(servo.running for leg in state.legs for servo in leg.servos)
+    assert not servos_on(state)

@@ -22,6 +22,8 @@ from gateway.zenoh_config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState
+from tests.attack.flood import flooding
+from tests.benchmarks.processes import program
 from tests.benchmarks.publisher import payload
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
@@ -100,13 +102,10 @@ def is_stop(data: bytes) -> bool:
 def crowd(endpoint: str) -> Iterator[None]:
     """All of them at work."""
     with ExitStack() as stack:
-        for module, *arguments in (
-            ("tests.hil.load", endpoint),
-            ("tests.attack.flood", endpoint, STATE, "", "--ask"),
-            ("tests.attack.flood", endpoint, leg_command(FLOODED_LEG), payload(0)),
-        ):
-            child = stack.enter_context(Child([sys.executable, "-m", module, *arguments], os.environ))
-            child.wait_for_output("ing", timeout_s=30)  # it is flooding, or commanding
+        many = stack.enter_context(Child([sys.executable, "-m", "tests.hil.load", endpoint], os.environ))
+        many.wait_for_output("commanding", timeout_s=30)
+        stack.enter_context(flooding(endpoint, STATE, "", "--ask"))
+        stack.enter_context(flooding(endpoint, leg_command(FLOODED_LEG), payload(0)))
         for _ in range(os.cpu_count() or 1):
             stack.callback(Child([sys.executable, "-c", "while True: pass"], os.environ).close)
         yield
@@ -126,26 +125,16 @@ def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = 
         Gateway(folder, settings, bed=bed, env=env) as gateway,
         gateway.client() as client,
         Child([sys.executable, "-c", PAUSES], {**os.environ, **env}) as pauses,
+        program("publisher", gateway.endpoint, "--legs", *map(str, LEGS), "--hz", "50") as stream,
     ):
-        legs = [str(leg) for leg in LEGS]
-        stream = Child(
-            [sys.executable, "-m", "tests.benchmarks.publisher", gateway.endpoint, "--legs", *legs, "--hz", "50"],
-            os.environ,
-        )
-        try:
-            stream.wait_for_output("ready", timeout_s=20)
-            with crowd(gateway.endpoint):
-                end_s = time.monotonic() + duration_s
-                for spoken in itertools.count(1):
-                    stream.tell(str(SPEECH_S))
-                    stream.wait_for_line(spoken, timeout_s=30)
-                    time.sleep(SILENCE_S)
-                    if time.monotonic() >= end_s:
-                        break
-            time.sleep(3 * TIMEOUT_MS / 1000)
-            return Outcome(bed.transfers, client.state(), float(pauses.ask("")))
-        finally:
-            stream.close()
+        stream.wait_for_output("ready", timeout_s=20)
+        with crowd(gateway.endpoint):
+            end_s = time.monotonic() + duration_s
+            while time.monotonic() < end_s:
+                stream.ask(str(SPEECH_S), timeout_s=30)
+                time.sleep(SILENCE_S)
+        time.sleep(3 * TIMEOUT_MS / 1000)
+        return Outcome(bed.transfers, client.state(), float(pauses.ask("")))
 
 
 def clients(endpoint: str) -> None:

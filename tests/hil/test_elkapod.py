@@ -17,7 +17,7 @@ from schemas.telemetry import Kind
 from tests.hil.elkapod_bed import AT_REST, ElkapodBed
 from tests.hil.wire import LATE_S
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import events, states
+from tests.support.heard import events, servos_on, states
 
 pytestmark = pytest.mark.hil
 
@@ -114,7 +114,7 @@ def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
         assert robot.controller.energised == frozenset()
         if not count:
             heard.wait(lambda event: event.kind is Kind.STOPPED_OUTSIDE)
-            assert not any(servo.running for leg in client.state().legs for servo in leg.servos)
+            assert not servos_on(client.state())
             start_all(robot, client)
             gateway.child.kill()
             gateway.child.wait(LATE_S)

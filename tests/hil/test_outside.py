@@ -5,16 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from schemas.telemetry import GatewayState, Kind, Reason
+from schemas.telemetry import Kind, Reason
 from tests.hil.wire import LATE_S, Replay, Wire, settings_for
 from tests.support.gateway_process import COMMAND, Gateway, write_settings
-from tests.support.heard import events
+from tests.support.heard import events, servos_on
 
 pytestmark = pytest.mark.hil
-
-
-def running(state: GatewayState) -> set[int]:
-    return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
 
 
 def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
@@ -49,5 +45,5 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
                 starter.result(LATE_S)
             replay = Replay(wire.framing)
             replay.play(wire.bed.transfers)
-            assert replay.energised_for_good() == running(client.state())
+            assert replay.energised_for_good() == servos_on(client.state())
             assert not replay.controller.corruptions

@@ -22,7 +22,7 @@ from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import Heard, events
+from tests.support.heard import Heard, events, servos_on
 from tests.support.recorded_board import RecordedBoard, answers_steadily
 
 pytestmark = pytest.mark.hil
@@ -225,7 +225,7 @@ def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
             assert child.wait(LATE_S) == 0 or "NOT confirmed" in child.stderr, str(child)
         state = client.state()
         assert state.mode is Mode.IDLE
-        assert not any(servo.running for leg in state.legs for servo in leg.servos)
+        assert not servos_on(state)
         assert client.estop().confirmed
         assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "once, and for good"
         assert client.reset().accepted

@@ -1,7 +1,7 @@
-"""Where no network can be, its tests are skipped, but fail in CI; a network, a robot and laptops as fixtures."""
+"""Where no network can be, its tests are skipped, but fail in CI; a network, a robot and laptops as a fixture."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import pytest
 
@@ -9,59 +9,34 @@ from tests.net.hosts import LaptopHost, RobotHost
 from tests.net.namespaces import Network
 
 
-@pytest.fixture(scope="module")
-def hosts_network() -> Iterator[Network]:
-    """A robot and two laptops; one for all tests of a file."""
-    with Network(laptops=2) as network:
-        yield network
+class Hosts(NamedTuple):
+    """A network, and what runs in it."""
 
-
-@pytest.fixture
-def network(hosts_network: Network) -> Network:
-    """The same, with all links up."""
-    for number in hosts_network.laptops:
-        hosts_network.fix(number)
-    return hosts_network
-
-
-@dataclass
-class Hosts:
-    """What runs in it."""
-
+    network: Network
     robot: RobotHost
     laptops: tuple[LaptopHost, LaptopHost]
 
 
 @pytest.fixture(scope="module")
-def running(hosts_network: Network, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
-    """The robot and both laptops. They take seconds to start on a busy machine, so all at once, and once for all."""
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
+    """They take seconds to start on a busy machine, so all at once, and once for all tests of a file."""
     with (
-        LaptopHost(hosts_network, 0) as first,
-        LaptopHost(hosts_network, 1) as second,
-        RobotHost(hosts_network, tmp_path_factory.mktemp("robot")) as robot,
+        Network(laptops=2) as network,
+        LaptopHost(network, 0) as first,
+        LaptopHost(network, 1) as second,
+        RobotHost(network, tmp_path_factory.mktemp("robot")) as robot,
     ):
-        yield Hosts(robot, (first.ready(), second.ready()))
+        yield Hosts(network, robot, (first.ready(), second.ready()))
 
 
 @pytest.fixture
-def hosts(network: Network, running: Hosts) -> Hosts:
+def hosts(running: Hosts) -> Hosts:
     """The same, on links that are up, with no stream and nothing running."""
-    del network
+    for number in running.network.laptops:
+        running.network.fix(number)
     for laptop in running.laptops:
         laptop.ask("pause")
         laptop.ask("in-reach")
         laptop.ask("state")  # comes behind whatever was on the way
     running.robot.at_rest()
     return running
-
-
-@pytest.fixture
-def robot(hosts: Hosts) -> RobotHost:
-    """The robot of these."""
-    return hosts.robot
-
-
-@pytest.fixture
-def laptops(hosts: Hosts) -> tuple[LaptopHost, LaptopHost]:
-    """The laptops of these."""
-    return hosts.laptops

@@ -71,10 +71,9 @@ class Streamer:
         self._source = source
         self._thread = threading.Thread()
         self._paused = threading.Event()
-        self._progress = threading.Condition()
+        self._changed = threading.Condition()
         self._sent = Sent()
         self._step = 0
-        self._reach = threading.Condition()
         self._in_reach = False
         session = client.session
         self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
@@ -85,11 +84,8 @@ class Streamer:
         word, *rest = line.split()
         match word:
             case "start":
-                return {
-                    "accepted": [
-                        self._client.start_leg(int(leg), *self._angles(), check=False).accepted for leg in rest
-                    ]
-                }
+                acks = [self._client.start_leg(int(leg), *self._angles(), check=False) for leg in rest]
+                return {"accepted": [ack.accepted for ack in acks]}
             case "stream" | "ask" | "flood" | "deaf":
                 return self._begin(word, rest)
             case "sent" | "pause":
@@ -127,30 +123,30 @@ class Streamer:
         return {}
 
     def _report(self, count: int, *, end: bool) -> Any:
-        with self._progress:
-            if not self._progress.wait_for(lambda: self._sent.sent >= count, BOUND_S):
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._sent.sent >= count, BOUND_S):
                 return {"error": f"only {self._sent} in {BOUND_S} s"}
         if end:
             self.end()
         return asdict(self._sent)
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
-        with self._reach:
+        with self._changed:
             self._in_reach = sample.kind == zenoh.SampleKind.PUT
-            self._reach.notify_all()
+            self._changed.notify_all()
 
     def _wait_for_reach(self, in_reach: bool) -> Any:
-        with self._reach:
-            reached = self._reach.wait_for(lambda: self._in_reach is in_reach, BOUND_S)
+        with self._changed:
+            reached = self._changed.wait_for(lambda: self._in_reach is in_reach, BOUND_S)
         return {} if reached else {"error": f"not in {BOUND_S} s"}
 
     def _run(self, send: Callable[[], None], period_s: float) -> None:
         due_s = time.monotonic()
         while not self._paused.is_set():
             send()
-            with self._progress:
+            with self._changed:
                 self._note(time.monotonic_ns())
-                self._progress.notify_all()
+                self._changed.notify_all()
             if period_s:
                 due_s = max(due_s + period_s, time.monotonic())  # a missed period is skipped, never made up
                 self._paused.wait(due_s - time.monotonic())

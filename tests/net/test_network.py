@@ -13,8 +13,9 @@ import pytest
 
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
+from tests.net.conftest import Hosts
 from tests.net.hosts import TIMEOUT_MS, LaptopHost, RobotHost, is_command, is_stop
-from tests.net.namespaces import BUFFER_BYTES, Network
+from tests.net.namespaces import BUFFER_BYTES
 
 pytestmark = pytest.mark.net
 
@@ -25,10 +26,8 @@ HZ = 50
 FIRST, LAST = (1, 2, 3), (4, 5, 6)
 
 
-def test_a_cut_link_stops_every_leg_in_time(
-    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
-) -> None:
-    laptop = laptops[0]
+def test_a_cut_link_stops_every_leg_in_time(hosts: Hosts) -> None:
+    network, robot, (laptop, _) = hosts
     late_ms: list[float] = []
     for _ in range(CUTS):
         robot.forget()
@@ -44,11 +43,9 @@ def test_a_cut_link_stops_every_leg_in_time(
     check_lateness("cut", late_ms)
 
 
-def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(
-    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
-) -> None:
+def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(hosts: Hosts) -> None:
     """The cut is longer than the lease: the session ends, its stream goes on, and the other laptop notices nothing."""
-    lost, other = laptops
+    network, robot, (lost, other) = hosts
     lost.ask("in-reach")
     lost.start(*FIRST)
     lost.stream(*FIRST)
@@ -79,10 +76,8 @@ def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(
     check_a_start_moves_it(robot, lost)
 
 
-def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(
-    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
-) -> None:
-    frozen, other = laptops
+def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(hosts: Hosts) -> None:
+    network, robot, (frozen, other) = hosts
     other.start(*LAST)
     other.stream_acknowledged(*LAST)
     frozen.start(*FIRST)
@@ -107,10 +102,8 @@ def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(
     check_a_start_moves_it(robot, frozen)
 
 
-def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
-    robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
-) -> None:
-    flood, other = laptops
+def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(hosts: Hosts) -> None:
+    _, robot, (flood, other) = hosts
     flood.start(*FIRST)
     other.start(*LAST)
     other.stream_acknowledged(*LAST)
@@ -135,19 +128,18 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(
     assert not robot.seen(is_command(*LEGS))
 
 
-def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(
-    network: Network, robot: RobotHost, laptops: tuple[LaptopHost, LaptopHost]
-) -> None:
+def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(hosts: Hosts) -> None:
     """Its link is full, since nothing that the gateway sends is read; and it goes on asking for acknowledgements."""
+    network, robot, (_, other) = hosts
     with LaptopHost(network, 0) as deaf:
         late_ms: list[float] = []
         deaf.ask("deaf 1 2 3")
         for _ in range(4):
             robot.forget()
-            laptops[1].start(*LAST)
-            laptops[1].stream(*LAST)
+            other.start(*LAST)
+            other.stream(*LAST)
             robot.wait_for_commands(*LAST)
-            laptops[1].ask("pause")
+            other.ask("pause")
             late_ms += robot.wait_for_stops(*LAST)
     check_lateness("beside a deaf one", late_ms)
 

@@ -9,15 +9,12 @@ from gateway.client import Client
 from gateway.errors import RejectedError
 from gateway.people.ros2.messages import DiagnosticArray, JointState, Twist
 from tests.support.bridged import PATIENT
+from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyBridge, RclpyPeer
 from tests.support.ros2_messages import Float64, Int32, JointTrajectory
 
-
-@pytest.fixture(scope="package")
-def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
-    with Gateway(tmp_path_factory.mktemp("gateway"), PATIENT) as running:
-        yield running
+gateway = gateway_fixture(PATIENT, scope="package")
 
 
 @pytest.fixture(scope="package")

@@ -79,6 +79,11 @@ def running(client: Client) -> list[int]:
     return [leg.leg for leg in client.state().legs if all(servo.running for servo in leg.servos)]
 
 
+def servos_on(state: GatewayState) -> set[int]:
+    """The servos that run."""
+    return {servo.id for leg in state.legs for servo in leg.servos if servo.running}
+
+
 def is_stop(frame: FrameRecord) -> bool:
     return decode(bytes.fromhex(frame.bytes)).is_stop
 

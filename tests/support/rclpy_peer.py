@@ -18,13 +18,14 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 import pytest
 
 from gateway.people.ros2.messages import Message
 from tests.support.bridged import READY, clean
 from tests.support.child import Child
+from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.ros2_messages import plain
 
@@ -50,7 +51,7 @@ _MADE_S: Final = 5.0
 ENV: Final = {"FASTDDS_DEFAULT_PROFILES_FILE": str(PROFILE), "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 
 
-class RclpyPeer:
+class RclpyPeer(Closing):
     """The end that a test holds. What it is asked for, the `Actor` in the process does."""
 
     def __init__(self, domain: int = DOMAIN, module: str = "tests.support.rclpy_peer", **env: str) -> None:
@@ -59,10 +60,7 @@ class RclpyPeer:
         self.child = Child([PYTHON, "-m", module, str(domain)], own)
         self.child.wait_for_output(PEER_READY)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self.child.close()
 
     def __getattr__(self, command: str) -> Callable[..., Any]:
@@ -100,7 +98,7 @@ def packed(message: Any) -> str:
     return pickle.dumps(message).hex()
 
 
-class RclpyBridge:
+class RclpyBridge(Closing):
     """A running bridge by rclpy."""
 
     def __init__(
@@ -117,10 +115,7 @@ class RclpyBridge:
         self.child = Child([*by, *RCLPY_COMMAND, "ros2", *link, *arguments], clean() | ENV | (env or {}))
         self.child.wait_for_output(READY)
 
-    def __enter__(self) -> "RclpyBridge":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self.child.terminate()
         self.child.wait()
         self.child.close()
