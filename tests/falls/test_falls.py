@@ -1,23 +1,120 @@
 """What stops do to a robot (docs/stops.md). That a gateway writes a landing as computed: tests/hil/test_landing.py."""
 
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
 from copy import deepcopy
 from functools import cache, reduce
 from itertools import product
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
 import pytest
 
+from gateway.geometry import Geometry, load
 from gateway.people.physics.assumed import Assumed
+from gateway.people.physics.world import TIMESTEP_S, World
+from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS
-from tests.falls.fall import AFTER_S, SLACK, Fall, landed, looked_at
-from tests.falls.stride import GEOMETRY, SETTINGS, STANCES, STAND, Moment, moments
-from tests.walking.physics import FALLEN_DEG, SINKS_S, SUNK_M, run
+from gateway.people.walking.motion import Velocity
+from gateway.people.walking.robot import Robot
+from gateway.robot.core.landing import landing
+from gateway.robot.settings import Settings
+from schemas.robot import SERVO_IDS
+from tests.walking import physics
+
+ELKAPOD: Final = Path(__file__).parents[2] / "examples" / "elkapod"
+GEOMETRY: Final = load(ELKAPOD / "geometry.json")
+"""Angles as commands name them, the same on both sides; so is the landing pose."""
+SETTINGS: Final = Settings.of(tomllib.loads((ELKAPOD / "gateway.toml").read_text()))
+PHASES: Final = 6
+STAND: Final = "stand"
+STANCES: Final = (STAND, *GAITS)
+_STRIDES_BEFORE: Final = 2
+
+
+class Moment(NamedTuple):
+    """A robot in one phase, just after its latest command."""
+
+    world: World
+    """As it was then."""
+    angles: dict[int, float]
+    """Where each servo was sent, in degrees as commands name them."""
 
 
 @cache
-def six_moments(stance: str, assumed: Assumed) -> list[Moment]:
-    """Whoever goes on with one takes a copy."""
-    return moments(stance, assumed)
+def moments(stance: str, assumed: Assumed) -> list[Moment]:
+    """The phases of a stride, each as just after a command; of a stand there is one. Go on with a copy of them."""
+    engine = Engine(Robot(GEOMETRY), "tripod" if stance == STAND else stance)
+    world = physics.stood_up(GEOMETRY, engine, assumed)
+    if stance == STAND:
+        return [Moment(world, physics.angles_of(engine))]
+    ticks = round(GAITS[stance].period_s / physics.TICK_S)
+    due = {_STRIDES_BEFORE * ticks + round(phase * ticks / PHASES) for phase in range(PHASES)}
+    found = []
+    for number in range((_STRIDES_BEFORE + 1) * ticks):
+        physics.walk(world, engine, GEOMETRY, Velocity(physics.SPEEDS_M_S[stance]))
+        if number in due:
+            found.append(Moment(deepcopy(world), physics.angles_of(engine)))
+    return found
+
+
+AFTER_S: Final = 1.5
+"""After the last thing that is sent: then it lies."""
+SLACK: Final[Mapping[int, float | None]] = dict.fromkeys(SERVO_IDS)
+_LOOK: Final = 5
+"""Steps."""
+_NS: Final = 1_000_000_000
+
+
+class Fall(NamedTuple):
+    """Of a robot that stood or walked, from its latest command on."""
+
+    drop_m: float
+    speed_m_s: float
+    """The fastest that its body went down."""
+    tilt_deg: float
+
+    def worse(self, other: "Fall") -> "Fall":
+        """The worse of each figure."""
+        return Fall(*map(max, self, other))
+
+
+def looked_at(world: World, sent: Iterable[physics.Sent], geometry: Geometry) -> Fall:
+    """Send the servos there, in seconds from now, and look until it lies."""
+    begun_s, begin = world.time_s, world.body()
+    lowest_m, speed_m_s, tilt_deg = begin.position_m[2], 0.0, 0.0
+    waiting = list(sent)
+    last_s = waiting[-1][0]
+    steps = 0
+    while world.time_s - begun_s < last_s + AFTER_S:
+        while waiting and waiting[0][0] <= world.time_s - begun_s + TIMESTEP_S / 2:
+            physics.drive(world, waiting.pop(0)[1], geometry)
+        world.step()
+        steps += 1
+        speed_m_s = max(speed_m_s, -float(world.data.qvel[2]))
+        if steps % _LOOK == 0:
+            body = world.body()
+            lowest_m, tilt_deg = min(lowest_m, body.position_m[2]), max(tilt_deg, body.tilt_deg)
+    return Fall(begin.position_m[2] - lowest_m, speed_m_s, tilt_deg)
+
+
+def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[physics.Sent]:
+    """A landing from these angles by the core's own function, at the legs' rate. Seconds from the latest command."""
+    began_ns = round(settings.watchdog.timeout_ms * 1e6)
+    length_ns = round(settings.watchdog.landing_ms * 1e6)
+    period_ns = round(_NS / settings.limits.leg_rate_hz)
+    ends = {int(name): angle_deg for name, angle_deg in settings.watchdog.landing.items()}
+    ways_cdeg = {
+        servo_id: (round(100 * angle_deg), round(100 * ends.get(servo_id, angle_deg)))
+        for servo_id, angle_deg in begin.items()
+    }
+    way = landing(began_ns, began_ns + length_ns, length_ns, period_ns, ways_cdeg)
+    now_ns, part_ns = began_ns, 0
+    while now_ns < way.ends_ns and part_ns < way.length_ns:
+        part_ns = way.next_part_ns(part_ns, now_ns)
+        yield now_ns / _NS, {servo_id: way.angle_cdeg(servo_id, part_ns) / 100 for servo_id in ways_cdeg}
+        now_ns += period_ns
+    yield way.ends_ns / _NS, SLACK
 
 
 WEAK: Final = "servos of 1.4 N·m"
@@ -47,7 +144,7 @@ hold it up like a trestle, and let go at once (docs/stops.md)."""
 def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
     each = (
         looked_at(deepcopy(moment.world), landed(moment.angles, SETTINGS), GEOMETRY)
-        for moment in six_moments(stance, WORLDS[world])
+        for moment in moments(stance, WORLDS[world])
     )
     found = reduce(Fall.worse, each)
     assert found.speed_m_s < (STUCK_M_S if (world, stance) in STUCK else MOST_SPEED_M_S)
@@ -58,10 +155,10 @@ def test_a_landing_from_any_phase_is_gentle(world: str, stance: str) -> None:
 @pytest.mark.parametrize("gait", GAITS)
 def test_a_stop_in_any_phase_of_a_stride_lets_it_sink_and_never_topple(gait: str) -> None:
     """All servos slack, as after an emergency stop, at six times within a stride: faster down than by a landing."""
-    for moment in six_moments(gait, Assumed()):
+    for moment in moments(gait, Assumed()):
         world = deepcopy(moment.world)
         fallen = looked_at(world, [(0.0, SLACK)], GEOMETRY)
         assert fallen.speed_m_s > MOST_SPEED_M_S
-        assert fallen.tilt_deg < FALLEN_DEG
-        run(world, SINKS_S - AFTER_S)
-        assert world.body().position_m[2] < SUNK_M
+        assert fallen.tilt_deg < physics.FALLEN_DEG
+        physics.run(world, physics.SINKS_S - AFTER_S)
+        assert world.body().position_m[2] < physics.SUNK_M

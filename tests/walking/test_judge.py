@@ -1,14 +1,116 @@
 """Each gait goes where it was sent, in three worlds. Physics is the judge (docs/walking.md)."""
 
-from typing import Final
+import math
+from typing import Any, Final, NamedTuple
 
+import numpy as np
 import pytest
 
+from gateway.geometry import load
 from gateway.people.physics.assumed import Assumed
+from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS
-from gateway.people.walking.motion import Velocity
-from tests.walking.judge import Part, Walker
-from tests.walking.physics import SPEEDS_M_S
+from gateway.people.walking.motion import STILL, Posture, Velocity, travelled
+from gateway.people.walking.robot import Robot
+from tests.walking.physics import SPEEDS_M_S, TICK_S, heading_rad, stood_up, walk
+
+OFF: Final = 0.10
+"""Of the distance that was commanded."""
+ASIDE: Final = 0.05
+"""Of the way."""
+TURNED_DEG: Final = 5.0
+TILT_DEG: Final = 5.0
+SCRAPED_M: Final = 0.010
+SHORT_M: Final = 0.006
+"""A way of a few centimetres says little of what a robot drifts on a long one: standing up shifts it by as much."""
+SETTLES_S: Final = 0.2
+"""Behind a part of a course: the servos have followed by then."""
+_ARM_M: Final = 0.3
+"""A turn on the spot carries the feet along a circle of about this radius: its way, for what it drifts."""
+_CARRIES: Final = 0.15
+"""Of the robot's weight: a foot that carries less is being put down or lifted, and is not in its stance."""
+_GEOMETRY: Final = load()
+
+
+class Part(NamedTuple):
+    """A part of a course: a velocity, for so long."""
+
+    name: str
+    velocity: Velocity
+    seconds: float
+
+
+class Walker:
+    """A simulated robot of these assumptions that has stood up, and what becomes of it."""
+
+    def __init__(self, gait: str, assumed: Assumed) -> None:
+        self.engine = Engine(Robot(_GEOMETRY), gait)
+        self.world = stood_up(_GEOMETRY, self.engine, assumed)
+        self._carries_n = _CARRIES * 9.81 * float(sum(self.world.model.body_mass))
+        self._stood: dict[int, Any] = {}
+        self._heading_rad = self._tilt_deg = self._scraped_m = 0.0
+
+    @property
+    def height_m(self) -> float:
+        return self.world.body().position_m[2]
+
+    def walk(self, part: Part) -> list[str]:
+        """Walk a part and stand; what is not within the limits, in words."""
+        (begin_x_m, begin_y_m, _), begin_rad = self.world.body().position_m, self._heading_rad
+        self._tilt_deg = self._scraped_m = 0.0
+        for _ in range(round(part.seconds / TICK_S)):
+            self._tick(part.velocity)
+        self.engine.stand()
+        self._until(Posture.STANDING)
+        x_m, y_m, _ = self.world.body().position_m
+        east_m, north_m = x_m - begin_x_m, y_m - begin_y_m
+        cosine, sine = math.cos(begin_rad), math.sin(begin_rad)
+        ahead_m, left_m = cosine * east_m + sine * north_m, cosine * north_m - sine * east_m
+        turned_deg = math.degrees(self._heading_rad - begin_rad)
+        return [f"{part.name}: {fault}" for fault in self._faults(part, ahead_m, left_m, turned_deg)]
+
+    def sit(self) -> None:
+        """Sit down, and let all servos go slack."""
+        self.engine.sit()
+        self._until(Posture.SITTING)
+
+    def _faults(self, part: Part, ahead_m: float, left_m: float, turned_deg: float) -> list[str]:
+        velocity = part.velocity
+        x_m, y_m, turned_rad = travelled(velocity, part.seconds)
+        wanted_m = math.hypot(x_m, y_m)
+        speed_m_s = max(math.hypot(velocity.forward_m_s, velocity.left_m_s), abs(velocity.turn_rad_s) * _ARM_M)
+        went_m, aside_m = 0.0, math.hypot(ahead_m, left_m)
+        if wanted_m:
+            went_m = (ahead_m * x_m + left_m * y_m) / wanted_m
+            aside_m = abs(ahead_m * y_m - left_m * x_m) / wanted_m
+        wrong_deg = turned_deg - math.degrees(turned_rad)
+        found = {
+            f"went {went_m:.3f} m of {wanted_m:.3f}": abs(went_m - wanted_m) > max(OFF * wanted_m, SHORT_M),
+            f"{1000 * aside_m:.0f} mm aside": aside_m > max(ASIDE * part.seconds * speed_m_s, SHORT_M),
+            f"heading off by {wrong_deg:+.1f} degrees": abs(wrong_deg) > TURNED_DEG,
+            f"leaned by {self._tilt_deg:.1f} degrees": self._tilt_deg > TILT_DEG,
+            f"a foot scraped by {1000 * self._scraped_m:.1f} mm": self._scraped_m > SCRAPED_M,
+        }
+        return [what for what, is_off in found.items() if is_off]
+
+    def _until(self, posture: Posture) -> None:
+        while self.engine.posture is not posture:
+            self._tick(STILL)
+        for _ in range(round(SETTLES_S / TICK_S)):
+            self._tick(STILL)
+
+    def _tick(self, wanted: Velocity) -> None:
+        walk(self.world, self.engine, _GEOMETRY, wanted)
+        self._heading_rad += math.remainder(heading_rad(self.world) - self._heading_rad, math.tau)
+        self._tilt_deg = max(self._tilt_deg, self.world.body().tilt_deg)
+        for foot, newtons in zip(self.world.feet, self.world.feet_n(), strict=True):
+            at = self.world.data.geom_xpos[foot][:2]
+            if newtons > self._carries_n:
+                begun = self._stood.setdefault(foot, at.copy())
+                self._scraped_m = max(self._scraped_m, float(np.linalg.norm(at - begun)))
+            else:
+                self._stood.pop(foot, None)
+
 
 USUAL: Final = Assumed()
 WORLDS: Final = {
