@@ -1,15 +1,15 @@
 """The console's page in a real browser, as a person uses it."""
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from re import Pattern
-from types import TracebackType
-from typing import Any, ClassVar, Final, Self
+from typing import Any, ClassVar, Final
 
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
+from tests.support.closing import Closing
 from tests.support.console_process import SignedIn
 from tests.support.gateway_process import Gateway
 
@@ -31,12 +31,8 @@ KEEP_KEY: Final = """
 if (location.origin === "%s") localStorage.setItem("hexapod-console-key", "%s");
 """
 """What `enter.js` does in a browser that opens a link."""
-HIDE: Final = """
-Object.defineProperty(document, "visibilityState", { value: "hidden", configurable: true });
-document.dispatchEvent(new Event("visibilitychange"));
-"""
-SHOW: Final = """
-Object.defineProperty(document, "visibilityState", { value: "visible", configurable: true });
+VISIBILITY: Final = """
+Object.defineProperty(document, "visibilityState", { value: "%s", configurable: true });
 document.dispatchEvent(new Event("visibilitychange"));
 """
 
@@ -78,8 +74,7 @@ WebSocket.prototype.send = function (text) {
 """Keeps the page's wishes for the walk, or keeps them back."""
 PUSHES: Final = 100
 """In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
-WALKS_OR_ENDED: Final = """() => document.getElementById("walk-known").textContent.includes("It walks")
-  || !document.querySelector('.stick[data-held="yes"]')"""
+WALKS: Final = 'document.getElementById("walk-known").textContent.includes("It walks")'
 
 CHANGES: Final = """
 const listen = WebSocket.prototype.addEventListener;
@@ -126,7 +121,7 @@ def put_to_rest(gateway: Gateway) -> None:
             assert robot.reset().accepted
 
 
-class Visitor(AbstractContextManager["Visitor"]):
+class Visitor(Closing):
     """Opens pages of one console, each in a profile of its own; at the end all are closed, and the robot rests."""
 
     lines: ClassVar[list[str]] = []
@@ -147,19 +142,16 @@ class Visitor(AbstractContextManager["Visitor"]):
             for page in self._idle.pop(other):
                 page.context.close()
 
-    def open(
-        self, *, webgl: bool = False, script: str = "", context: BrowserContext | None = None, **options: Any
-    ) -> "Opened":
+    def open(self, *, webgl: bool = False, script: str = "", **options: Any) -> "Opened":
         """A page that shows the robot. Without WebGL unless it is wanted: a browser that draws, for this page alone."""
         if webgl:
             browser = self._browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
             self._stack.callback(browser.close)
             opened = self._page(self._prepared(browser.new_context(**options)), script)
-        elif context or options:
-            prepared = self._prepared(context or self._browser.new_context(**options), WITHOUT_WEBGL)
-            if context is None:
-                self._stack.callback(prepared.close)
-            opened = self._page(prepared, script)
+        elif options:
+            context = self._prepared(self._browser.new_context(**options), WITHOUT_WEBGL)
+            self._stack.callback(context.close)
+            opened = self._page(context, script)
         else:
             opened = self._used_again()
             if script:
@@ -200,13 +192,6 @@ class Visitor(AbstractContextManager["Visitor"]):
         else:
             opened.context.close()
 
-    @contextmanager
-    def blank(self) -> Iterator[Page]:
-        """A page of nobody's."""
-        context = self._browser.new_context()
-        yield context.new_page()
-        context.close()
-
     def renderers(self) -> set[int]:
         """The process ids of those that run pages."""
         processes = self._browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
@@ -229,14 +214,9 @@ class Visitor(AbstractContextManager["Visitor"]):
         ):
             self.faults.append(message.text)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
-        if kind is None:
+        if error[0] is None:
             assert not self.faults, self.faults
 
 
@@ -331,6 +311,14 @@ class Opened:
         """The browser's own interface to this page."""
         return self.context.new_cdp_session(self.page)
 
+    def hide(self) -> None:
+        """As if another tab were in front, or the phone locked."""
+        self.page.evaluate(VISIBILITY % "hidden")
+
+    def show(self) -> None:
+        """Undo `hide`."""
+        self.page.evaluate(VISIBILITY % "visible")
+
     def lose_focus(self) -> None:
         """Another window comes to the front."""
         self._has_focus = False
@@ -340,11 +328,16 @@ class Opened:
         other.bring_to_front()
 
 
-def walks(page: Opened, push: Callable[[Opened], None]) -> None:
-    """Push until it walks; where the machine stood still, which ends that, anew."""
+def again(page: Opened, act: Callable[[], None], came: str, ended: str) -> None:
+    """Act until `came` holds in the page; anew where `ended` holds first, as the machine stood still."""
     for _ in range(PUSHES):
-        push(page)
-        page.page.wait_for_function(WALKS_OR_ENDED)
-        if "It walks" in (page["walk-known"].text_content() or ""):
+        act()
+        page.page.wait_for_function(f"() => ({came}) || ({ended})")
+        if page.page.evaluate(came):
             return
     raise AssertionError(page.said.text_content())
+
+
+def walks(page: Opened, push: Callable[[Opened], None]) -> None:
+    """Push until it walks."""
+    again(page, lambda: push(page), WALKS, """!document.querySelector('.stick[data-held="yes"]')""")

@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
-from tests.console.browser import HIDE, PHONE, SHOW, Opened, Visitor
+from tests.console.browser import PHONE, Opened, Visitor
 from tests.support.child import frozen
 from tests.support.console_process import Console
 from tests.support.fixtures import client_fixture
@@ -112,10 +112,10 @@ def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(vis
     """A phone that is locked, and unlocked."""
     heard = events(watcher)
     page = watching(visitor, watcher, PHONE)
-    page.page.evaluate(HIDE)
+    page.hide()
     heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
     expect(page["word"]).to_have_text("NO SIGNAL")
-    page.page.evaluate(SHOW)
+    page.show()
     heard.wait(lambda event: event.kind == Kind.BUTTON_RETURNED)
     expect(page["word"]).to_have_text("STOP")
     assert page.page.evaluate("window.wakes") == 2, "the browser let go of the screen when it was hidden"

@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 
 from gateway.client import Client
 from schemas.calibration import ServoChange
-from tests.console.browser import HIDE, Opened, Visitor
+from tests.console.browser import Opened, Visitor
 from tests.support.gateway_process import Gateway
 from tests.support.heard import states
 
@@ -78,14 +78,6 @@ def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visito
         assert (written.trim_deg, written.inverted, written.min_deg, written.max_deg) == (3, False, 0, 90)
 
 
-def hide(page: Opened) -> None:
-    page.page.evaluate(HIDE)
-
-
-def close(page: Opened) -> None:
-    page.page.close()
-
-
 def fold(page: Opened) -> None:
     page["cal-title"].click()
 
@@ -94,7 +86,7 @@ def stop_all(page: Opened) -> None:
     page["stop-all"].click()
 
 
-@pytest.mark.parametrize("leave", [hide, close, fold, stop_all, Opened.lose_focus])
+@pytest.mark.parametrize("leave", [Opened.hide, Opened.close, fold, stop_all, Opened.lose_focus])
 def test_leaving_in_any_way_stops_the_servo(
     visitor: Visitor, gateway: Gateway, leave: Callable[[Opened], None]
 ) -> None:

@@ -8,8 +8,8 @@ from typing import Final
 import pytest
 from playwright.sync_api import Browser, expect
 
-from gateway.model.frames import Frame, OneLeg, Op, decode, stop_leg
-from tests.console.browser import GAMEPAD, HIDE, LATE_MS, Opened, Visitor
+from gateway.model.frames import OneLeg, Op, decode, stop_leg
+from tests.console.browser import GAMEPAD, LATE_MS, Opened, Visitor, again
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.console_process import Console
 from tests.support.cut_link import CutLink
@@ -23,10 +23,6 @@ TIMEOUT_MS: Final = 2000.0
 LEEWAY_MS: Final = 2000.0
 """So long this machine may hold the gateway up; how long its watchdog takes is measured on the device alone."""
 NS_PER_MS: Final = 1e6
-HOLDS: Final = 100
-"""In so many it is seconds that pass, where each is rejected at once: until the newest state is fresh again."""
-RUN_OR_ENDED: Final = """(legs) => document.getElementById("hold").dataset.held === "no"
-  || document.querySelectorAll("#run-chooser [data-runs]").length === legs"""
 
 
 class Robot:
@@ -63,12 +59,8 @@ class Robot:
             assert not any(_moves(each, leg) for each in transfers[first:])
 
 
-def _frame(transfer: Transfer) -> Frame:
-    return decode(transfer.data)
-
-
 def _ops(transfer: Transfer) -> list[tuple[int, Op, int]]:
-    return [(servo, op.op, op.angle_cdeg) for servo, op in _frame(transfer).servos]
+    return [(servo, op.op, op.angle_cdeg) for servo, op in decode(transfer.data).servos]
 
 
 def _stopped(transfers: Sequence[Transfer], leg: int, since: int) -> int:
@@ -79,7 +71,7 @@ def _stopped(transfers: Sequence[Transfer], leg: int, since: int) -> int:
 
 
 def _moves(transfer: Transfer, leg: int) -> bool:
-    frame = _frame(transfer)
+    frame = decode(transfer.data)
     return isinstance(frame, OneLeg) and frame.leg == leg and not frame.is_stop
 
 
@@ -106,13 +98,17 @@ def pages(browser: Browser, robot: Robot) -> Iterator[Visitor]:
 def hold(page: Opened, robot: Robot, *legs: int) -> int:
     """Drive these legs by holding H, anew where a busy machine ends that; from which transfer on they run."""
     page.drive(*legs)
-    for _ in range(HOLDS):
+    since = 0
+
+    def press() -> None:
+        nonlocal since
+        page.page.keyboard.up("h")
         since = len(robot.bed.transfers)
         page.page.keyboard.down("h")
-        page.page.wait_for_function(RUN_OR_ENDED, arg=len(legs))
-        if page["hold"].get_attribute("data-held") == "yes":
-            break
-        page.page.keyboard.up("h")
+
+    held = 'document.getElementById("hold").dataset.held'
+    run = f'document.querySelectorAll("#run-chooser [data-runs]").length === {len(legs)}'
+    again(page, press, f'{held} === "yes" && {run}', f'{held} === "no"')
     return since
 
 
@@ -149,14 +145,6 @@ def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(pag
     page.page.mouse.up()
 
 
-def _hide(page: Opened, _robot: Robot) -> None:
-    page.page.evaluate(HIDE)
-
-
-def _blur(page: Opened, _robot: Robot) -> None:
-    page.lose_focus()
-
-
 def _somebody_stops(_page: Opened, robot: Robot) -> None:
     with robot.gateway.client() as client:
         client.stop(1)
@@ -165,8 +153,8 @@ def _somebody_stops(_page: Opened, robot: Robot) -> None:
 @pytest.mark.parametrize(
     ("lose", "words"),
     [
-        (_hide, "this page is hidden"),
-        (_blur, "this window has lost the focus"),
+        (lambda page, _: page.hide(), "this page is hidden"),
+        (lambda page, _: page.lose_focus(), "this window has lost the focus"),
         (_somebody_stops, "servo 11 does not run"),
     ],
     ids=["hidden", "without focus", "stopped by another"],

@@ -5,7 +5,7 @@ import re
 import pytest
 from playwright.sync_api import expect
 
-from tests.console.browser import HIDE, SHOW, Visitor
+from tests.console.browser import Visitor
 from tests.support.gateway_process import Gateway
 from tests.support.heard import servos_on
 
@@ -51,12 +51,12 @@ def test_a_page_that_is_hidden_drives_no_more(visitor: Visitor, gateway: Gateway
     page, other = visitor.open(), visitor.open()
     page["lease-acquire"].click()
     expect(other["driver"]).to_contain_text("(page ")
-    page.page.evaluate(HIDE)
+    page.hide()
     expect(other["driver"]).to_have_text("nobody")
     with gateway.client() as robot:
         assert robot.start_leg(1, 90, 90, 90).accepted
         robot.stop()
-    page.page.evaluate(SHOW)
+    page.show()
     expect(page.said).to_have_text(
         re.compile(
             r"You do not drive any more: this page was hidden, locked or frozen for [\d.]+ s, so its lease ended.*"

@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import CDPSession, expect
 
 from tests.console import browser
-from tests.console.browser import HIDE, SHOW, WISHES, Opened, Visitor, walks
+from tests.console.browser import WISHES, Opened, Visitor, walks
 from tests.support.fixtures import client_fixture
 
 pytestmark = pytest.mark.browser
@@ -129,8 +129,8 @@ def test_a_driver_has_a_screen_that_stays_on_and_feels_what_ends_a_walk(visitor:
     page.page.evaluate("window.shakes = []")
     thumb.cancel()
     page.page.wait_for_function("() => window.shakes.length === 1")
-    page.page.evaluate(HIDE)
-    page.page.evaluate(SHOW)
+    page.hide()
+    page.show()
     page.page.wait_for_function("() => window.wakes === 2")
     page.page.evaluate("window.shakes = []")
     page["stop-all"].tap()

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, ViewportSize, expect
+from playwright.sync_api import Browser, Page, expect
 
 from tests.console.browser import LATE_MS, WITHOUT_WEBGL
 from tests.support.console_process import Console
@@ -16,22 +16,14 @@ from tests.support.gateway_process import Gateway
 pytestmark = pytest.mark.browser
 
 
-@pytest.fixture
-def victim(browser: Browser, console: Console) -> Iterator[Page]:
-    """A page in a browser of its own, which has just opened a link."""
-    with signed_in(browser, console) as page:
-        yield page
-
-
 @contextmanager
-def signed_in(
-    browser: Browser, console: Console, card: str = "", viewport: ViewportSize | None = None
-) -> Iterator[Page]:
-    context = browser.new_context(viewport=viewport)
+def signed_in(browser: Browser, console: Console) -> Iterator[Page]:
+    """A page in a browser of its own, which has just opened a link."""
+    context = browser.new_context()
     context.set_default_timeout(LATE_MS)
     context.add_init_script(WITHOUT_WEBGL)
     page = context.new_page()
-    page.goto(console.new_link(card))
+    page.goto(console.new_link())
     expect_live(page)
     yield page
     context.close()
@@ -41,13 +33,14 @@ def expect_live(page: Page) -> None:
     expect(page.locator("body")).to_have_attribute("data-live", "yes")
 
 
-def test_a_link_a_reload_and_a_second_tab(victim: Page, console: Console) -> None:
-    assert victim.url == f"{console.url}/", "neither the link nor the key stays in the address"
-    victim.reload()
-    expect_live(victim)
-    second = victim.context.new_page()
-    second.goto(console.url)
-    expect_live(second)
+def test_a_link_a_reload_and_a_second_tab(browser: Browser, console: Console) -> None:
+    with signed_in(browser, console) as page:
+        assert page.url == f"{console.url}/", "neither the link nor the key stays in the address"
+        page.reload()
+        expect_live(page)
+        second = page.context.new_page()
+        second.goto(console.url)
+        expect_live(second)
 
 
 def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(

@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
-from tests.console.browser import GAMEPAD, HIDE, SHOW, WISHES, Opened, Visitor, walks
+from tests.console.browser import GAMEPAD, WISHES, Opened, Visitor, walks
 from tests.support.child import frozen
 from tests.support.fixtures import client_fixture, console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.heard import states
@@ -141,10 +141,10 @@ def test_a_hidden_page_stands_and_goes_on_with_a_new_press_only(visitor: Visitor
     page = visitor.open()
     page.get_lease()
     walks(page, push)
-    page.page.evaluate(HIDE)
+    page.hide()
     expect(page.said).to_contain_text("It stands still: this page is hidden")
     assert robot.state().mode == "active"
-    page.page.evaluate(SHOW)
+    page.show()
     expect(page["walk-known"]).to_contain_text("It stands")
     expect(page["pad"]).to_have_attribute("data-held", "no")
     page.page.mouse.up()
