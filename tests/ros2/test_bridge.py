@@ -5,17 +5,16 @@ import signal
 import sys
 import threading
 from functools import partial
-from typing import Any
 
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, Message, String, Twist, Vector3
+from gateway.people.ros2.messages import WARN, DiagnosticArray, JointState, String
 from gateway.people.ros2.robot import MEASURED
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support import measuring
-from tests.support.bridged import LONG_S, clean, commanded, does, keeps, rejections, resting
+from tests.support.bridged import LONG_S, WALKING, clean, commanded, does, keeps, resting
 from tests.support.child import Child
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running, states
@@ -35,7 +34,6 @@ from tests.support.rclpy_peer import (
 from tests.support.ros2_messages import Float64
 
 pytestmark = needs_rclpy
-WALKING = Twist(Vector3(0.05))
 OTHER_DOMAIN = DOMAIN % 100 + 1
 
 # ---- in the graph
@@ -109,14 +107,7 @@ def test_ros_itself_reads_what_the_robot_measures_and_rubbish_ends_nothing(peer:
 def test_nothing_is_taken_before_somebody_drives(peer: RclpyPeer, watcher: Client) -> None:
     before = watcher.state().commands
     for topic, message in ((COMMANDS, resting()), ("/hexapod/cmd_vel", WALKING)):
-        name = topic.rpartition("/")[2]
-        publish = partial(peer.publish, topic, message)
-
-        def rejected(each: Message, publish: Any = publish, name: str = name) -> bool:
-            publish()
-            return f"{name}: nobody has called drive" in rejections(each)
-
-        peer.next(DIAGNOSTICS, rejected)
+        peer.not_taken(topic, message, f"{topic.rpartition('/')[2]}: nobody has called drive")
     assert not running(watcher)
     assert watcher.state().commands == before
     assert watcher.state().lease.holder is None
@@ -178,12 +169,7 @@ def test_after_an_emergency_stop_and_a_reset_nothing_goes_on_by_itself(driven: R
     watcher.estop()
     keeps(lambda: driven.publish(COMMANDS, resting()), lambda: any(state.lease.holder is None for state in seen.all))
     assert watcher.reset().accepted
-
-    def rejected(each: Message) -> bool:
-        driven.publish(COMMANDS, resting())
-        return "after that nobody has called drive" in rejections(each)
-
-    driven.next(DIAGNOSTICS, rejected)
+    driven.not_taken(COMMANDS, resting(), "after that nobody has called drive")
     assert not running(watcher)
     assert watcher.state().mode == Mode.IDLE
 

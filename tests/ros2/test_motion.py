@@ -7,7 +7,7 @@ from typing import Final
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import JointState, Message, Odometry, Twist, Vector3
+from gateway.people.ros2.messages import JointState, Message, Odometry, Twist
 from schemas.telemetry import Kind, Mode
 from tests.support.bad_ros2 import BAD
 from tests.support.bridged import (
@@ -15,6 +15,7 @@ from tests.support.bridged import (
     LONG_S,
     RESTS_DEG,
     SLOW,
+    WALKING,
     commanded,
     keeps,
     rejections,
@@ -28,17 +29,6 @@ from tests.support.ros2_messages import Float64, Int32, JointTrajectory, TwistSt
 pytestmark = needs_rclpy
 VELOCITIES: Final = "/hexapod/cmd_vel"
 TRAJECTORY: Final = "/hexapod/joint_trajectory"
-WALKING: Final = Twist(Vector3(0.05))
-
-
-def not_taken(peer: RclpyPeer, topic: str, message: Message, why: str) -> None:
-    """Published again and again: what comes just after a pause of the machine has another reason."""
-
-    def explained(array: Message) -> bool:
-        peer.publish(topic, message)
-        return why in rejections(array)
-
-    peer.next(DIAGNOSTICS, explained)
 
 
 # ---- joint commands
@@ -65,7 +55,7 @@ def test_joint_commands_become_frames_in_any_order_and_their_silence_stops_the_l
     states(watcher).wait(lambda state: state.lease.holder is None)
     last = GEOMETRY.joint_rad(11, angles[-1])
     driven.next("/hexapod/joint_states", lambda each: bool(each.position) and abs(each.position[0] - last) < 1e-3)
-    not_taken(driven, COMMANDS, resting(), "joint_commands fell silent, and the gateway has stopped its legs")
+    driven.not_taken(COMMANDS, resting(), "joint_commands fell silent, and the gateway has stopped its legs")
     assert not running(watcher)
 
 
@@ -73,7 +63,7 @@ def test_bad_messages_move_nothing_and_each_is_explained(driven: RclpyPeer, watc
     before = watcher.state().commands
     driven.advertise("/hexapod/cmd_vel_stamped", TwistStamped)
     for topic, message, why in BAD.values():
-        not_taken(driven, f"/hexapod/{topic}", message, why)
+        driven.not_taken(f"/hexapod/{topic}", message, why)
     assert watcher.state().commands == before
     assert watcher.state().lease.holder == "ros2", "it drives on"
 
@@ -86,8 +76,8 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
 ) -> None:
     """How long each silence lasts: tests/unit/people/test_ride.py."""
     driven.advertise("/hexapod/cmd_vel_stamped", TwistStamped)  # ROS 2's own teleop sends either
-    not_taken(driven, "/hexapod/roll_setpoint", Float64(0.1), "roll_setpoint: the robot does not stand")
-    not_taken(driven, "/hexapod/cmd_base_height", Float64(5.0), "cmd_base_height: it cannot stand 5 m high")
+    driven.not_taken("/hexapod/roll_setpoint", Float64(0.1), "roll_setpoint: the robot does not stand")
+    driven.not_taken("/hexapod/cmd_base_height", Float64(5.0), "cmd_base_height: it cannot stand 5 m high")
     assert not running(watcher)
     written = frames(watcher)
     driven.publish("/hexapod/cmd_base_height", Float64(0.12))

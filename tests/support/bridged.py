@@ -8,7 +8,7 @@ from typing import Final
 from gateway.geometry import joint_name, load
 from gateway.model.frames import Op
 from gateway.model.frames import decode as decode_frame
-from gateway.people.ros2.messages import JointState, Message
+from gateway.people.ros2.messages import JointState, Message, Twist, Vector3
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord
 from tests.support.fixtures import patient
@@ -38,6 +38,7 @@ def resting(**moved_rad: float) -> Message:
 
 PATIENT: Final = patient(telemetry={"frames": True})
 LONG_S: Final = 40.0
+WALKING: Final = Twist(Vector3(0.05))
 
 
 def keeps(publish: Callable[[], object], until: Callable[[], bool], hz: float = 50) -> None:

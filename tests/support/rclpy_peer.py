@@ -23,7 +23,7 @@ from typing import Any, Final
 import pytest
 
 from gateway.people.ros2.messages import Message
-from tests.support.bridged import READY, clean
+from tests.support.bridged import READY, clean, rejections
 from tests.support.child import Child
 from tests.support.closing import Closing
 from tests.support.gateway_process import COMMAND, Gateway
@@ -77,6 +77,15 @@ class RclpyPeer(Closing):
             if condition(message):
                 return message
         raise TimeoutError(f"no such message on {topic}")
+
+    def not_taken(self, topic: str, message: Message, why: str) -> None:
+        """Publish again and again until diagnostics say why: what comes just after a pause has another reason."""
+
+        def explained(array: Message) -> bool:
+            self.publish(topic, message)
+            return why in rejections(array)
+
+        self.next(DIAGNOSTICS, explained)
 
     def _ask(self, command: str, *arguments: object, **named: object) -> Any:
         words = json.dumps([command, [_sent(each) for each in arguments], named])
