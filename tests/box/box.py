@@ -50,6 +50,14 @@ def lacks() -> str:
     return missing_packages()
 
 
+def lacks_tools(what: str, *tools: str) -> str:
+    """What this machine lacks for that, which these tools and root do, in one line; empty when nothing."""
+    missing = [tool for tool in tools if shutil.which(tool) is None]
+    if os.geteuid() != 0 or missing:
+        return f"{what} not run here: that needs root, and {', '.join(missing) or 'no more'}"
+    return ""
+
+
 class Box(Closing):
     """A booted box; its end is the end of everything in it."""
 

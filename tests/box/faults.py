@@ -49,7 +49,8 @@ class Fault(NamedTuple):
     """How many lines come to light only after it, each with a remedy of its own."""
 
 
-TAKE_A_STOP = (
+FAULTS = (
+    # after which a crash leaves the servos on
     Fault(
         "a unit without Stops",
         "sed -i /^ExecStopPost.*stop-servos/d $unit; systemctl daemon-reload",
@@ -57,10 +58,6 @@ TAKE_A_STOP = (
     ),
     Fault("a drop-in without Stops", "drop_in ExecStopPost=", "empties ExecStopPost="),
     Fault("a state directory of root's", "chown -R root:root $state", "may not read and write /var/lib"),
-)
-"""After these a crash leaves the servos on: `make test` shows them, `make test-all` the others."""
-
-FAULTS = (
     # the package
     Fault(
         "an emptied file and a missing one",
@@ -265,11 +262,9 @@ FAULTS = (
 
 def table() -> str:
     """Return all faults as a table; `python -m tests.box.faults` prints it. †: the remedy is a sentence."""
-    rows = [f"{each.what}{'†' if each.by_hand else ''} | {each.says}" for each in EVERY]
+    rows = [f"{each.what}{'†' if each.by_hand else ''} | {each.says}" for each in FAULTS]
     return "\n".join(["planted | `check` prints", "---|---", *rows]) + "\n"
 
-
-EVERY = (*TAKE_A_STOP, *FAULTS)
 
 if __name__ == "__main__":
     print(table(), end="")

@@ -7,7 +7,7 @@ import pytest
 from gateway.model.frames import stop_leg
 from schemas.robot import LEGS
 from tests.box.box import SHARED_INSIDE, Box, Unit
-from tests.hil.bed import SpiTestbed
+from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.child import Child
 from tests.support.closing import Closing
 
@@ -95,9 +95,14 @@ class InstalledGateway(Closing):
     def _journal_options(self, cursor: str, unit: Unit | None = None) -> tuple[str, ...]:
         return f"--after-cursor={cursor}", "--no-pager", "--output=cat", f"--unit={(unit or self.unit).name}"
 
-    def wait_for_stops(self, since: int, timeout_s: float = 10) -> int:
-        """Wait until each of the six legs got a Stop at transfer `since` or later; the number of transfers so far."""
-        transfers = self.bed.wait_for(
-            lambda seen: {transfer.data for transfer in seen[since:] if transfer.delivered} >= STOPS, timeout_s
-        )
-        return len(transfers)
+
+def wait_for_stops(bed: SpiTestbed, *, since: int = 0, opening: int | None = None) -> list[Transfer]:
+    """Wait until each of the six legs got a Stop at transfer `since` or later; the transfers since then.
+
+    Only those count that came from who opened the device as the `opening`th, if it is given.
+    """
+
+    def counted(seen: list[Transfer]) -> list[Transfer]:
+        return [each for each in seen[since:] if opening in (None, each.opening)]
+
+    return counted(bed.wait_for(lambda seen: {each.data for each in counted(seen) if each.delivered} >= STOPS, 30))

@@ -9,7 +9,7 @@ from zipfile import ZIP_STORED, ZipFile
 from release.build import build
 from release.deb import deb, dependencies
 from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box
-from tests.box.installed import InstalledGateway
+from tests.box.installed import InstalledGateway, wait_for_stops
 
 WHEN = 1_700_000_000
 LIBRARY = "/usr/lib/hexapod-gateway"
@@ -122,18 +122,21 @@ class Robot(InstalledGateway):
         """`stop-servos` writes six Stops."""
         since = len(self.bed.transfers)
         self.box.run("env", *self.emulated, command, "stop-servos", "--config", "/etc/hexapod-gateway/gateway.toml")
-        self.wait_for_stops(since)
+        wait_for_stops(self.bed, since=since)
 
-    def hold(self) -> str:
-        """Hold leg 3 from now on, by a process of this number."""
-        command = "hexapod-gateway send leg 3 start 90 45 120 --hold 300 >/dev/null 2>&1 & echo $!"
-        held = self.box.run("sh", "-c", command).stdout.strip()
-        self.box.run("sh", "-c", "until grep -q ' 1$' /run/hexapod-gateway/servos; do sleep 0.05; done")
-        return held
 
-    def let_go(self, held: str) -> None:
-        """Servos rest again, and nobody drives."""
-        self.box.run("kill", held)
-        self.gateway("send", "leg", "3", "stop")
-        self.box.run("sh", "-c", "until grep -q ' 0$' /run/hexapod-gateway/servos; do sleep 0.05; done")
-        self.box.run("sh", "-c", "until hexapod-gateway status | grep -q '^Nobody drives'; do sleep 0.05; done")
+def hold(box: Box, *options: str) -> str:
+    """Hold leg 3 from now on, by a process of this number. `options`: of the command."""
+    command = f"hexapod-gateway send leg 3 start 90 45 120 --hold 300 {' '.join(options)} >/dev/null 2>&1 & echo $!"
+    held = box.run("sh", "-c", command).stdout.strip()
+    box.run("sh", "-c", "until grep -q ' 1$' /run/hexapod-gateway/servos; do sleep 0.05; done")
+    return held
+
+
+def let_go(box: Box, held: str, *options: str) -> None:
+    """End that process; servos rest again, and nobody drives."""
+    box.run("kill", held)
+    box.run("hexapod-gateway", "stop", *options)
+    box.run("sh", "-c", "until grep -q ' 0$' /run/hexapod-gateway/servos; do sleep 0.05; done")
+    status = f"hexapod-gateway status {' '.join(options)}"
+    box.run("sh", "-c", f"until {status} | grep -q '^Nobody drives'; do sleep 0.05; done")

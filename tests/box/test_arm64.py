@@ -10,7 +10,7 @@ import pytest
 
 from release.build import build
 from release.deb import deb, dependencies
-from tests.box.box import PATH_INSIDE
+from tests.box.box import PATH_INSIDE, lacks_tools
 from tests.box.package import WHEN
 from tests.support.child import Child
 from tests.support.lacks import skip_where
@@ -33,17 +33,9 @@ print(platform.machine(), len(of_this))
 """
 
 
-def lacks() -> str:
-    """What this machine lacks, in one line; empty when nothing."""
-    missing = [tool for tool in (QEMU, "debootstrap", "unshare", "nsenter") if shutil.which(tool) is None]
-    if os.geteuid() != 0 or missing:
-        return f"the arm64 package is not run here: that needs root, and {', '.join(missing) or 'no more'}"
-    return ""
-
-
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    skip_where(lacks())
+    skip_where(lacks_tools("the arm64 package is", QEMU, "debootstrap", "unshare", "nsenter"))
     folder = tmp_path_factory.mktemp("arm64")
     wheel, _ = build(folder, "1.1.0", WHEN)
     return deb(folder, wheel, dependencies(folder, "arm64"), "1.1.0", WHEN, "arm64", pack="none")

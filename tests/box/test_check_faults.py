@@ -8,7 +8,7 @@ from typing import NamedTuple
 import pytest
 
 from tests.box.box import Box
-from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, TAKE_A_STOP, Fault
+from tests.box.faults import CERTS, FAULTS, GIVEN, NAMES, OTHER, Fault
 from tests.box.installed import NAME
 from tests.box.package import Packages, install
 from tests.box.package import Robot as Packaged
@@ -116,25 +116,8 @@ def robot(well: Robot, request: pytest.FixtureRequest) -> Iterator[Robot]:
         well.shell(UNDO)
 
 
-@pytest.mark.parametrize("fault", TAKE_A_STOP, ids=lambda fault: fault.what)
-def test_a_fault_that_takes_a_stop_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> None:
-    named_and_helped(robot, fault)
-
-
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.what)
 def test_a_fault_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> None:
-    named_and_helped(robot, fault)
-
-
-def test_somebody_who_may_not_look_is_not_answered_with_a_traceback(well: Robot) -> None:
-    stranger = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--")
-    done = well.installed.box.run(*stranger, PROGRAM, "check", check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.endswith("is not for you to read, as it may name keys: sudo hexapod-gateway check\n")
-    assert "Traceback" not in done.stderr
-
-
-def named_and_helped(robot: Robot, fault: Fault) -> None:
     """As a technician does: plant, check, run what stands behind the arrow, and check again."""
     robot.shell(fault.plant)
     found = robot.new()
@@ -161,3 +144,11 @@ def filled_in(command: str) -> str:
     for word, meant in GIVEN.items():
         command = re.sub(rf"(?<![\w/]){re.escape(word)}(?!\w)", meant, command)
     return command
+
+
+def test_somebody_who_may_not_look_is_not_answered_with_a_traceback(well: Robot) -> None:
+    stranger = ("setpriv", "--reuid=nobody", "--regid=nogroup", "--clear-groups", "--")
+    done = well.installed.box.run(*stranger, PROGRAM, "check", check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.endswith("is not for you to read, as it may name keys: sudo hexapod-gateway check\n")
+    assert "Traceback" not in done.stderr

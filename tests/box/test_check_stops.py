@@ -22,7 +22,7 @@ def test_the_service_is_killed_and_its_stops_are_counted(robot: InstalledGateway
     said = robot.gateway("check", "--stops", "--restart", "--yes", "--only", "restart", "--late", "70")
     assert "PASS     restart" in said
     assert robot.unit.properties("ActiveState", "NRestarts") == ["active", "1"]
-    assert any(has_started(transfer) for transfer in robot.bed.transfers if transfer.opening == before)
+    assert any(has_started(transfer.data) for transfer in robot.bed.transfers if transfer.opening == before)
     outside = [t.data for t in robot.bed.transfers if before < t.opening <= before + 4]  # stop-servos' four rounds
     assert len(outside) == 24
     assert set(outside) == STOPS

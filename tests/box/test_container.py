@@ -13,14 +13,15 @@ from typing import Final
 
 import pytest
 
-from tests.box.installed import NAME, STOPS
+from tests.box.box import lacks_tools
+from tests.box.installed import NAME, wait_for_stops
 from tests.box.package import Packages
-from tests.box.test_readme import SUDO, debian
-from tests.hil.bed import SpiTestbed, Transfer, missing_packages
+from tests.box.test_readme import debian
+from tests.hil.bed import SpiTestbed, missing_packages
 from tests.support.child import Child
 from tests.support.closing import Closing
 from tests.support.lacks import skip_where
-from tests.support.pages import blocks, programs
+from tests.support.pages import SUDO, blocks, programs
 
 pytestmark = pytest.mark.nightly
 
@@ -40,14 +41,6 @@ events_logger = "file"
 """
 STORAGE: Final = '[storage]\ndriver = "overlay"\ngraphroot = "{0}/images"\nrunroot = "{0}/run"\n'
 OWN: Final = "ip link set lo up && echo ready && read -r _"
-
-
-def lacks() -> str:
-    """What this machine lacks, in one line; empty when nothing."""
-    missing = [tool for tool in ("podman", "runc", "debootstrap", "unshare") if shutil.which(tool) is None]
-    if os.geteuid() != 0 or missing:
-        return f"the container is neither built nor run here: that needs root, and {', '.join(missing) or 'no more'}"
-    return missing_packages()
 
 
 class Containers(Closing):
@@ -92,7 +85,7 @@ class Containers(Closing):
 @pytest.fixture(name="containers")
 def make_containers(tmp_path: Path, packages: Packages) -> Iterator[Containers]:
     """With the base image, and in the folder what the repository has there after `make deb`."""
-    skip_where(lacks())
+    skip_where(lacks_tools("the container is", "podman", "runc", "debootstrap", "unshare") or missing_packages())
     (tmp_path / "dist").mkdir()
     shutil.copy(packages.make("1.1.0"), tmp_path / "dist")
     shutil.copytree(DEPLOY, tmp_path / "deploy")
@@ -134,24 +127,15 @@ def each_end_stops(containers: Containers, bed: SpiTestbed, run: str) -> None:
     assert "accepted" in containers.gateway("send leg 3 start 90 45 120")
     first = bed.transfers[-1].opening
     containers.run(f"podman exec {NAME} sh -c 'read -r gateway </proc/1/task/1/children; kill -KILL $gateway'")
-    stopped(bed, first + 1)  # by stop-servos
+    wait_for_stops(bed, opening=first + 1)  # by stop-servos
     containers.wait_for_starts(2)
     assert "stopped" in containers.gateway("estop")
     before, second = len(bed.transfers), bed.transfers[-1].opening
     assert second > first + 1
     containers.run(f"podman stop {NAME}")
-    stopped(bed, second, before)
-    stopped(bed, second + 1)
+    wait_for_stops(bed, opening=second, since=before)
+    wait_for_stops(bed, opening=second + 1)
     assert containers.run(f"podman inspect {NAME} --format '{{{{.State.ExitCode}}}}'") == "0\n"
     containers.run(run)
     containers.wait_for_starts(1)
     assert "nothing runs until a reset" in containers.gateway("status")
-
-
-def stopped(bed: SpiTestbed, opening: int, since: int = 0) -> None:
-    """Wait until each leg got a Stop from who opened the device as the `opening`th."""
-
-    def written(seen: list[Transfer]) -> bool:
-        return {each.data for each in seen[since:] if each.delivered and each.opening == opening} >= STOPS
-
-    bed.wait_for(written, timeout_s=30)

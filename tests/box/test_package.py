@@ -9,8 +9,8 @@ import pytest
 
 from release.deb import debian_version
 from tests.box.box import Box
-from tests.box.installed import CONFIGURATION, NAME
-from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot, current, dpkg, install
+from tests.box.installed import CONFIGURATION, NAME, wait_for_stops
+from tests.box.package import BROKEN, LATE, LIBRARY, UNIT_FILE, Packages, Robot, current, dpkg, hold, install, let_go
 
 pytestmark = pytest.mark.systemd
 
@@ -116,7 +116,7 @@ def test_a_servo_runs_during_the_upgrade(robot: Robot, packages: Packages) -> No
     """The robot goes on as it stands, and the new release is taken by the command that is printed."""
     robot.configure("watchdog.timeout_ms = 10000\nlease.ttl_ms = 10000\n")  # dpkg may take the processor for a while
     robot.unit.systemctl("restart")
-    process, held = robot.unit.property("MainPID"), robot.hold()
+    process, held = robot.unit.property("MainPID"), hold(robot.box)
     said = install(robot.box, packages.make("1.1.1"))
     assert (
         f"a servo runs, so the service goes on with the release before this one. Stop the robot, then: {RECONFIGURE}"
@@ -125,7 +125,7 @@ def test_a_servo_runs_during_the_upgrade(robot: Robot, packages: Packages) -> No
     assert robot.unit.property("MainPID") == process
     dpkg(robot.box, *RECONFIGURE.split()[1:])
     assert robot.unit.property("MainPID") == process
-    robot.let_go(held)
+    let_go(robot.box, held)
     robot.is_at_work("1.1.0")
     dpkg(robot.box, *RECONFIGURE.split()[1:])
     robot.is_at_work("1.1.1")
@@ -150,7 +150,7 @@ def test_removed_and_installed_again_it_runs_as_before(robot: Robot, packages: P
     robot.gateway("estop")
     since = len(robot.bed.transfers)
     assert "warning" not in dpkg(box, "dpkg", "--remove", NAME)
-    robot.wait_for_stops(since)
+    wait_for_stops(robot.bed, since=since)
     assert robot.unit.property("ActiveState") == "inactive"
     assert not box.exists(LIBRARY)
     install(box, packages.make("1.1.0"))

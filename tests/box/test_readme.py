@@ -1,6 +1,5 @@
 """README's *On the robot*, pasted into a fresh Debian 12 and a fresh Debian 13, and answered as a person would."""
 
-import re
 import shlex
 import subprocess
 from pathlib import Path
@@ -11,12 +10,12 @@ import pytest
 from tests.box.box import PATH_INSIDE, Box
 from tests.box.installed import NAME
 from tests.box.package import CONFIG_TXT, LIBRARY, STOCK, WITHOUT_UDEV, Packages, share, simulate
+from tests.support.pages import SUDO, blocks, section
 
 pytestmark = [pytest.mark.systemd, pytest.mark.nightly]
 
 README: Final = Path(__file__).parents[2] / "README.md"
 PARTS: Final = "systemd,systemd-sysv,dbus,iproute2,python3,python3-spidev"
-SUDO: Final = '#!/bin/sh\nexec "$@"\n'
 ANSWERS: Final = ("y\n", "hexapod-1.0\nplain\n", "61\n90\nyes\nyes\nyes\n")
 """To apt, to setup (wire, framing), and to check (which servo, from where, to move it, it moved, it is loose)."""
 
@@ -31,9 +30,8 @@ def debian(suite: str, root: Path, parts: str = PARTS) -> Path:
 
 def commands() -> list[str]:
     """Those of *On the robot*, without their remarks."""
-    block = re.search(r"## On the robot\n\n```console\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
-    assert block is not None
-    return [line.removeprefix("$ ").partition(" #")[0].rstrip() for line in block[1].splitlines()]
+    (block,) = blocks(section(README.read_text(encoding="utf-8"), "## On the robot"), "console")
+    return [line.removeprefix("$ ").partition(" #")[0].rstrip() for line in block.splitlines()]
 
 
 def paste(box: Box, command: str, answers: str, *, check: bool = True) -> str:

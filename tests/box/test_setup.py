@@ -1,6 +1,5 @@
 """`setup` on a robot with the package installed: from nothing to certificates, and back to the kept release."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,21 +7,11 @@ import pytest
 from gateway import certs
 from tests.box.box import SHARED_INSIDE, Box, Unit
 from tests.box.installed import CONFIGURATION, NAME
-from tests.box.package import LIBRARY, Packages, install
+from tests.box.package import CONFIG_TXT, LIBRARY, Packages, hold, install, let_go
 
 pytestmark = pytest.mark.systemd
 
-CONFIG_TXT = "/boot/firmware/config.txt"
 SIMULATED = (Path(__file__).parents[2] / "deploy/systemd/simulated.conf").read_text()
-
-
-@pytest.fixture(scope="module")
-def box(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> Iterator[Box]:
-    """A Raspberry Pi to be, with the package and nothing set up."""
-    with Box(tmp_path_factory.mktemp("setup")) as box:
-        box.write(CONFIG_TXT, "#dtparam=spi=on\n")
-        install(box, packages.make("1.1.0"))
-        yield box
 
 
 def setup(box: Box, *options: str, check: bool = False) -> list[str]:
@@ -32,58 +21,48 @@ def setup(box: Box, *options: str, check: bool = False) -> list[str]:
     return (done.stdout + done.stderr).splitlines()
 
 
-def test_from_the_package_to_a_robot_with_certificates_and_back(box: Box, tmp_path: Path, packages: Packages) -> None:
-    unit = Unit(box, f"{NAME}.service")
-    assert setup(box)[-1].startswith(f"{NAME}: which wire does the controller need? Use --wire hexapod-1.0")
-    promised = setup(box, "--framing", "plain", "--dry-run")
-    assert unit.properties("UnitFileState", "ActiveState") == ["disabled", "inactive"]
-    done = setup(box, "--framing", "plain", check=True)
-    assert done[:-1] == promised[:-1]
-    assert done[-1] == "Next: sudo reboot; then: sudo hexapod-gateway check"
-    assert box.read(CONFIG_TXT).startswith("#dtparam=spi=on\n[all]\ndtoverlay=\ndtparam=spi=on\n")
-    assert unit.properties("UnitFileState", "ActiveState") == ["enabled", "inactive"]
-    assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
+def test_from_the_package_to_a_robot_with_certificates_and_back(tmp_path: Path, packages: Packages) -> None:
+    with Box(tmp_path) as box:
+        box.write(CONFIG_TXT, "#dtparam=spi=on\n")
+        install(box, packages.make("1.1.0"))
+        unit = Unit(box, f"{NAME}.service")
+        assert setup(box)[-1].startswith(f"{NAME}: which wire does the controller need? Use --wire hexapod-1.0")
+        promised = setup(box, "--framing", "plain", "--dry-run")
+        assert unit.properties("UnitFileState", "ActiveState") == ["disabled", "inactive"]
+        done = setup(box, "--framing", "plain", check=True)
+        assert done[:-1] == promised[:-1]
+        assert done[-1] == "Next: sudo reboot; then: sudo hexapod-gateway check"
+        assert box.read(CONFIG_TXT).startswith("#dtparam=spi=on\n[all]\ndtoverlay=\ndtparam=spi=on\n")
+        assert unit.properties("UnitFileState", "ActiveState") == ["enabled", "inactive"]
+        assert box.run("stat", "--format=%A %U:%G", CONFIGURATION).stdout == f"-rw-r----- root:{NAME}\n"
 
-    box.write(f"/etc/systemd/system/{NAME}.service.d/simulated.conf", SIMULATED)
-    box.run("systemctl", "daemon-reload")
-    assert "start the service" in setup(box)
-    process = unit.property("MainPID")
-    assert "the service runs with this setup" in setup(box)
-    assert unit.property("MainPID") == process
+        box.write(f"/etc/systemd/system/{NAME}.service.d/simulated.conf", SIMULATED)
+        box.run("systemctl", "daemon-reload")
+        assert "start the service" in setup(box)
+        process = unit.property("MainPID")
+        assert "the service runs with this setup" in setup(box)
+        assert unit.property("MainPID") == process
 
-    folder = tmp_path / "certs"
-    certs.folder.init(folder, ["127.0.0.1"])
-    certs.folder.issue(folder, "robot-2", "robot", hosts=["127.0.0.1"], bundle=box.shared / "robot.zip")
-    certs.folder.issue(folder, "anna", "operator", bundle=box.shared / "anna.zip")
-    assert "A robot needs its own files" in setup(box, "--certs", f"{SHARED_INSIDE}/anna.zip")[-1]
-    assert "restart the service: all legs stop" in setup(box, "--certs", f"{SHARED_INSIDE}/robot.zip")
-    box.run("python3", "-c", f"import zipfile; zipfile.ZipFile('{SHARED_INSIDE}/anna.zip').extractall('/root/anna')")
-    anna = ("--zenoh-config", "/root/anna/anna.json5")
-    hold = f"{NAME} send leg 3 start 90 45 120 --hold 300 {' '.join(anna)} >/dev/null 2>&1 & echo $!"
-    held = box.run("sh", "-c", hold).stdout.strip()
-    box.run("sh", "-c", f"until grep -q ' 1$' /run/{NAME}/servos; do sleep 0.05; done", timeout_s=30)
-    before, process = box.read(CONFIGURATION), unit.property("MainPID")
-    assert setup(box, "--framing", "length-prefixed")[-1].startswith(
-        f"{NAME}: a servo runs, and a restart would stop it"
-    )
-    assert (box.read(CONFIGURATION), unit.property("MainPID")) == (before, process)
-    box.run("kill", held)
-    box.run(NAME, "stop", *anna)
-    box.run("sh", "-c", f"until grep -q ' 0$' /run/{NAME}/servos; do sleep 0.05; done", timeout_s=30)
+        folder = tmp_path / "certs"
+        certs.folder.init(folder, ["127.0.0.1"])
+        certs.folder.issue(folder, "robot-2", "robot", hosts=["127.0.0.1"], bundle=box.shared / "robot.zip")
+        certs.folder.issue(folder, "anna", "operator", bundle=box.shared / "anna.zip")
+        hers = f"{SHARED_INSIDE}/anna.zip"
+        assert "A robot needs its own files" in setup(box, "--certs", hers)[-1]
+        assert "restart the service: all legs stop" in setup(box, "--certs", f"{SHARED_INSIDE}/robot.zip")
+        box.run("python3", "-c", f"import zipfile; zipfile.ZipFile('{hers}').extractall('/root/anna')")
+        anna = ("--zenoh-config", "/root/anna/anna.json5")
+        held = hold(box, *anna)
+        before, process = box.read(CONFIGURATION), unit.property("MainPID")
+        assert setup(box, "--framing", "length-prefixed")[-1].startswith(
+            f"{NAME}: a servo runs, and a restart would stop it"
+        )
+        assert (box.read(CONFIGURATION), unit.property("MainPID")) == (before, process)
+        let_go(box, held, *anna)
 
-    install(box, packages.make("1.1.1"))
-    said = setup(box, "--back")
-    assert said[0] == "go back to the release before this one, and restart the service"
-    assert box.run("readlink", f"{LIBRARY}/current").stdout == "1.1.0.kept\n", said
-    assert unit.property("ActiveState") == "active"
-    assert box.run(NAME, "status", *anna, check=False).returncode == 0
-
-
-def test_the_console_as_a_service(box: Box) -> None:
-    """With a user and a port of its own; a port that another program has is a sentence."""
-    setup(box, "--framing", "plain")
-    said = setup(box, "--console")
-    console = Unit(box, "hexapod-console.service")
-    assert console.properties("ActiveState", "UnitFileState", "User") == ["active", "enabled", "hexapod-console"], said
-    assert "http://127.0.0.1:8080/" in box.run(NAME, "console", "--link").stdout
-    assert "the console runs" in setup(box)
+        install(box, packages.make("1.1.1"))
+        said = setup(box, "--back")
+        assert said[0] == "go back to the release before this one, and restart the service"
+        assert box.run("readlink", f"{LIBRARY}/current").stdout == "1.1.0.kept\n", said
+        assert unit.property("ActiveState") == "active"
+        assert box.run(NAME, "status", *anna, check=False).returncode == 0

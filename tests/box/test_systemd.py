@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from gateway.model.frames import ONE_LEG_LEN, Op, decode, stop_leg
+from gateway.model.frames import Op, decode, stop_leg
 from gateway.people.recorder.incidents import kind_of
 from gateway.people.recorder.story import story
 from schemas import keys
 from tests.box.box import Unit
-from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway
-from tests.hil.bed import SYSTEM_PYTHON, Transfer
+from tests.box.installed import CONFIGURATION, NAME, REPOSITORY, STOPS, InstalledGateway, wait_for_stops
+from tests.hil.bed import SYSTEM_PYTHON
 from tests.support.child import Child
 from tests.support.mcap_file import checked, read
 
@@ -25,26 +25,16 @@ UNIT = REPOSITORY / "deploy/systemd/hexapod-gateway.service"
 MOVE_LEG_3 = ("send", "leg", "3", "start", "90", "45", "120")
 
 
-def has_started(transfer: Transfer) -> bool:
+def has_started(data: bytes) -> bool:
     """Whether the frame energises a servo."""
-    return any(command.op is Op.START for _, command in decode(transfer.data).servos)
+    return any(command.op is Op.START for _, command in decode(data).servos)
 
 
-def start_moving(robot: InstalledGateway) -> tuple[Child, int]:
-    """Hold leg 3 in motion; the client that does, and the number of the service's opening of the device."""
+def hold_for_a_moment(robot: InstalledGateway) -> None:
+    """Hold leg 3 in motion; the client that does is killed."""
     before = len(robot.bed.transfers)
-    client = Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "60"), {"PATH": "/usr/local/bin:/usr/bin"})
-    moving = robot.bed.wait_for(lambda seen: any(has_started(transfer) for transfer in seen[before:]))
-    return client, moving[-1].opening
-
-
-def stopped_by(robot: InstalledGateway, opening: int, timeout_s: float = 10) -> list[Transfer]:
-    """Wait until each leg got its Stop in that opening of the device; what was written in it."""
-
-    def written(seen: list[Transfer]) -> list[Transfer]:
-        return [transfer for transfer in seen if transfer.opening == opening]
-
-    return written(robot.bed.wait_for(lambda seen: {t.data for t in written(seen) if t.delivered} >= STOPS, timeout_s))
+    with Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "60"), {"PATH": "/usr/local/bin:/usr/bin"}):
+        robot.bed.wait_for(lambda seen: any(has_started(each.data) for each in seen[before:]))
 
 
 @pytest.mark.parametrize("unit", [UNIT, UNIT.with_name("hexapod-console.service")], ids=lambda unit: unit.stem)
@@ -64,7 +54,7 @@ def test_start_command_stop(robot: InstalledGateway) -> None:
 
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
     moved = robot.bed.transfers
-    assert any(has_started(transfer) for transfer in moved[before:])
+    assert any(has_started(transfer.data) for transfer in moved[before:])
     robot.unit.systemctl("stop")
     end = robot.bed.transfers[len(moved) :]
     opening = moved[-1].opening
@@ -109,7 +99,7 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
     """The service's incidents, as the wire was."""
     robot.unit.systemctl("start")
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
-    moved = max(place for place, each in enumerate(robot.bed.transfers) if starts_leg_3(each.data))
+    moved = max(place for place, each in enumerate(robot.bed.transfers) if has_started(each.data))
     robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=moved)
 
     robot.configure("watchdog.timeout_ms = 10_000\n")  # else the watchdog is first each time
@@ -135,21 +125,13 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
         frames = [content["bytes"] for topic, content in checked(found[kind]) if topic == keys.FRAME]
         rest = iter(on_wire)
         assert all(frame in rest for frame in frames), f"{kind}: in the order of the wire"
-        assert any(has_started_hex(frame) for frame in frames), kind
+        assert any(has_started(bytes.fromhex(frame)) for frame in frames), kind
         assert f"-{kind}: " in story(list(read(found[kind])))[0]
 
 
 def restart_and_move(robot: InstalledGateway) -> None:
     robot.unit.systemctl("restart")
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
-
-
-def starts_leg_3(data: bytes) -> bool:
-    return len(data) == ONE_LEG_LEN and data[2:4] == bytes((31, Op.START))
-
-
-def has_started_hex(frame: str) -> bool:
-    return any(command.op is Op.START for _, command in decode(bytes.fromhex(frame)).servos)
 
 
 def test_hanging(robot: InstalledGateway) -> None:
@@ -162,7 +144,7 @@ def test_hanging(robot: InstalledGateway) -> None:
         assert "accepted" not in robot.gateway(*MOVE_LEG_3, "--timeout", "0.1", check=False)
         journal.wait_for_output("Watchdog timeout")
         robot.bed.release()
-        stops = stopped_by(robot, opening + 1)
+        stops = wait_for_stops(robot.bed, opening=opening + 1)
         print(f"first Stop {(stops[0].monotonic_ns - hung_ns) / 1e6:.0f} ms after the hang")
         journal.wait_for_output("Fatal Python error: Aborted")
         journal.wait_for_output("in transfer")  # where it hung
@@ -218,22 +200,12 @@ def test_a_stuck_journal_holds_no_stop(robot: InstalledGateway) -> None:
 def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
     """By root and by somebody in the group spi, beside the sandboxed service: it takes its servos as stopped."""
     robot.unit.systemctl("start")
-    node = robot.emulated
     for user in ((), ("setpriv", "--reuid=65534", "--regid=spi", "--clear-groups")):
-        client, _ = start_moving(robot)
-        client.close()
+        hold_for_a_moment(robot)
         with robot.journal() as journal:
-            command = (
-                *user,
-                "env",
-                *node,
-                f"/usr/bin/{NAME}",
-                "stop-servos",
-                "--config",
-                "/box-out/stop.toml",
-            )
             robot.box.write("/box-out/stop.toml", 'spi.framing = "plain"\n')
-            said = robot.box.run(*command).stdout
+            command = (f"/usr/bin/{NAME}", "stop-servos", "--config", "/box-out/stop.toml")
+            said = robot.box.run(*user, "env", *robot.emulated, *command).stdout
             assert "The running gateway counts all servos as stopped" in said
             journal.wait_for_output("stop-servos stopped all servos past the gateway")
             journal.wait_for_output("lease_expired")  # of whoever held the leg, and was killed
@@ -268,7 +240,7 @@ def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(r
     assert "accepted" in robot.gateway(*MOVE_LEG_3, "--zenoh-config", f"{folder}/anna.json5")
     before = len(robot.bed.transfers)
     robot.gateway("certs", "revoke", "anna", "--dir", folder, "--to", "127.0.0.1", *bert)
-    robot.wait_for_stops(before)
+    wait_for_stops(robot.bed, since=before)
     assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
     assert robot.unit.properties("MainPID", "NRestarts", "ActiveState") == [pid, "0", "active"]
     said = robot.journal_since(cursor)
@@ -283,17 +255,16 @@ def test_a_list_of_revoked_certificates_starts_it_anew_and_systemd_sees_no_end(r
         "certs", "revoke", "carl", "--dir", folder, *nowhere, check=False
     )
     assert "list 2 is in force" in robot.gateway("certs", "revoke", "--dir", folder, "--to", "127.0.0.1", *bert)
-    robot.wait_for_stops(before)
+    wait_for_stops(robot.bed, since=before)
     assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
     assert box.run("stat", "--format=%U", f"/var/lib/{NAME}/revoked.crl").stdout.strip() == NAME
 
-    again = robot.unit.property("MainPID")
-    assert again == pid
+    assert robot.unit.property("MainPID") == pid
     robot.gateway("certs", "revoke", "operator-40", "--dir", folder, "--to", "127.0.0.1", *bert)
     assert "accepted" in robot.gateway(*MOVE_LEG_3, *bert, "--timeout", "10")
     before = len(robot.bed.transfers)
     with robot.journal() as journal:
-        box.run("kill", "-STOP", again)
-        robot.wait_for_stops(before)
+        box.run("kill", "-STOP", pid)
+        wait_for_stops(robot.bed, since=before)
         journal.wait_for_output("Watchdog timeout (limit 1s)")
     box.run("sh", "-c", f"rm -rf {own} {folder} /var/lib/{NAME}/revoked*.crl")
