@@ -21,10 +21,7 @@ from tests.support.secured import HOST, Secured
 
 LIMIT = NEEDED + 60
 """Enough to start, and few enough to be taken quickly."""
-
-
-def limited(soft: int, hard: int) -> list[str]:
-    return ["prlimit", f"--nofile={soft}:{hard}"]
+FEW = ["prlimit", f"--nofile={LIMIT}:{LIMIT}"]
 
 
 def wait_until(holds: Callable[[], bool], timeout_s: float = 10.0) -> None:
@@ -42,7 +39,7 @@ def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path:
     """They need no certificate: it takes connections to the TLS port that say nothing."""
     with (
         SpiTestbed() as spi_testbed,
-        Secured(tmp_path, {"spi": {"framing": "plain"}}, bed=spi_testbed, prefix=limited(LIMIT, LIMIT)) as secured,
+        Secured(tmp_path, {"spi": {"framing": "plain"}}, bed=spi_testbed, prefix=FEW) as secured,
         secured.client("anna") as anna,
         ExitStack() as end,
     ):

@@ -27,9 +27,7 @@ def test_it_is_a_sentence_with_the_files_name(case: str, tmp_path: Path) -> None
     file, settings = tmp_path / name, tmp_path / "gateway.toml"
     file.write_text(text)
     settings.write_text(f'[zenoh]\nconfig = "{file}"\n[spi]\nframing = "plain"\n')
-    child = Child([*COMMAND, *(each.format(file=file, settings=settings) for each in command)], {})
-    ended = child.wait(30)
-    child.close()
-    assert ended == code, str(child)
+    with Child([*COMMAND, *(each.format(file=file, settings=settings) for each in command)], {}) as child:
+        assert child.wait(30) == code, str(child)
     assert "Traceback" not in child.stderr
     assert name in child.stdout + child.stderr

@@ -8,8 +8,6 @@ import itertools
 import json
 import random
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +16,7 @@ import zenoh
 
 from gateway.client import Client, leg_payload, servo_payload
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
-from tests.benchmarks.processes import program
+from tests.benchmarks.processes import publishing
 from tests.support.gateway_process import Gateway
 
 SETTINGS = {"watchdog": {"timeout_ms": 10_000}, "limits": {"leg_rate_hz": 1000}}
@@ -39,16 +37,6 @@ Way = tuple[str, str]
 """A key and a verb."""
 WAYS = [(key, verb) for key in KEYS for verb in ("put", "get")]
 PAIRS = [(start, stop) for start in WAYS for stop in [*WAYS, *((key, "delete") for key in KEYS)] if start != stop]
-
-
-@contextmanager
-def traffic(gateway: Gateway, messages_hz: float) -> Iterator[None]:
-    """Other legs' setpoints, that many a second in all, from another process."""
-    options = ["--legs", "2", "3", "4", "5", "6", "--hz", str(messages_hz / 5)]
-    with program("publisher", gateway.endpoint, *options) as others:
-        others.wait_for_output("ready", timeout_s=20)
-        others.tell("600")
-        yield
 
 
 def send(client: Client, way: Way, payloads: dict[str, Any]) -> None:
@@ -83,6 +71,11 @@ def overtaken(client: Client, pairs: list[tuple[Way, Way]], tries: int) -> Count
 
 @pytest.mark.parametrize("messages_hz", [250, 5000])
 def test_no_start_overtakes_a_stop_of_the_same_session(tmp_path: Path, messages_hz: int) -> None:
-    with Gateway(tmp_path, SETTINGS) as gateway, gateway.client() as client, traffic(gateway, messages_hz):
+    traffic = ("--legs", "2", "3", "4", "5", "6", "--hz", str(messages_hz / 5))  # from another process
+    with (
+        Gateway(tmp_path, SETTINGS) as gateway,
+        gateway.client() as client,
+        publishing(gateway.endpoint, *traffic),
+    ):
         assert overtaken(client, [(("leg", "put"), ("servo", "put"))], TRIES) == Counter()
         assert overtaken(client, PAIRS, TRIES) == Counter()

@@ -1,8 +1,7 @@
 """Somebody connects to the metrics, again and again, and says nothing: a scrape is answered, and Stops are on time."""
 
 import socket
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,30 +22,19 @@ LATE_MS = 2000
 """A Stop is some 2 ms late at worst; one that waited for a silent connection came seconds later."""
 
 
-def connect(address: str, timeout_s: float = 10) -> socket.socket:
-    host, _, port = address.rpartition(":")
-    return socket.create_connection((host, int(port)), timeout_s)
-
-
-@contextmanager
-def attacked(folder: Path) -> Iterator[tuple[Gateway, str]]:
-    """A gateway with few descriptors, and the address of its metrics."""
-    address = f"127.0.0.1:{free_port()}"
+@pytest.mark.parametrize("said", [b"", b"GET /metrics HTTP/1.1\r\nHost: rob"])
+def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Path, said: bytes) -> None:
+    port = free_port()
+    address = f"127.0.0.1:{port}"
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"metrics": address, "frames": True},
         "watchdog": {"timeout_ms": 20},
     }
     limited = ["prlimit", f"--nofile={DESCRIPTORS}", "--"]
-    with Gateway(folder, settings, prefix=limited) as gateway:
-        yield gateway, address
-
-
-@pytest.mark.parametrize("said", [b"", b"GET /metrics HTTP/1.1\r\nHost: rob"])
-def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Path, said: bytes) -> None:
-    with attacked(tmp_path) as (gateway, address), gateway.client() as client, ExitStack() as crowd:
+    with Gateway(tmp_path, settings, prefix=limited) as gateway, gateway.client() as client, ExitStack() as crowd:
         before, pid = python_threads(gateway), gateway.child.pid
         for _ in range(SILENT):
-            crowd.enter_context(connect(address)).sendall(said)
+            crowd.enter_context(socket.create_connection(("127.0.0.1", port), 10)).sendall(said)
         let_expire(client, 5)
         samples = read(address)
         assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5

@@ -28,7 +28,7 @@ from gateway.zenoh_config import client_config
 from schemas.keys import LEASE, LEGS_COMMAND, leg_command
 from schemas.lease import LeaseAck
 from schemas.robot import LEGS
-from tests.benchmarks.processes import cpu_ns, never_delay, now_ns, program, say
+from tests.benchmarks.processes import cpu_ns, never_delay, program, say
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
 
@@ -85,25 +85,18 @@ class Figures:
         return median(self.latency_us)
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One figure of the gateway, the naive script's beside it, the aim, and whether it is met (None: no aim)."""
+Row = tuple[str, ...]
+"""A figure's name, the gateway's, the naive script's beside it, the aim, and whether it is met."""
 
-    name: str
-    gateway: str
-    naive: str
-    aim: str = ""
-    met: bool | None = None
 
-    @property
-    def cells(self) -> tuple[str, ...]:
-        verdict = {True: "met", False: "NOT MET", None: ""}[self.met]
-        return self.name, self.gateway, self.naive, self.aim, verdict
+def row(name: str, gateway: str, naive: str, aim: str = "", met: bool | None = None) -> Row:
+    """`met` is None without an aim."""
+    return name, gateway, naive, aim, {True: "met", False: "NOT MET", None: ""}[met]
 
 
 def as_text(rows: list[Row]) -> str:
     """Columns that line up."""
-    cells = [("figure", "gateway", "naive script", "aim", ""), *(row.cells for row in rows)]
+    cells = [("figure", "gateway", "naive script", "aim", ""), *rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
@@ -164,7 +157,7 @@ class Runner:
         sent_ns: dict[int, int] = {}
         if self._flood is not None:
             self._flood.tell(str(seconds))
-        first, begun_ns, begun_cpu_ns = self._seen(), now_ns(), cpu_ns(self.pid)
+        first, begun_ns, begun_cpu_ns = self._seen(), time.monotonic_ns(), cpu_ns(self.pid)
         period_s = 1 / HZ / len(self._publishers)
         messages = round(seconds / period_s)
         for number in range(messages):
@@ -175,7 +168,7 @@ class Runner:
             cdeg = _LEAST_CDEG + self._count % _ANGLES
             sent_ns[cdeg] = self._send(number % len(self._publishers), cdeg)
         time.sleep(0.05)
-        took_ns, used_ns = now_ns() - begun_ns, cpu_ns(self.pid) - begun_cpu_ns
+        took_ns, used_ns = time.monotonic_ns() - begun_ns, cpu_ns(self.pid) - begun_cpu_ns
         if self._flood is not None:
             self._flood.wait_for_output("done")
         if not counts:
@@ -191,7 +184,7 @@ class Runner:
 
     def _send(self, index: int, cdeg: int) -> int:
         """Send the next message. Returns when."""
-        now = now_ns()
+        now = time.monotonic_ns()
         sender = {**self._more, "sent_ms": now / 1e6}
         if not self._stream.whole:
             self._publishers[index].put(json.dumps(_leg("set", cdeg) | sender))
@@ -240,7 +233,7 @@ def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:
     library = folder / "instant_spidev.so"
     subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-o", str(library), str(_SOURCE), "-ldl"], check=True)
     never_delay(os.getpid())  # the publisher is on another machine
-    return [row for stream in STREAMS if stream.short or not short for row in _compared(stream, folder, release)]
+    return [each for stream in STREAMS if stream.short or not short for each in _compared(stream, folder, release)]
 
 
 def _compared(stream: Stream, folder: Path, release: Path | None) -> list[Row]:
@@ -264,13 +257,13 @@ def _idle(naive: Runner, ours: Runner) -> list[Row]:
     """Nobody commands anything, and the watchdog has stopped the legs."""
     say(f"idle for {IDLE_S:g} s")
     time.sleep(TIMEOUT_MS / 1000)
-    begun_ns, begun = now_ns(), [cpu_ns(runner.pid) for runner in (ours, naive)]
+    begun_ns, begun = time.monotonic_ns(), [cpu_ns(runner.pid) for runner in (ours, naive)]
     time.sleep(IDLE_S)
-    took_ns = now_ns() - begun_ns
+    took_ns = time.monotonic_ns() - begun_ns
     used = [cpu_ns(runner.pid) - before_ns for runner, before_ns in zip((ours, naive), begun, strict=True)]
     share, their_share = (100 * used_ns / took_ns for used_ns in used)
     return [
-        Row("idle: CPU, share of one core", f"{share:.2f} %", f"{their_share:.2f} %", "at most 0.3 %", share <= 0.3)
+        row("idle: CPU, share of one core", f"{share:.2f} %", f"{their_share:.2f} %", "at most 0.3 %", share <= 0.3)
     ]
 
 
@@ -278,7 +271,7 @@ def _rows(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:
     ours, naive = found[GATEWAY], found[NAIVE]
     ratios = [our / their for our, their in zip(ours.cpu_us, naive.cpu_us, strict=True)]
     times = median(ratios)
-    yield Row(
+    yield row(
         f"{stream.name}: processor time a message; of a core",
         f"{median(ours.cpu_us):.0f} µs, {times:.2f}× ({min(ratios):.2f} to {max(ratios):.2f}); "
         f"{median(ours.core):.1f} %",
@@ -287,7 +280,7 @@ def _rows(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:
         times <= stream.cpu_aim if stream.cpu_aim else None,
     )
     times = ours.p50_us / naive.p50_us
-    yield Row(
+    yield row(
         f"{stream.name}: publish → {'sixth ' if stream.whole else ''}frame, p50",
         f"{ours.p50_us:.0f} µs, {times:.2f}×",
         f"{naive.p50_us:.0f} µs",
@@ -300,7 +293,7 @@ def _rows_of_release(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]
     if RELEASE in found:
         before, ours = found[RELEASE], found[GATEWAY]
         cpu = median(our / their for our, their in zip(ours.cpu_us, before.cpu_us, strict=True))
-        yield Row(
+        yield row(
             f"{stream.name}: against the release: processor time, p50",
             f"{cpu:.2f}×, {ours.p50_us / before.p50_us:.2f}×",
             f"(the release: {median(before.cpu_us):.0f} µs, {before.p50_us:.0f} µs)",

@@ -2,8 +2,8 @@
 
 import os
 import sys
-import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tests.support.child import Child
@@ -12,6 +12,15 @@ from tests.support.child import Child
 def program(name: str, *arguments: str) -> Child:
     """Another program of the benchmarks, in a process of its own."""
     return Child([sys.executable, "-m", f"tests.benchmarks.{name}", *arguments], os.environ)
+
+
+@contextmanager
+def publishing(endpoint: str, *options: str) -> Iterator[Child]:
+    """A publisher that has begun, and goes on to the end."""
+    with program("publisher", endpoint, *options) as publisher:
+        publisher.wait_for_output("ready")
+        publisher.tell(str(1e6))
+        yield publisher
 
 
 def cpu_ns(pid: int) -> int:
@@ -48,11 +57,6 @@ def fds(pid: int) -> int:
 def _status(pid: int, name: str) -> int:
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
-
-
-def now_ns() -> int:
-    """The clock that all processes of this machine share."""
-    return time.monotonic_ns()
 
 
 def say(text: str) -> None:

@@ -24,14 +24,13 @@ from gateway.client import Client, leg_payload, servo_payload
 from gateway.errors import ZenohError
 from gateway.robot.protocol.latency import percentile
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
-from tests.benchmarks.processes import fds, program, rss_kb, threads
+from tests.benchmarks.processes import fds, program, publishing, rss_kb, threads
 from tests.support.gateway_process import Gateway
 
 ASKS_HZ: Final = 100
 SAMPLES: Final = 12
 WARM_UP_S: Final = 15.0
 SLACK_MB: Final = 2
-MAX_HOURS: Final = 100
 
 
 class Minute(NamedTuple):
@@ -81,9 +80,7 @@ def measured() -> Iterator[Callable[[], Minute]]:
         gateway = stack.enter_context(Gateway(folder, settings))
         client = stack.enter_context(gateway.client(source="soak"))
         legs = ("--legs", "1", "2", "3", "4", "--hz", "500")
-        stream = stack.enter_context(program("publisher", gateway.endpoint, *legs))
-        stream.wait_for_output("ready")
-        stream.tell(str(MAX_HOURS * 3600))
+        stream = stack.enter_context(publishing(gateway.endpoint, *legs))
         others = stack.enter_context(program("soak", "--traffic", gateway.endpoint))
 
         def minute(duration_s: float = 60.0) -> Minute:

@@ -191,11 +191,6 @@ class SpiTestbed(Closing):
         """The settings made up to now, in order."""
         return [event for event in self.events if isinstance(event, Setting)]
 
-    @property
-    def delivered(self) -> list[bytes]:
-        """The bytes of each transfer the controller got, in order."""
-        return [transfer.data for transfer in self.transfers if transfer.delivered]
-
     def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until `predicate` holds for the transfers; these. Raises TimeoutError that lists what did arrive."""
         return self._wait_for(Transfer, predicate, 0, timeout_s)

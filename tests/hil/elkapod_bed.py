@@ -13,7 +13,7 @@ from typing import Any
 
 from gateway.model.elkapod import SHUTDOWN, START, angles_of
 from schemas.robot import SERVO_IDS
-from tests.hil.bed import Event, Message, SpiTestbed, Transfer
+from tests.hil.bed import Message, SpiTestbed, Transfer
 from tests.support.controllers import Elkapod
 
 BEAT_S = 0.01
@@ -30,19 +30,6 @@ class Said:
     monotonic_ns: int
     what: str | Angles
     """Of a frame, its eighteen angles in degrees."""
-
-
-def said(events: list[Event]) -> list[Said]:
-    """What these say, in order. Raises ValueError for bytes that say nothing."""
-    found: list[Said] = []
-    for event in events:
-        if isinstance(event, Transfer):
-            found.append(Said(event.monotonic_ns, tuple(angles_of(event.data).values())))
-        elif isinstance(event, Message):
-            if event.data not in (START, SHUTDOWN):
-                raise ValueError(f"no message of elkapod-2025: {event.data.hex(' ')}")
-            found.append(Said(event.monotonic_ns, "start" if event.data == START else "shutdown"))
-    return found
 
 
 class ElkapodBed(SpiTestbed):
@@ -64,23 +51,19 @@ class ElkapodBed(SpiTestbed):
         self._player.join()
         return ended
 
-    @property
-    def said(self) -> list[Said]:
-        """What programs have said up to now, frames and messages in order."""
-        return said(self.events)
-
-    def said_since(self, since: int) -> list[Said]:
-        """The same, of the events from index `since` on."""
-        return said(self.events[since:])
+    def said_since(self, since: int = 0) -> list[Said]:
+        """What these events say from index `since` on, in order. Raises KeyError for bytes that say nothing."""
+        found: list[Said] = []
+        for event in self.events[since:]:
+            if isinstance(event, Transfer):
+                found.append(Said(event.monotonic_ns, tuple(angles_of(event.data).values())))
+            elif isinstance(event, Message):
+                found.append(Said(event.monotonic_ns, {START: "start", SHUTDOWN: "shutdown"}[event.data]))
+        return found
 
     def messages_since(self, since: int) -> list[bytes]:
         """What was written to the UART, among all events from index `since` on."""
         return [event.data for event in self.events[since:] if isinstance(event, Message)]
-
-    def wait_for_frames(self, count: int, since: int, timeout_s: float = 20.0) -> None:
-        """Until so many frames, also ones that failed, have come from index `since` of all events on."""
-        already = sum(isinstance(event, Transfer) for event in self.events[:since])
-        self.wait_for_count(already + count, timeout_s)
 
     def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""

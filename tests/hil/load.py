@@ -111,12 +111,10 @@ def crowd(endpoint: str) -> Iterator[None]:
         yield
 
 
-def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float, collect: bool = False) -> Outcome:
+def loaded(folder: Path, bed: SpiTestbed, *, duration_s: float) -> Outcome:
     """Run a gateway under this load for a while."""
-    env: dict[str, str] = {}
-    if collect:
-        (folder / "sitecustomize.py").write_text(COLLECTOR)
-        env["PYTHONPATH"] = os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])
+    (folder / "sitecustomize.py").write_text(COLLECTOR)
+    env = {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
     settings: dict[str, dict[str, Any]] = {
         "watchdog": {"timeout_ms": TIMEOUT_MS},
         "limits": {"takeover_deg_s": 0},  # each command is one frame, also soon behind a Stop

@@ -1,21 +1,35 @@
-"""`check` on the emulated device: what it says of it, and that it writes nothing and disturbs nobody."""
+"""`check` on the emulated device, and each program with spidev and without: what it says, and whom it disturbs."""
 
+import os
 from pathlib import Path
 
 import pytest
 
+from gateway.robot.spi import ioctls
 from tests.hil.bed import DEVICE, SpiTestbed
-from tests.hil.wire import STOPS
+from tests.hil.wire import LATE_S, STOPS, Wire, settings_for
 from tests.support.child import Child
-from tests.support.gateway_process import COMMAND, Gateway, free_port, write_settings
+from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.hil
 
 
-def check(bed: SpiTestbed, config: Path) -> Child:
-    child = bed.spawn([*COMMAND, "check", "--config", str(config)])
-    child.wait(30)
-    assert not child.stderr, str(child)
+@pytest.fixture(
+    params=["", 'raise ImportError("built for another processor")', "class SpiDev: pass"], ids=["spidev", "none", "3.6"]
+)
+def env(tmp_path: Path, request: pytest.FixtureRequest) -> dict[str, str]:
+    """Variables for a Python with spidev, without, or with Debian's, which has no `open_path`."""
+    if not request.param:
+        return {}
+    folder = tmp_path / "without"
+    folder.mkdir()
+    (folder / "spidev.py").write_text(f"{request.param}\n")
+    return {"PYTHONPATH": os.pathsep.join([str(folder), *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+
+def ended(bed: SpiTestbed, command: str, config: Path, env: dict[str, str]) -> Child:
+    child = bed.spawn([*COMMAND, command, "--config", str(config)], env=env)
+    assert child.wait(LATE_S) == 0, str(child)
     return child
 
 
@@ -24,37 +38,37 @@ def line(child: Child, name: str) -> str:
     return found
 
 
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    sections: dict[str, dict[str, object]] = {
-        "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]},
-        "spi": {"framing": "length-prefixed"},
-    }
-    return write_settings(tmp_path / "gateway.toml", sections)
-
-
-def test_a_machine_that_can_run_it_and_not_a_byte_is_written(spi_testbed: SpiTestbed, config: Path) -> None:
-    child = check(spi_testbed, config)
-    assert child.returncode == 0, str(child)
-    assert line(child, "SPI device").startswith(f"ok       SPI device     {DEVICE} opens")
-    assert line(child, "SPI speed").endswith("2.5 MHz; an emergency stop takes 1.0 ms to write")
-    assert line(child, "SPI controller").startswith("ok       SPI controller ")
-    assert line(child, "SPI bus").startswith("ok       SPI bus ")
-    assert line(child, "framing").startswith("ok")
-    assert child.stdout.splitlines()[-1].startswith("This machine can run the service")
-    assert spi_testbed.transfers == []
-    assert ("speed", 2_500_000) in {(setting.kind, setting.value) for setting in spi_testbed.settings}
-
-
-def test_a_running_gateway_is_recognised_and_not_disturbed(spi_testbed: SpiTestbed, tmp_path: Path) -> None:
-    with Gateway(tmp_path, {}, bed=spi_testbed) as gateway:
-        begun = len(spi_testbed.wait_for_count(2 * 6))
+def test_run_stop_servos_and_check_with_each_spidev_and_with_none(
+    tmp_path: Path, wire: Wire, env: dict[str, str]
+) -> None:
+    """`check` recognises a running gateway. It writes nothing, then or without one."""
+    spi_testbed = wire.bed
+    with Gateway(tmp_path, settings_for(wire), bed=spi_testbed, env=env) as gateway:
+        opening = wire.expect_opening(*STOPS, times=2)
+        assert {(each.mode, each.bits_per_word, each.speed_hz) for each in opening} == {(0, 8, 2_500_000)}
         settings = spi_testbed.settings
-        child = check(spi_testbed, gateway.config)
-        assert child.returncode == 0, str(child)
-        assert "is held by a running gateway" in line(child, "SPI device")
-        assert line(child, "port").startswith("ok")
-        assert "is in use by the running gateway" in line(child, "port")
+        beside = ended(spi_testbed, "check", gateway.config, env)
+        assert "is held by a running gateway" in line(beside, "SPI device")
+        assert line(beside, "port").startswith("ok")
+        assert "is in use by the running gateway" in line(beside, "port")
         assert spi_testbed.settings == settings
-        transfers = spi_testbed.transfers[begun - 1 :]  # the gateway writes its Stops again a second later
-        assert {(each.opening, each.data.hex() in STOPS) for each in transfers} == {(transfers[0].opening, True)}
+        written = wire.skip()  # the gateway writes its Stops again a second later
+        assert {each.opening for each in written} <= {opening[-1].opening}
+        assert {each.data for each in written} <= {each.data for each in opening}
+        ended(spi_testbed, "stop-servos", gateway.config, env)
+        wire.expect_opening(*STOPS)
+        gateway.child.terminate()
+        assert gateway.child.wait(LATE_S) == 0
+        assert gateway.child.stderr.count(ioctls.USED) == bool(env)
+    begun = len(spi_testbed.transfers)
+    alone = ended(spi_testbed, "check", gateway.config, env)
+    assert not alone.stderr, str(alone)
+    assert line(alone, "SPI device").startswith(f"ok       SPI device     {DEVICE} opens")
+    assert (ioctls.USED in alone.stdout) is bool(env)
+    assert line(alone, "SPI speed").endswith("2.5 MHz; an emergency stop takes 1.0 ms to write")
+    assert line(alone, "SPI controller").startswith("ok       SPI controller ")
+    assert line(alone, "SPI bus").startswith("ok       SPI bus ")
+    assert line(alone, "framing").startswith("ok")
+    assert alone.stdout.splitlines()[-1].startswith("This machine can run the service")
+    assert len(spi_testbed.transfers) == begun
+    assert ("speed", 2_500_000) in {(setting.kind, setting.value) for setting in spi_testbed.settings}

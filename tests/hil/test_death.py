@@ -10,7 +10,6 @@ import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +23,9 @@ from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
-from tests.benchmarks.processes import program
+from tests.benchmarks.processes import publishing
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, opening_of, settings_for
+from tests.hil.wire import EACH_FRAMING, STOPS, Replay, Wire, moving, opening_of, settings_for
 from tests.support.gateway_process import COMMAND, dialling, free_port, write_settings
 from tests.support.transfers import on_wire
 
@@ -67,17 +66,6 @@ def check_stops(framing: Framing, replay: Replay, stops: list[Transfer]) -> None
 
 KILLS = int(os.environ.get("KILLS", "12"))  # for each framing; KILLS=200 takes some minutes
 LANES = 3  # gateways that share nothing, at once
-
-
-@contextmanager
-def load() -> Iterator[str]:
-    """A publisher that gateways dial, at this endpoint."""
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    legs = map(str, LEGS)
-    with program("publisher", endpoint, "--listen", "--legs", *legs, "--hz", "100") as publisher:
-        publisher.wait_for_output("ready", 30)
-        publisher.tell("3600")
-        yield endpoint
 
 
 def loaded(framing: Framing, endpoint: str, folder: Path) -> dict[str, dict[str, Any]]:
@@ -159,7 +147,9 @@ def test_killed_at_random_moments_under_load(tmp_path: Path, framing: Framing, m
         with SpiTestbed() as bed:
             return sum(kill_once(bed, framing, config, at_s) for at_s in moments_s[number::LANES])
 
-    with load() as endpoint, ThreadPoolExecutor(LANES) as pool:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    load = publishing(endpoint, "--listen", "--legs", *map(str, LEGS), "--hz", "100")
+    with load, ThreadPoolExecutor(LANES) as pool:
         within_frames = sum(pool.map(lane, range(LANES)))
     assert within_frames == 0, "an announcement and its body leave together"
 
@@ -176,16 +166,6 @@ STARTS: list[Frame] = [
 ]
 LAGS_NS = (0, 1 * MS, 500 * MS, 999 * MS, 1000 * MS, 1001 * MS, 5000 * MS)
 """From the death to stop-servos: around the second after which the controller gives a receive up."""
-
-
-def moving(framing: Framing) -> Replay:
-    """A controller whose 18 servos are on."""
-    replay = Replay(framing)
-    for leg in LEGS:
-        for data in on_wire(framing, OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3)):
-            replay.give(data, 0)
-    assert len(replay.controller.energised) == 18
-    return replay
 
 
 def cuts(framing: Framing) -> Iterator[list[bytes]]:

@@ -15,9 +15,8 @@ from gateway.model.framing import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import EACH_FRAMING, LATE_S, Replay, Wire, settings_for, start
+from tests.hil.wire import EACH_FRAMING, LATE_S, Replay, Wire, moving, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings
-from tests.support.transfers import on_wire
 
 pytestmark = pytest.mark.hil
 
@@ -42,16 +41,14 @@ def off_ms(replay: Replay, transfers: list[Transfer], since_ns: int) -> float | 
     return None if off_ns is None else (off_ns - since_ns) / 1e6
 
 
-def trial(
-    bed: SpiTestbed, framing: Framing, client: Client, share: float, seed: int, limit_s: float = LATEST_MS / 1000
-) -> float | None:
+def trial(bed: SpiTestbed, framing: Framing, client: Client, seed: int) -> float | None:
     """Six legs run, transfers begin to fail, and somebody presses the emergency stop."""
     before = len(bed.transfers)
     assert client.ask(keys.LEGS_COMMAND, ALL_START).accepted
-    bed.fail_by_chance(share, seed)
+    bed.fail_by_chance(SHARE, seed)
     since_ns = time.monotonic_ns()
     client.publish(keys.ESTOP, {})
-    deadline_s = time.monotonic() + limit_s
+    deadline_s = time.monotonic() + LATEST_MS / 1000
     while (
         found := off_ms(Replay(framing), bed.transfers[before:], since_ns)
     ) is None and time.monotonic() < deadline_s:
@@ -86,7 +83,7 @@ def check(found: list[float | None]) -> None:
 @EACH_FRAMING
 def test_an_emergency_stop_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: Wire) -> None:
     with start(tmp_path, wire, watchdog=WATCHDOG) as gateway, gateway.client() as client:
-        found = [trial(wire.bed, wire.framing, client, SHARE, seed) for seed in range(TRIALS)]
+        found = [trial(wire.bed, wire.framing, client, seed) for seed in range(TRIALS)]
     print(f"{wire.framing}, {SHARE:.0%} fail: {figures(found)}")
     check(found)
 
@@ -103,13 +100,7 @@ def test_stop_servos_stops_all_legs_though_transfers_fail(tmp_path: Path, wire: 
         code = child.wait(LATE_S)
         spi_testbed.heal()
         transfers = spi_testbed.transfers[before:]
-        replay = Replay(framing)
-        for leg in LEGS:
-            for data in on_wire(
-                framing, bytes.fromhex("0e01") + b"".join(bytes((10 * leg + joint, 1, 90, 0)) for joint in (1, 2, 3))
-            ):
-                replay.give(data, transfers[0].monotonic_ns - 1)
-        found.append(off_ms(replay, transfers, transfers[0].monotonic_ns))
+        found.append(off_ms(moving(framing), transfers, transfers[0].monotonic_ns))
         assert code == 0 or found[-1] is None, str(child)
     print(f"{framing}, stop-servos, {SHARE:.0%} fail: {figures(found)}")
     check(found)

@@ -132,15 +132,11 @@ def test_an_emergency_stop_during_a_fault_is_latched_and_sent_once_the_device_is
         assert at.client.reset(check=False).reason is Reason.BUS_FAULT
         wire.bed.restore_node()
         at.recovered(mode=Mode.ESTOPPED)
-        still_latched(at.client, wire)
-
-
-def still_latched(client: Client, wire: Wire) -> None:
-    assert client.start_leg(3, 90, 45, 120, check=False).reason is Reason.ESTOPPED
-    wire.expect_nothing()
-    assert client.reset().accepted
-    assert client.start_leg(3, 90, 45, 120).accepted
-    wire.expect_behind_rest(START_3)
+        assert at.client.start_leg(3, 90, 45, 120, check=False).reason is Reason.ESTOPPED
+        wire.expect_nothing()
+        assert at.client.reset().accepted
+        assert at.client.start_leg(3, 90, 45, 120).accepted
+        wire.expect_behind_rest(START_3)
 
 
 # ---- lists of transfers

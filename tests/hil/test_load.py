@@ -23,7 +23,7 @@ def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
     tmp_path: Path, spi_testbed: SpiTestbed
 ) -> None:
     """While garbage is collected ten times a second, too."""
-    outcome = loaded(tmp_path, spi_testbed, duration_s=6.0, collect=True)
+    outcome = loaded(tmp_path, spi_testbed, duration_s=6.0)
     gaps_ms = outcome.gaps_ms()
     late, late_ms = outcome.state.watchdog.stop_latency_us, LATE_MS + min(outcome.pause_ms, 1000)
     print(f"{len(gaps_ms)} moves; longest gap {max(gaps_ms):.1f} ms; watchdog {late}; pauses {outcome.pause_ms:.1f} ms")

@@ -9,20 +9,19 @@ import tty
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pytest
 
 from gateway.people.client.blocking import Client
-from schemas import keys
 from schemas.robot import SERVO_IDS
-from schemas.telemetry import GatewayState, Kind, Mode, Reason
+from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
 from tests.support.gateway_process import COMMAND, Gateway
-from tests.support.heard import Heard, events, servos_on
+from tests.support.heard import events, servos_on, states
 from tests.support.recorded_board import RecordedBoard, answers_steadily
 
 pytestmark = pytest.mark.hil
@@ -45,12 +44,19 @@ def board(tmp_path: Path) -> Iterator[RecordedBoard]:
         yield board
 
 
-def alive(folder: Path, wire: Wire, board: RecordedBoard, **power: Any) -> Gateway:
+@pytest.fixture
+def gateway(request: pytest.FixtureRequest, tmp_path: Path, wire: Wire, board: RecordedBoard) -> Iterator[Gateway]:
     """A gateway whose board answers."""
-    gateway = start(folder, wire, power={**board.settings, **power}, watchdog={"timeout_ms": 10_000})
+    power = {**board.settings, **getattr(request, "param", {})}
+    with start(tmp_path, wire, power=power, watchdog={"timeout_ms": 10_000}) as running:
+        yield running
+
+
+@pytest.fixture
+def client(gateway: Gateway) -> Iterator[Client]:
     with gateway.client() as client:
-        Heard(client, keys.STATE, GatewayState).wait(answers_steadily())
-    return gateway
+        states(client).wait(answers_steadily())
+        yield client
 
 
 def leg_3_runs(client: Client, wire: Wire, board: RecordedBoard) -> None:
@@ -59,46 +65,50 @@ def leg_3_runs(client: Client, wire: Wire, board: RecordedBoard) -> None:
     board.next("fed", LEG_3)
 
 
+def supply_goes(board: RecordedBoard) -> None:
+    """The next mask takes all supply, and the board follows it."""
+    assert board.next("mask").mask == 0
+    assert board.next("fed").mask == 0
+
+
 def test_a_servo_is_fed_from_its_start_on_and_its_supply_goes_with_its_stop(
-    tmp_path: Path, wire: Wire, board: RecordedBoard
+    gateway: Gateway, client: Client, wire: Wire, board: RecordedBoard
 ) -> None:
-    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
-        heard = events(client)
-        assert {each.mask for each in board.noted if each.what == "mask"} == {0}, "what an earlier run fed is taken"
-        assert client.start_leg(3, 90, 45, 120).accepted
-        wire.expect(START_3)
-        fed = board.next("fed", LEG_3)
-        stopped_ns = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() in STOPS]
-        (started_ns,) = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() == START_3]
-        assert max(stopped_ns) < fed.at_ns < started_ns, "its Stop, its supply, its start"
+    heard = events(client)
+    assert {each.mask for each in board.noted if each.what == "mask"} == {0}, "what an earlier run fed is taken"
+    assert client.start_leg(3, 90, 45, 120).accepted
+    wire.expect(START_3)
+    fed = board.next("fed", LEG_3)
+    stopped_ns = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() in STOPS]
+    (started_ns,) = [each.monotonic_ns for each in wire.bed.transfers if each.data.hex() == START_3]
+    assert max(stopped_ns) < fed.at_ns < started_ns, "its Stop, its supply, its start"
 
-        board.disturb(flood="t1238" + 16 * "0", flood_hz=FLOOD)
-        ack = client.estop()
-        assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, True, 6)
-        assert ack.confirmed_ms is not None
-        wire.expect(*STOPS)
-        assert board.next("mask").mask == 0
-        assert board.next("fed").mask == 0
-        heard.wait(lambda event: event.kind is Kind.POWER_CUT)
-        board.disturb(flood_hz=0)
+    board.disturb(flood="t1238" + 16 * "0", flood_hz=FLOOD)
+    ack = client.estop()
+    assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, True, 6)
+    assert ack.confirmed_ms is not None
+    wire.expect(*STOPS)
+    supply_goes(board)
+    heard.wait(lambda event: event.kind is Kind.POWER_CUT)
+    board.disturb(flood_hz=0)
 
-        begun = board.skip()
-        board.disturb(frame="t06A303FFFF")
-        assert board.next("mask").mask == 0, "before the board has come to feed anything"
-        heard.wait(lambda event: event.kind is Kind.POWER_FAULT)
-        assert client.reset().accepted
-        assert client.state().mode is Mode.IDLE
-        assert not {each.mask for each in board.noted[begun:] if each.what == "fed"} - {0}, "a reset feeds nothing"
-        leg_3_runs(client, wire, board)
+    begun = board.skip()
+    board.disturb(frame="t06A303FFFF")
+    assert board.next("mask").mask == 0, "before the board has come to feed anything"
+    heard.wait(lambda event: event.kind is Kind.POWER_FAULT)
+    assert client.reset().accepted
+    assert client.state().mode is Mode.IDLE
+    assert not {each.mask for each in board.noted[begun:] if each.what == "fed"} - {0}, "a reset feeds nothing"
+    leg_3_runs(client, wire, board)
 
-        gateway.child.terminate()
-        assert gateway.child.wait(LATE_S) == 0
-        assert board.next("fed").mask == 0
-        assert "that their supply is off" in gateway.child.stderr + gateway.child.stdout
+    gateway.child.terminate()
+    assert gateway.child.wait(LATE_S) == 0
+    assert board.next("fed").mask == 0
+    assert "that their supply is off" in gateway.child.stderr + gateway.child.stdout
 
 
-def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
-    with alive(tmp_path, wire, board) as gateway, gateway.client() as client, ThreadPoolExecutor(2) as pool:
+def test_supply_goes_while_a_transfer_on_spi_hangs(client: Client, wire: Wire, board: RecordedBoard) -> None:
+    with ThreadPoolExecutor(2) as pool:
         leg_3_runs(client, wire, board)
         board.skip()
         wire.bed.block()
@@ -106,55 +116,50 @@ def test_supply_goes_while_a_transfer_on_spi_hangs(tmp_path: Path, wire: Wire, b
         pool.submit(client.set_leg, 3, 91, 45, 120)
         wire.bed.wait_for_count(count + 1, LATE_S)
         estop = pool.submit(client.estop)
-        assert board.next("mask").mask == 0
-        assert board.next("fed").mask == 0
+        supply_goes(board)
         assert len(wire.bed.transfers) == count + 1, "nothing else has reached SPI"
         wire.bed.release()
         assert estop.result(LATE_S).accepted
 
 
-def test_stops_on_spi_leave_while_the_adapter_takes_nothing(tmp_path: Path, wire: Wire, board: RecordedBoard) -> None:
-    with alive(tmp_path, wire, board, confirm_ms=100) as gateway, gateway.client() as client:
-        heard = events(client)
-        leg_3_runs(client, wire, board)
-        with frozen(board.child.pid):
-            heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
-            wire.expect(*STOPS)
-            rejected = client.start_leg(3, 90, 45, 120, check=False)
-            assert (rejected.accepted, rejected.reason) == (False, Reason.NO_POWER)
-            ack = client.estop()
-            assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, False, 6)
-            wire.expect(*STOPS)
-        assert board.next("fed", 0)
+@pytest.mark.parametrize("gateway", [{"confirm_ms": 100}], indirect=True)
+def test_stops_on_spi_leave_while_the_adapter_takes_nothing(client: Client, wire: Wire, board: RecordedBoard) -> None:
+    heard = events(client)
+    leg_3_runs(client, wire, board)
+    with frozen(board.child.pid):
+        heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
+        wire.expect(*STOPS)
+        rejected = client.start_leg(3, 90, 45, 120, check=False)
+        assert (rejected.accepted, rejected.reason) == (False, Reason.NO_POWER)
+        ack = client.estop()
+        assert (ack.accepted, ack.confirmed, ack.stop_frames) == (True, False, 6)
+        wire.expect(*STOPS)
+    assert board.next("fed", 0)
 
 
 def test_a_line_that_is_cut_is_reported_and_what_runs_is_stopped(
-    tmp_path: Path, wire: Wire, board: RecordedBoard
+    client: Client, wire: Wire, board: RecordedBoard
 ) -> None:
-    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
-        heard = events(client)
-        leg_3_runs(client, wire, board)
-        board.child.kill()
-        heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
-        wire.expect(*STOPS)
-        power = client.state().power
-        assert power is not None
-        assert not power.alive
-        assert client.start_leg(3, 90, 45, 120, check=False).reason is Reason.NO_POWER
+    heard = events(client)
+    leg_3_runs(client, wire, board)
+    board.child.kill()
+    heard.wait(lambda event: event.kind is Kind.POWER_UNCONFIRMED)
+    wire.expect(*STOPS)
+    power = client.state().power
+    assert power is not None
+    assert not power.alive
+    assert client.start_leg(3, 90, 45, 120, check=False).reason is Reason.NO_POWER
 
 
 def test_a_gateway_that_is_killed_leaves_the_supply_to_stop_servos(
-    tmp_path: Path, wire: Wire, board: RecordedBoard
+    gateway: Gateway, client: Client, wire: Wire, board: RecordedBoard
 ) -> None:
-    with alive(tmp_path, wire, board) as gateway:
-        with gateway.client() as client:
-            leg_3_runs(client, wire, board)
-        gateway.child.kill()
-        board.skip()
-        with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
-            assert board.next("mask").mask == 0
-            assert board.next("fed").mask == 0
-            assert child.wait(LATE_S) == 0, str(child)
+    leg_3_runs(client, wire, board)
+    gateway.child.kill()
+    board.skip()
+    with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
+        supply_goes(board)
+        assert child.wait(LATE_S) == 0, str(child)
 
 
 def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: Path, board: RecordedBoard) -> None:
@@ -181,18 +186,17 @@ def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: P
 
 
 def test_a_gateway_that_stood_still_for_a_second_takes_no_board_for_silent(
-    tmp_path: Path, wire: Wire, board: RecordedBoard
+    gateway: Gateway, client: Client, wire: Wire, board: RecordedBoard
 ) -> None:
-    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
-        heard = events(client)
-        leg_3_runs(client, wire, board)
-        with frozen(gateway.child.pid):
-            time.sleep(STANDS_STILL_S)
-        ack = client.estop()
-        assert (ack.accepted, ack.confirmed) == (True, True)
-        assert board.next("fed").mask == 0
-        heard.wait(lambda event: event.kind is Kind.POWER_CUT)
-        assert not [event for event in heard.all if event.kind is Kind.POWER_UNCONFIRMED]
+    heard = events(client)
+    leg_3_runs(client, wire, board)
+    with frozen(gateway.child.pid):
+        time.sleep(STANDS_STILL_S)
+    ack = client.estop()
+    assert (ack.accepted, ack.confirmed) == (True, True)
+    assert board.next("fed").mask == 0
+    heard.wait(lambda event: event.kind is Kind.POWER_CUT)
+    assert not [event for event in heard.all if event.kind is Kind.POWER_UNCONFIRMED]
 
 
 def test_an_adapter_that_opens_and_is_mute_lets_nothing_start_and_holds_up_no_stop(tmp_path: Path, wire: Wire) -> None:
@@ -213,25 +217,24 @@ def test_an_adapter_that_opens_and_is_mute_lets_nothing_start_and_holds_up_no_st
 
 
 def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
-    tmp_path: Path, wire: Wire, board: RecordedBoard
+    gateway: Gateway, client: Client, wire: Wire, board: RecordedBoard
 ) -> None:
     """Both read the one terminal: the gateway does not see the other's masks, and may read all answers to them, so
     that `stop-servos` says that nothing is confirmed (docs/stops.md)."""
-    with alive(tmp_path, wire, board) as gateway, gateway.client() as client:
-        leg_3_runs(client, wire, board)
-        begun = board.skip()
-        with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
-            assert board.next("fed").mask == 0
-            assert child.wait(LATE_S) == 0 or "NOT confirmed" in child.stderr, str(child)
-        state = client.state()
-        assert state.mode is Mode.IDLE
-        assert not servos_on(state)
-        assert client.estop().confirmed
-        assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "once, and for good"
-        assert client.reset().accepted
-        Heard(client, keys.STATE, GatewayState).wait(answers_steadily())
-        power = client.state().power
-        assert power is not None
-        assert power.alive
-        retries = (client.start_leg(3, 90, 45, 120, check=False).accepted for _ in range(100))
-        assert any(retries), "the reset reaches the rule of the supply within a tenth of a second"
+    leg_3_runs(client, wire, board)
+    begun = board.skip()
+    with wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(gateway.config)]) as child:
+        assert board.next("fed").mask == 0
+        assert child.wait(LATE_S) == 0 or "NOT confirmed" in child.stderr, str(child)
+    state = client.state()
+    assert state.mode is Mode.IDLE
+    assert not servos_on(state)
+    assert client.estop().confirmed
+    assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "once, and for good"
+    assert client.reset().accepted
+    states(client).wait(answers_steadily())
+    power = client.state().power
+    assert power is not None
+    assert power.alive
+    retries = (client.start_leg(3, 90, 45, 120, check=False).accepted for _ in range(100))
+    assert any(retries), "the reset reaches the rule of the supply within a tenth of a second"

@@ -57,17 +57,14 @@ def test_the_start_sets_the_device_up_and_stops_all_legs_before_anyone_can_comma
         assert [type(event) for event in wire.bed.events].count(Opened) == 2
 
 
-@pytest.mark.parametrize(("framing", "stops"), [(f'framing = "{Framing.PLAIN}"', STOPS), ("", [])])
-def test_the_first_stops_wait_for_nothing_that_the_service_loads(
-    tmp_path: Path, spi_testbed: SpiTestbed, framing: str, stops: list[str]
-) -> None:
-    """This service ends before it opens the device. Without a framing nothing is written."""
+def test_the_first_stops_wait_for_nothing_that_the_service_loads(tmp_path: Path, spi_testbed: SpiTestbed) -> None:
+    """This service ends before it opens the device. Without a framing: tests/attack/test_framing.py."""
     config = tmp_path / "gateway.toml"
-    config.write_text(f"[limits]\nleg_rate_hz = -1\n[spi]\n{framing}\n")
+    config.write_text(f'[limits]\nleg_rate_hz = -1\n[spi]\nframing = "{Framing.PLAIN}"\n')
     child = spi_testbed.spawn([*COMMAND, "run", "--config", str(config)])
     assert child.wait(LATE_S) == ConfigError.exit_code, str(child)
     spi_testbed.heal()  # whose answer comes behind all reports
-    assert [each.data.hex() for each in spi_testbed.transfers] == stops
+    assert [each.data.hex() for each in spi_testbed.transfers] == STOPS
 
 
 # ---- commands

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.frames import STOP, STOP_REPEATS, OneServo, Op, decode, stop_leg
+from gateway.model.frames import STOP, STOP_REPEATS, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.model.framing import ZERO, Framing
 from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
@@ -172,3 +172,13 @@ class Replay:
         now = self.controller.energised
         self.now_ns += 2_000_000_000
         return now | self.controller.energised
+
+
+def moving(framing: Framing) -> Replay:
+    """A controller whose 18 servos are on."""
+    replay = Replay(framing)
+    for leg in LEGS:
+        for data in on_wire(framing, OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3)):
+            replay.give(data, 0)
+    assert len(replay.controller.energised) == 18
+    return replay

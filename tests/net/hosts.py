@@ -52,14 +52,13 @@ class RobotHost(Closing):
         with ExitStack() as opened:
             opened.enter_context(Gateway(folder, settings, prefix=network.robot))
             self.client = opened.enter_context(Client(observer, source="observer", timeout_s=5))
-            self.frames = frames(self.client)
-            self.events = events(self.client)
+            self.frames, self.events = frames(self.client), events(self.client)
             self._states = states(self.client, kept=1)
-            self._close = opened.pop_all()
+            self._opened = opened.pop_all()
         self.forget()
 
     def close(self) -> None:
-        self._close.close()
+        self._opened.close()
 
     def at_rest(self) -> None:
         """No emergency stop, nothing runs; forget all frames and events until now."""
