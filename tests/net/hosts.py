@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -182,12 +181,6 @@ class LaptopHost(Closing):
     def stream_acknowledged(self, *legs: int) -> None:
         """From now on 50 acknowledged setpoints a second, for these legs in turn."""
         self.ask(f"ask {_list(legs)}")
-
-    def freeze(self) -> None:
-        self.child.send_signal(signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        self.child.send_signal(signal.SIGCONT)
 
 
 def _list(legs: tuple[int, ...]) -> str:

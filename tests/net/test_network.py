@@ -16,6 +16,7 @@ from schemas.telemetry import Kind, Mode, Reason
 from tests.net.conftest import Hosts
 from tests.net.hosts import TIMEOUT_MS, LaptopHost, RobotHost, is_command, is_stop
 from tests.net.namespaces import BUFFER_BYTES
+from tests.support.child import frozen
 
 pytestmark = pytest.mark.net
 
@@ -77,29 +78,26 @@ def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(ho
 
 
 def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(hosts: Hosts) -> None:
-    network, robot, (frozen, other) = hosts
+    network, robot, (still, other) = hosts
     other.start(*LAST)
     other.stream_acknowledged(*LAST)
-    frozen.start(*FIRST)
-    frozen.stream(*FIRST)
+    still.start(*FIRST)
+    still.stream(*FIRST)
     robot.wait_for_commands(*FIRST)
-    frozen.freeze()
-    try:
+    with frozen(still.child.pid):
         check_lateness("frozen", robot.wait_for_stops(*FIRST))
         robot.forget()
         other.ask(f"sent {other.ask('sent')['sent'] + 3 * HZ}")
         assert network.queued_bytes(0) > BUFFER_BYTES // 2, "it was to be full of telemetry that it does not read"
         assert robot.running == set(LAST)
         assert not robot.seen(is_stop(*LEGS))
-    finally:
-        frozen.thaw()
-    robot.wait_for_event(lambda event: event.reason is Reason.SERVO_STOPPED and event.source == frozen.source)
-    frozen.ask("pause")
+    robot.wait_for_event(lambda event: event.reason is Reason.SERVO_STOPPED and event.source == still.source)
+    still.ask("pause")
     assert not robot.seen(is_command(*FIRST))
     check_undisturbed(other.ask("pause"))
     other.ask("stop")
-    frozen.ask("state")  # its link may have been given up, as it did not read; asked until it is back
-    check_a_start_moves_it(robot, frozen)
+    still.ask("state")  # its link may have been given up, as it did not read; asked until it is back
+    check_a_start_moves_it(robot, still)
 
 
 def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(hosts: Hosts) -> None:
