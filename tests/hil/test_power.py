@@ -20,6 +20,7 @@ from tests.hil.bed import SpiTestbed
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
+from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states
 from tests.support.recorded_board import RecordedBoard, answers_steadily
@@ -49,14 +50,12 @@ def gateway(request: pytest.FixtureRequest, tmp_path: Path, wire: Wire, board: R
     """A gateway whose board answers."""
     power = {**board.settings, **getattr(request, "param", {})}
     with start(tmp_path, wire, power=power, watchdog={"timeout_ms": 10_000}) as running:
+        with running.client() as client:
+            states(client).wait(answers_steadily())
         yield running
 
 
-@pytest.fixture
-def client(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client() as client:
-        states(client).wait(answers_steadily())
-        yield client
+client = client_fixture("test")
 
 
 def leg_3_runs(client: Client, wire: Wire, board: RecordedBoard) -> None:
