@@ -147,7 +147,11 @@ class CalibrationHistory:
 
     def _read(self, frame: Frame) -> Frame:
         ops = [self._meant(servo_id, op) for servo_id, op in frame.servos]
-        return OneServo(frame.servo_id, ops[0]) if isinstance(frame, OneServo) else OneLeg(frame.leg, _three(ops))
+        return (
+            OneServo(frame.servo_id, ops[0])
+            if isinstance(frame, OneServo)
+            else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
+        )
 
     def _meant(self, servo_id: int, op: ServoOp) -> ServoOp:
         if op.op is Op.STOP:
@@ -212,8 +216,3 @@ class CalibrationHistory:
 
 def _key(whole: Whole) -> tuple[object, ...]:
     return tuple(whole.servos.items()), tuple(sorted(whole.landing_cdeg.items()))
-
-
-def _three(ops: Sequence[ServoOp]) -> tuple[ServoOp, ServoOp, ServoOp]:
-    first, second, third = ops
-    return first, second, third

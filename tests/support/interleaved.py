@@ -231,8 +231,6 @@ class SteppedLoop:
         self._timers: list[tuple[float, int, Timer]] = []
         self._count = 0
         self.now_s = 1.0
-        self.wakeups = 0
-        """How often another thread has woken it."""
         self.failures: list[object] = []
 
     def time(self) -> float:
@@ -245,7 +243,6 @@ class SteppedLoop:
         return timer
 
     def call_soon_threadsafe(self, call: Callable[..., object], *arguments: object) -> Timer:
-        self.wakeups += 1
         timer = Timer(call, arguments)
         self._ready.append(timer)
         return timer

@@ -34,25 +34,8 @@ from gateway.robot.core.leg import Leg, RateSlots, Rules, Servo, StartQueue
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Kind, Mode, Reason
+from tests.support import model_parts as parts
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
-from tests.support.model_parts import (
-    body_key,
-    button_requests,
-    buttons_key,
-    calibrating_key,
-    changes,
-    copied_interlocks,
-    copy_backlog,
-    core_backlog_key,
-    lease_key,
-    lease_requests,
-    measurements,
-    power_key,
-    rest_key,
-    share_limits,
-    takeover_key,
-    tokens,
-)
 from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Configuration
@@ -172,9 +155,9 @@ def copied(supervisor: Supervisor) -> Supervisor:
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     other = cloned(supervisor, legs=legs)
-    other.connect(copied_interlocks(supervisor))
-    share_limits(supervisor, other)
-    copy_backlog(supervisor, other)
+    other.connect(parts.copied_interlocks(supervisor))
+    parts.share_limits(supervisor, other)
+    parts.copy_backlog(supervisor, other)
     queue = supervisor.legs._queue
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     return other
@@ -201,13 +184,13 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        legs.sends and rest_key(legs.rest, now_ns),
-        lease_key(supervisor.lease, now_ns),
-        buttons_key(supervisor.buttons, now_ns),
-        body_key(supervisor, now_ns),
-        (*power_key(supervisor), legs._fed),
-        core_backlog_key(supervisor, now_ns),
-        calibrating_key(supervisor),
+        legs.sends and parts.rest_key(legs.rest, now_ns),
+        parts.lease_key(supervisor.lease, now_ns),
+        parts.buttons_key(supervisor.buttons, now_ns),
+        parts.body_key(supervisor, now_ns),
+        (*parts.power_key(supervisor), legs._fed),
+        parts.core_backlog_key(supervisor, now_ns),
+        parts.calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
         tuple((rank[number], each.left, each.coalesced) for number, each in pending(supervisor).items()),
@@ -230,7 +213,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
-                        legs._rules.takeover_cdeg_s and takeover_key(legs, servo, now_ns),
+                        legs._rules.takeover_cdeg_s and parts.takeover_key(legs, servo, now_ns),
                         # A bus that opens again gets a Stop for every leg.
                         legs.sends and servo.repeats_left and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
@@ -246,15 +229,9 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 # ---- the search
 
 
-def events(
-    configuration: Configuration,
-    mode: Mode,
-    number: int,
-    estops: int,
-    oracle: Oracle,
-    now_ns: int,
-) -> Iterator[tuple[str, Event]]:
-    """Everything that can happen, with a name. The next command is `number`, the latest emergency stop `estops`."""
+def events(configuration: Configuration, state: "State", now_ns: int) -> Iterator[tuple[str, Event]]:
+    """Everything that can happen then, with a name."""
+    mode, number, estops, oracle = state.supervisor.mode, state.number, state.supervisor.latch.number, state.oracle
     lease, calibration, buttons = oracle.lease, oracle.calibration, oracle.buttons
     if oracle.unknown:
         yield "the disk is read", EstopKept(*oracle.disk)
@@ -262,7 +239,7 @@ def events(
     # Where every command is rejected, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
-        for whose, token in tokens(configuration.drivers, lease):
+        for whose, token in parts.tokens(configuration.drivers, lease):
             by = "anna" if "anna's" in channel else None
             timed = 1.0 if "with a time" in channel else None
             command = Command(targets, key=channel, source=by, number=number, lease=token, sent_ms=timed)
@@ -270,18 +247,18 @@ def events(
     for stops in configuration.unread:
         unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
         yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)
-    yield from measurements(configuration.bodies)
+    yield from parts.measurements(configuration.bodies)
     for seen in configuration.boards:
         yield str(seen), seen
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
-    yield from lease_requests(configuration.drivers, number, lease)
-    yield from button_requests(configuration.buttons, number, now_ns, configuration.delays_ns, buttons)
-    yield from changes(configuration.changes, number, calibration)
-    if configuration.calm:
+    yield from parts.lease_requests(configuration.drivers, number, lease)
+    yield from parts.button_requests(configuration.buttons, number, now_ns, configuration.delays_ns, buttons)
+    yield from parts.changes(configuration.changes, number, calibration)
+    if configuration.calm and not configuration.ends:
         return
     yield "emergency stop", EmergencyStop()
-    for whose, token in tokens(configuration.drivers, lease):
+    for whose, token in parts.tokens(configuration.drivers, lease):
         yield f"reset{whose}", Reset(number=number, estop=estops, lease=token)
     if mode is Mode.ESTOPPED:
         yield "reset of an older one", Reset(number=number, estop=estops - 1)
@@ -360,19 +337,12 @@ def successors(configuration: Configuration, state: State) -> Iterator[tuple[Key
     waits = [(wait_ns, wait_ns == 0) for wait_ns in configuration.waits_ns]
     waits += [(wait_ns, True) for wait_ns in configuration.within_ns]
     for wait_ns, same_instant in waits:
-        for name, event in events(
-            configuration,
-            mode,
-            state.number,
-            state.supervisor.latch.number,
-            state.oracle,
-            state.now_ns + wait_ns,
-        ):
+        now_ns = state.now_ns + wait_ns
+        for name, event in events(configuration, state, now_ns):
             if type(event) not in TRANSITIONS[mode]:
                 continue
             supervisor, oracle = copied(state.supervisor), state.oracle.clone()
             way = (state.way, f"+{wait_ns}{' in the same instant' if wait_ns and same_instant else ''} {name}")
-            now_ns = state.now_ns + wait_ns
             instant_ns = state.instant_ns if same_instant else now_ns
             after = State(supervisor, oracle, now_ns, instant_ns, state.number + 1, way, state.make)
             try:

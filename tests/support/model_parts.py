@@ -7,15 +7,8 @@ from typing import Any
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
+from gateway.robot.core import events
 from gateway.robot.core.buttons import Buttons
-from gateway.robot.core.events import (
-    BodyMeasured,
-    ButtonRequest,
-    Calibrate,
-    CalibrationSaved,
-    Event,
-    LeaseRequest,
-)
 from gateway.robot.core.interlock import Interlock
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Servo
@@ -33,17 +26,14 @@ def copied_interlocks(supervisor: Supervisor) -> Iterator[Interlock[Any]]:
     """Copies that share nothing that changes."""
     for each in supervisor._interlocks:
         if isinstance(each, RobotLease):
-            yield copied_lease(each)
+            yield cloned(each, _askers=dict(each._askers))
+        elif isinstance(each, Buttons):
+            yield cloned(each, _by_token={token: replace(button) for token, button in each._by_token.items()})
         else:
-            yield copied_buttons(each) if isinstance(each, Buttons) else cloned(each)
+            yield cloned(each)
 
 
 # ---- the lease
-
-
-def copied_lease(lease: RobotLease) -> RobotLease:
-    """A copy that shares nothing that changes."""
-    return cloned(lease, _askers=dict(lease._askers))
 
 
 def lease_key(lease: RobotLease, now_ns: int) -> tuple[object, ...]:
@@ -61,26 +51,20 @@ def tokens(drivers: Sequence[str], lease: LeaseHistory) -> Iterator[tuple[str, s
         yield " of a former holder", lease.old_token
 
 
-def lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> Iterator[tuple[str, Event]]:
+def lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> Iterator[tuple[str, events.Event]]:
     """Everything that each of them may want of it; a new token is one that nobody had."""
     fresh = f"token {number}"
     for name in drivers:
         for do in ("acquire", "ask", "take"):
-            yield f"{name} wants to {do}", LeaseRequest(do, name, fresh_token=fresh)
+            yield f"{name} wants to {do}", events.LeaseRequest(do, name, fresh_token=fresh)
     for whose, token in tokens(drivers, lease):
         if token is not None:
-            yield f"renewal{whose}", LeaseRequest("renew", token=token)
-            yield f"release{whose}", LeaseRequest("release", token=token)
-            yield f"handover{whose}", LeaseRequest("release", token=token, to=drivers[-1])
+            yield f"renewal{whose}", events.LeaseRequest("renew", token=token)
+            yield f"release{whose}", events.LeaseRequest("release", token=token)
+            yield f"handover{whose}", events.LeaseRequest("release", token=token, to=drivers[-1])
 
 
 # ---- the buttons
-
-
-def copied_buttons(buttons: Buttons) -> Buttons:
-    """A copy that shares nothing that changes."""
-    by_token = {token: replace(button) for token, button in buttons._by_token.items()}
-    return cloned(buttons, _by_token=by_token)
 
 
 def buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:
@@ -94,13 +78,13 @@ def buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:
 
 def button_requests(
     names: Sequence[str], number: int, now_ns: int, delays_ns: Sequence[int], buttons: ButtonsHistory
-) -> Iterator[tuple[str, Event]]:
+) -> Iterator[tuple[str, events.Event]]:
     """Everything that each of them may want `now`; a new token is one that nobody had.
 
     A check-in is the next one, or the latest one again; it says when it was sent (so long ago), or does not.
     """
     for name in names:
-        register = ButtonRequest("register", now_ns, name, fresh_token=f"token {number}")
+        register = events.ButtonRequest("register", now_ns, name, fresh_token=f"token {number}")
         yield f"{name} registers", register
         for delay_ns in delays_ns:
             yield f"{name} registers, {delay_ns} late", replace(register, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
@@ -108,12 +92,12 @@ def button_requests(
     for token in tokens if names else ():
         whose = buttons.known[token].name if token in buttons.known else "a former button"
         count = buttons.known[token].count if token in buttons.known else number
-        alive = ButtonRequest("alive", now_ns, token=token, count=count + 1)
+        alive = events.ButtonRequest("alive", now_ns, token=token, count=count + 1)
         yield f"{whose} is alive", alive
         yield f"a check-in of {whose} once more", replace(alive, count=count)
         for delay_ns in delays_ns:
             yield f"{whose} was alive {delay_ns} ago", replace(alive, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
-        yield f"{whose} leaves", ButtonRequest("leave", now_ns, token=token)
+        yield f"{whose} leaves", events.ButtonRequest("leave", now_ns, token=token)
 
 
 # ---- the body
@@ -127,10 +111,10 @@ def body_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
     return body.low, body.fallen, age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns)
 
 
-def measurements(bodies: Sequence[tuple[int | None, int]]) -> Iterator[tuple[str, Event]]:
+def measurements(bodies: Sequence[tuple[int | None, int]]) -> Iterator[tuple[str, events.Event]]:
     """What the robot may measure: each tilt with each voltage that it has."""
     for tilt_cdeg, battery_mv in bodies:
-        yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
+        yield f"tilt {tilt_cdeg}, battery {battery_mv}", events.BodyMeasured(tilt_cdeg, battery_mv)
 
 
 def rest_key(rest: RestStops, now_ns: int) -> tuple[object, ...]:
@@ -185,23 +169,23 @@ def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
 
 def changes(
     wanted: Sequence[CalibrationChange], number: int, history: CalibrationHistory
-) -> Iterator[tuple[str, Event]]:
+) -> Iterator[tuple[str, events.Event]]:
     """Everything that may be asked of the calibration, and what the disk may answer."""
     revision = history.whole.revision
     for which, change in enumerate(wanted):
         yield (
             f"calibration {which}",
-            Calibrate(number=number, change=change, revision=revision, accept_default=not history.trusted),
+            events.Calibrate(number=number, change=change, revision=revision, accept_default=not history.trusted),
         )
     if wanted:
-        yield "calibration of an older one", Calibrate(number=number, change=wanted[0], revision=revision - 1)
+        yield "calibration of an older one", events.Calibrate(number=number, change=wanted[0], revision=revision - 1)
         yield (
             "another default accepted",
-            Calibrate(number=number, change=CalibrationChange({}, {}), accept_default=history.trusted),
+            events.Calibrate(number=number, change=CalibrationChange({}, {}), accept_default=history.trusted),
         )
     if history.on_its_way is not None:
-        yield "calibration kept", CalibrationSaved(history.on_its_way.number)
-        yield "calibration not kept", CalibrationSaved(history.on_its_way.number, "the disk is full")
+        yield "calibration kept", events.CalibrationSaved(history.on_its_way.number)
+        yield "calibration not kept", events.CalibrationSaved(history.on_its_way.number, "the disk is full")
 
 
 def copy_backlog(supervisor: Supervisor, other: Supervisor) -> None:

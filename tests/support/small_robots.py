@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from gateway.allowance import NS_PER_S
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
-from gateway.model.frames import STOP, Op, ServoOp
+from gateway.model.frames import STOP, Op, ServoOp, leg_of
 from gateway.robot.core.events import PowerSeen
 from gateway.robot.core.leg import Rules
 
@@ -23,12 +23,9 @@ class Configuration:
     rules: Rules
     commands: tuple[tuple[str, Targets], ...]
     """(channel, targets)"""
-    legs: tuple[int, ...] = (1,)
     waits_ns: tuple[int, ...] = (TICK, 3 * TICK)
     within_ns: tuple[int, ...] = ()
     """The same for events of the same instant: to deal with those before them takes time."""
-    ends: bool = False
-    """Whether the service may be shut down, too."""
     drivers: tuple[str, ...] = ()
     """Who wants the lease."""
     buttons: tuple[str, ...] = ()
@@ -49,6 +46,13 @@ class Configuration:
     """Stops that may be in a message that cannot be read."""
     calm: bool = True
     """Whether the bus answers, and nobody wants an emergency stop or stops servos past the gateway."""
+    ends: bool = False
+    """Whether the service may be shut down, too; such a robot is not calm."""
+
+    @property
+    def legs(self) -> list[int]:
+        """Those that its commands name; the robot has no others."""
+        return sorted({leg_of(servo_id) for _, targets in self.commands for servo_id, _ in targets})
 
 
 LOW, HIGH = 10_00, 20_00
@@ -110,7 +114,7 @@ _BLOCKED = PowerSeen(alive=True, refused=((11, "overcurrent"),), lost=frozenset(
 _DOUBT = PowerSeen(alive=True, doubt="it is not confirmed")
 
 CONFIGURATIONS: Final = (
-    Configuration("one servo, two channels", _rules(repeats=2), _ONE_SERVO, waits_ns=_WAITS, calm=False, ends=True),
+    Configuration("one servo, two channels", _rules(repeats=2), _ONE_SERVO, waits_ns=_WAITS, ends=True),
     Configuration(
         "one servo, starts without a time",
         _rules(start_wait_ns=TICK, window_ns=2 * TICK),
@@ -121,21 +125,18 @@ CONFIGURATIONS: Final = (
         "two legs, starts without a time",
         _rules(start_wait_ns=TICK, window_ns=2 * TICK),
         (("legs", _each(START, 11, 21)), ("leg", _each(START, 21)), ("leg with a time", _each(SET, 21))),
-        legs=(1, 2),
         waits_ns=(0, 2 * TICK),
     ),
     Configuration(
         "two legs that start as one, without a time",
         _rules(start_wait_ns=TICK, window_ns=2 * TICK, starts_whole=True),
         (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
-        legs=(1, 2),
         waits_ns=(0, 2 * TICK),
     ),
     Configuration(
         "two legs, started one after the other without a time",
         _rules(start_wait_ns=TICK, window_ns=2 * TICK, start_pause_ns=3 * TICK),
         (("legs", _each(START, 11, 21)), ("servo", _each(STOP, 11))),
-        legs=(1, 2),
         waits_ns=(0, 2 * TICK),
     ),
     Configuration(
@@ -170,33 +171,26 @@ CONFIGURATIONS: Final = (
         _rules(repeats=1, timeout_ns=2 * TICK, period_ns=3 * TICK),
         _WHOLE_LEG,
         waits_ns=_WAITS[1:],
-        calm=False,
         ends=True,
     ),
-    Configuration("two legs", _rules(), _TWO_LEGS[1:], legs=(1, 2), waits_ns=_WAITS[1:], calm=False),
+    Configuration("two legs", _rules(), _TWO_LEGS[1:], waits_ns=_WAITS[1:], calm=False),
     Configuration(
         "two legs, more runs of Stops at rest",
         _rules(rest_runs=1),
         (("servo", _each(START, 11)), ("servo", _each(STOP, 11)), ("servo", _each(STOP, 21))),
-        legs=(1, 2),
-        calm=False,
         ends=True,
     ),
-    Configuration(
-        "two legs, repeated Stops", _rules(repeats=1), _TWO_LEGS[:4], legs=(1, 2), waits_ns=_WAITS[1:], calm=False
-    ),
+    Configuration("two legs, repeated Stops", _rules(repeats=1), _TWO_LEGS[:4], waits_ns=_WAITS[1:], calm=False),
     Configuration(
         "two legs, rate slots later than the watchdog",
         _rules(timeout_ns=2 * TICK, period_ns=3 * TICK),
         (("legs", _each(START, 11, 21, 22)), ("servo", _each(START, 21)), ("servo", _each(STOP, 11))),
-        legs=(1, 2),
         calm=False,
     ),
     Configuration(
         "two legs, one silent leg stops both",
         _rules(whole_robot=True),
         _TWO_LEGS,
-        legs=(1, 2),
         waits_ns=_WAITS[1:],
         calm=False,
     ),
@@ -205,7 +199,6 @@ CONFIGURATIONS: Final = (
         _rules(timeout_ns=2 * TICK, estop_kept=True),
         (_ONE_SERVO[0], _ONE_SERVO[2]),
         waits_ns=(0, 3 * TICK),
-        calm=False,
         ends=True,
     ),
     Configuration(
@@ -219,7 +212,6 @@ CONFIGURATIONS: Final = (
         _rules(timeout_ns=2 * TICK, lease_ttl_ns=3 * TICK, lease_required=True),
         (_ONE_SERVO[0], _ONE_SERVO[2]),
         drivers=("anna",),
-        calm=False,
         ends=True,
     ),
     Configuration(
@@ -242,14 +234,12 @@ CONFIGURATIONS: Final = (
         _rules(timeout_ns=2 * TICK, buttons_required=1, buttons_timeout_ns=2 * TICK),
         (_ONE_SERVO[0], _ONE_SERVO[2]),
         buttons=("kitchen",),
-        calm=False,
         ends=True,
     ),
     Configuration(
         "two legs, landing, and a button that must be alive",
         _rules(landing_ns=8 * TICK, landing_cdeg={11: HIGH}, buttons_required=1, buttons_timeout_ns=3 * TICK),
         (("legs", _each(START, 11, 21)), ("servo", _each(STOP, 21))),
-        legs=(1, 2),
         waits_ns=(TICK, 4 * TICK),
         buttons=("kitchen",),
     ),
@@ -264,24 +254,20 @@ CONFIGURATIONS: Final = (
             ("servo", _each(STOP, 11)),
             ("leg", ((11, STOP), (12, START))),
         ),
-        legs=(1, 2),
         waits_ns=_WAITS[1:],
         unread=(_each(STOP, 11),),
-        calm=False,
         ends=True,
     ),
     Configuration(
         "two legs that start and stop as one, rate slots later than the watchdog, and landing",
         _rules(timeout_ns=2 * TICK, period_ns=3 * TICK, starts_whole=True, landing_ns=4 * TICK),
         (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("servo", _each(STOP, 11))),
-        legs=(1, 2),
         calm=False,
     ),
     Configuration(
         "two legs that start and stop as one, and a lease",
         _rules(timeout_ns=3 * TICK, period_ns=3 * TICK, starts_whole=True, lease_ttl_ns=3 * TICK),
         (("legs", _each(START, *_BOTH)), ("servo", _each(SET, 21)), ("leg", ((11, STOP), (12, START)))),
-        legs=(1, 2),
         drivers=("anna",),
     ),
     Configuration(
@@ -289,14 +275,12 @@ CONFIGURATIONS: Final = (
         _rules(min_battery_mv=5000, max_tilt_cdeg=30_00, tilt_ns=2 * TICK),
         (_ONE_SERVO[0], _ONE_SERVO[1], _ONE_SERVO[2]),
         bodies=((0, 7000), (0, 5050), (31_00, 4999), (None, 7000)),
-        calm=False,
         ends=True,
     ),
     Configuration(
         "two legs that start and stop as one, landing, and a body that may fall",
         _rules(starts_whole=True, landing_ns=6 * TICK, max_tilt_cdeg=30_00, tilt_ns=2 * TICK),
         (("legs", _each(START, *_BOTH)), ("servo", _each(STOP, 21))),
-        legs=(1, 2),
         bodies=((30_00, 0), (31_00, 0), (None, 0)),
     ),
     Configuration(
@@ -311,7 +295,6 @@ CONFIGURATIONS: Final = (
         "two legs, landing, and a board that feeds them",
         _rules(landing_ns=6 * TICK, landing_cdeg={11: HIGH}, power=True, feed_ns=3 * TICK),
         (("legs", _each(START, 11, 21)), ("servo", _each(START, 12)), ("servo", _each(STOP, 21))),
-        legs=(1, 2),
         boards=(_FED, replace(_FED, fed=frozenset({11})), _SILENT, PowerSeen(alive=True, lost=frozenset({11})), _DOUBT),
     ),
     Configuration(
@@ -324,7 +307,6 @@ CONFIGURATIONS: Final = (
         "two legs, started one after the other",
         _rules(start_pause_ns=3 * TICK),
         (*_TWO_LEGS[:3], _TWO_LEGS[4]),
-        legs=(1, 2),
         waits_ns=_WAITS[1:],
         calm=False,
     ),
@@ -344,7 +326,6 @@ CONFIGURATIONS: Final = (
             ("legs", ((11, ServoOp(Op.SET, 180_00)), (21, START))),
             ("servo", _each(STOP, 22)),
         ),
-        legs=(1, 2),
     ),
     Configuration(
         "one servo, angles that are never sent, and a limited speed",
@@ -364,8 +345,6 @@ CONFIGURATIONS: Final = (
         "two legs, landing",
         _rules(landing_ns=8 * TICK, landing_cdeg={11: HIGH}),
         (*(("servo", _each(op, leg)) for leg in (11, 21) for op in (START, STOP)), ("legs", _each(SET, 11, 21))),
-        legs=(1, 2),
-        calm=False,
         ends=True,
     ),
     Configuration(
@@ -406,7 +385,6 @@ CONFIGURATIONS: Final = (
         calibration=_MIRRORED,
         fault="it is broken",
         changes=_RECALIBRATED[1:],
-        calm=False,
         ends=True,
     ),
     Configuration(
@@ -450,7 +428,6 @@ CONFIGURATIONS: Final = (
         "one servo, started again soon, whatever else may happen",
         _rules(timeout_ns=2 * TICK, takeover_cdeg_s=180_00 * NS_PER_S // (6 * TICK), takeover_known_ns=2 * TICK),
         (("servo", ((11, ServoOp(Op.START, 0)),)), ("servo anna's", ((11, ServoOp(Op.START, 90_00)),)), _ONE_SERVO[2]),
-        calm=False,
         ends=True,
     ),
 )

@@ -87,27 +87,22 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     assert "Stop written to all legs (estop)" in story
 
 
-def full(_: Path) -> None:
-    """The limit on a file's size stands for it."""
-
-
-def taken(ring: Path) -> None:
-    durable.staged_for(ring).mkdir()
-
-
-def gone(ring: Path) -> None:
-    ring.rename(ring.with_name("elsewhere"))
+SPOILS: Final[dict[str, Callable[[Path], object]]] = {
+    "the disk is full": lambda _: None,  # the limit on a file's size stands for it
+    "its name is taken": lambda ring: durable.staged_for(ring).mkdir(),
+    "the ring is gone": lambda ring: ring.rename(ring.with_name("elsewhere")),
+}
 
 
 @pytest.mark.virtual_time
-@pytest.mark.parametrize("spoil", [full, taken, gone])
+@pytest.mark.parametrize("spoil", SPOILS)
 async def test_a_copy_that_fails_is_logged_and_stops_nothing(
-    folder: Path, spoil: Callable[[Path], None], caplog: pytest.LogCaptureFixture
+    folder: Path, spoil: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     robot = recorded(folder)
     ring = (folder / RING_FILE).resolve()
-    spoil(ring)
-    with disk_that_takes(1000 if spoil is full else 10**9):
+    SPOILS[spoil](ring)
+    with disk_that_takes(1000 if spoil == "the disk is full" else 10**9):
         await incident(robot)
         robot.conductor.recorder.close()
     assert copies_of(ring) == []
@@ -149,14 +144,14 @@ def test_a_copy_has_the_newest_records_and_the_ring_goes_on_behind_them(tmp_path
         assert sequences(ring) == [*(each for each in kept if each < left.start), *(each for each in left if each > 0)]
 
 
-def cut_off(copy: Path) -> None:
-    with copy.open("r+b") as file:
-        file.truncate(5000)
-
-
 @pytest.mark.parametrize(
     "spoil",
-    [cut_off, lambda copy: copy.write_bytes(b""), lambda copy: copy.chmod(0o666), lambda copy: os.link(copy, "other")],
+    [
+        lambda copy: os.truncate(copy, 5000),
+        lambda copy: copy.write_bytes(b""),
+        lambda copy: copy.chmod(0o666),
+        lambda copy: os.link(copy, "other"),
+    ],
     ids=["half", "empty", "for all to write", "with another name"],
 )
 def test_a_copy_that_is_not_whole_is_left_out(

@@ -2,37 +2,28 @@
 
 import asyncio
 from collections.abc import Callable
+from typing import Final
 
 import pytest
 
-from gateway.model.frames import stop_leg
-from gateway.robot.core.events import (
-    Command,
-    Completed,
-    Effect,
-    Rejected,
-    Reset,
-    StoppedOutside,
-    Transmit,
-    Verdict,
-    results,
-)
+from gateway.model.frames import leg_of, stop_leg
+from gateway.robot.core import events
 from schemas import keys
-from schemas.robot import LEGS
-from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import Cause, Kind, Mode, Reason
 from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
-FIRST, SECOND, REPLACED = Command(number=1), Command(number=2), Command(number=3)
+FIRST, SECOND, REPLACED = events.Command(number=1), events.Command(number=2), events.Command(number=3)
 REPLACED.coalesced = True
-RESET = Reset(number=4)
-OF_FIRST = Transmit(stop_leg(1), Cause.COMMAND, None, (FIRST,))
-OF_SECOND = Transmit(stop_leg(2), Cause.COMMAND, None, (SECOND,), (SECOND,))
-WATCHDOGS = Transmit(stop_leg(3), Cause.WATCHDOG)
-EFFECTS: list[Effect] = [
-    OF_FIRST, OF_SECOND, WATCHDOGS, Completed(FIRST), Completed(REPLACED), Completed(RESET),
-    Rejected(Command(number=5), Reason.STALE, "late"),
+RESET = events.Reset(number=4)
+OF_FIRST = events.Transmit(stop_leg(1), Cause.COMMAND, None, (FIRST,))
+OF_SECOND = events.Transmit(stop_leg(2), Cause.COMMAND, None, (SECOND,), (SECOND,))
+WATCHDOGS = events.Transmit(stop_leg(3), Cause.WATCHDOG)
+EFFECTS: list[events.Effect] = [
+    OF_FIRST, OF_SECOND, WATCHDOGS, events.Completed(FIRST), events.Completed(REPLACED), events.Completed(RESET),
+    events.Rejected(events.Command(number=5), Reason.STALE, "late"),
 ]  # fmt: skip
 
 
@@ -46,24 +37,19 @@ EFFECTS: list[Effect] = [
         ([OF_FIRST, OF_SECOND, WATCHDOGS], [1, 2]),
     ],
 )
-def test_a_fault_rejects_what_a_failed_frame_names(failed: list[Transmit], lost: list[int]) -> None:
-    verdicts: dict[int, Verdict] = {2: "accepted", 1: "accepted", 3: "coalesced", 4: "accepted", 5: Reason.STALE}
+def test_a_fault_rejects_what_a_failed_frame_names(failed: list[events.Transmit], lost: list[int]) -> None:
+    verdicts: dict[int, events.Verdict] = {2: "accepted", 1: "accepted", 3: "coalesced", 4: "accepted", 5: Reason.STALE}
     expected = verdicts | dict.fromkeys(lost, Reason.BUS_FAULT)
-    found = results(EFFECTS, failed, "no device")
+    found = events.results(EFFECTS, failed, "no device")
     assert [(request.number, verdict) for request, verdict, _ in found] == list(expected.items())
     assert {detail for _, verdict, detail in found if verdict is Reason.BUS_FAULT} == ({"no device"} if lost else set())
 
 
-async def estopped_with_repeats_due(robot: Robot) -> None:
-    """The next step writes repeated Stops, which fail."""
-    robot.put(keys.ESTOP)
-    robot.sleep_through(0.03)
-    robot.controller.fail_where(lambda _: True)
-
-
 async def test_a_reset_whose_step_cannot_write_repeated_stops_is_accepted() -> None:
     robot = await started_and_quiet()
-    await estopped_with_repeats_due(robot)
+    robot.put(keys.ESTOP)
+    robot.sleep_through(0.03)  # the next step writes repeated Stops, which fail
+    robot.controller.fail_where(lambda _: True)
     accepted = robot.conductor.metrics.accepted
     ack = robot.ask(keys.RESET, {"estop": 1})
     assert (ack.accepted, robot.mode) == (True, Mode.BUS_FAULT)
@@ -94,66 +80,43 @@ STAGGER_MS = 200
 WRITTEN = [1, 2]
 """The legs that are started by the time of `LATER_S`."""
 LATER_S = 0.25
-LEG_RUNS = {number: [10 * number + joint for joint in (1, 2, 3)] for number in LEGS}
+
+CAUSES: Final[dict[str, tuple[Callable[[Robot], object], Reason, list[int]]]] = {
+    # what ends the command, why its rest is rejected, and which legs run on
+    "a Stop of a leg that waits": (
+        lambda robot: robot.put(keys.leg_command(6), leg("stop")),
+        Reason.SERVO_STOPPED,
+        [1, 2],
+    ),
+    "a Stop of a leg that runs": (lambda robot: robot.put(keys.leg_command(2), leg("stop")), Reason.SERVO_STOPPED, [1]),
+    "another holder of the lease": (lambda robot: robot.lease("acquire", "bert"), Reason.NOT_HOLDER, [1, 2]),
+    "stop-servos": (
+        lambda robot: robot.conductor._step(events.StoppedOutside(at_work=True)),
+        Reason.SERVO_STOPPED,
+        [],
+    ),
+    "an emergency stop": (lambda robot: robot.put(keys.ESTOP), Reason.ESTOPPED, []),
+    "the end": (lambda robot: robot.conductor.shut_down(), Reason.STOPPING, []),
+}
 
 
-async def half_started(**sections: dict[str, object]) -> tuple[Robot, list[Ack]]:
-    """Six legs that are started one after the other, in the middle of it."""
+@pytest.mark.parametrize(("cause", "reason", "run_on"), CAUSES.values(), ids=CAUSES)
+async def test_the_rest_is_withdrawn_and_the_answer_names_what_was_written(
+    cause: Callable[[Robot], object], reason: Reason, run_on: list[int]
+) -> None:
     robot = await started_and_quiet(
-        limits={"start_stagger_ms": STAGGER_MS}, watchdog={"timeout_ms": 5000}, rules={"repeats": 0}, **sections
+        limits={"start_stagger_ms": STAGGER_MS}, watchdog={"timeout_ms": 5000}, rules={"repeats": 0}
     )
     answers = robot.get(keys.LEGS_COMMAND, {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}})
     await asyncio.sleep(LATER_S)
-    assert answers == []
-    return robot, answers
-
-
-def stop_a_leg_that_waits(robot: Robot) -> None:
-    robot.put(keys.leg_command(6), leg("stop"))
-
-
-def stop_a_leg_that_runs(robot: Robot) -> None:
-    robot.put(keys.leg_command(2), leg("stop"))
-
-
-def acquire_the_lease(robot: Robot) -> None:
-    assert robot.lease("acquire", "bert").accepted
-
-
-def stop_outside(robot: Robot) -> None:
-    robot.conductor._step(StoppedOutside(at_work=True))
-
-
-def emergency_stop(robot: Robot) -> None:
-    robot.put(keys.ESTOP)
-
-
-def end(robot: Robot) -> None:
-    robot.conductor.shut_down()
-
-
-@pytest.mark.parametrize(
-    ("cause", "reason", "run_on"),
-    [
-        (stop_a_leg_that_waits, Reason.SERVO_STOPPED, [1, 2]),
-        (stop_a_leg_that_runs, Reason.SERVO_STOPPED, [1]),
-        (acquire_the_lease, Reason.NOT_HOLDER, [1, 2]),
-        (stop_outside, Reason.SERVO_STOPPED, []),
-        (emergency_stop, Reason.ESTOPPED, []),
-        (end, Reason.STOPPING, []),
-    ],
-)
-async def test_the_rest_is_withdrawn_and_the_answer_names_what_was_written(
-    cause: Callable[[Robot], None], reason: Reason, run_on: list[int]
-) -> None:
-    robot, answers = await half_started()
+    assert answers == [], "it is in the middle of it"
     cause(robot)
     (ack,) = answers
     assert (ack.accepted, ack.reason, ack.written) == (False, reason, WRITTEN)
     assert ack.detail is not None
     assert ack.detail.endswith("; what it asks of legs 1, 2 had been written before")
     await asyncio.sleep(2 * len(LEGS) * STAGGER_MS / 1000)
-    assert robot.controller.energised == {servo_id for number in run_on for servo_id in LEG_RUNS[number]}
+    assert robot.controller.energised == {servo_id for servo_id in SERVO_IDS if leg_of(servo_id) in run_on}
     (rejected,) = robot.events(Kind.COMMAND_REJECTED)
     assert rejected.detail == ack.detail
 

@@ -8,13 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.model.frames import Op, ServoOp
 from gateway.robot.core.landing import Landing, landing
 from gateway.robot.core.leg import RateSlots, Servo, StartQueue
 from gateway.robot.core.speed import step
-
-START_90, START_45 = ServoOp(Op.START, 90_00), ServoOp(Op.START, 45_00)
-SET_90, SET_45 = ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00)
 
 
 def sent(period_ns: int, arrivals_ns: list[int]) -> list[tuple[int, int]]:

@@ -184,10 +184,6 @@ async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_p
     assert not robot.line.board._wanted >> 9 & 0b111, "it is not to be fed any more"
 
 
-def _nothing(_: FedRobot) -> None:
-    pass
-
-
 def _cleared(robot: FedRobot) -> None:
     robot.line.simulated.temperatures_c[0] = 40
     robot.line.simulated.clear_by_hand()
@@ -195,10 +191,10 @@ def _cleared(robot: FedRobot) -> None:
 
 TAKEN: Final[dict[str, tuple[Callable[[FedRobot], object], Callable[[FedRobot], object], int]]] = {
     # what takes the supply, what somebody does at the board behind it, and how many faults are published
-    "a blocked servo": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), _nothing, 1),
+    "a blocked servo": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), lambda _: None, 1),
     "its block is cleared": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), _cleared, 1),
     "70 degrees, and its button": (lambda robot: setitem(robot.line.simulated.temperatures_c, 0, 70), _cleared, 1),
-    "another node's mask": (lambda robot: robot.line.hear_from_another(set_supply(0)), _nothing, 1),
+    "another node's mask": (lambda robot: robot.line.hear_from_another(set_supply(0)), lambda _: None, 1),
     # On slcan it shares the terminal, so its masks are never seen, and the board seems silent now and then.
     "stop-servos": (
         lambda robot: robot.conductor._step(StoppedOutside(at_work=True)),

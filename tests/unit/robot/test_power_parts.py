@@ -1,5 +1,6 @@
 """Which question the power board is asked, and what an answer proves."""
 
+from collections.abc import Callable
 from typing import Final
 
 import pytest
@@ -28,7 +29,9 @@ from schemas.telemetry import Kind
 
 def test_at_first_a_question_is_due_and_no_mask_has_reached_the_board() -> None:
     questions = BoardQuestions()
-    assert (questions.due_ns, questions.reached, questions.reached_ns) == (0, 0, 0)
+    for _ in ("at first", "an answer to what was never asked proves nothing"):
+        assert (questions.due_ns, questions.reached, questions.reached_ns) == (0, 0, 0)
+        questions.answered_about_rails(ASK_RAILS[0], 0)
 
 
 def test_all_is_asked_in_turn_while_the_board_answers() -> None:
@@ -125,12 +128,6 @@ def test_while_the_board_is_likely_silent_rails_are_kept_for_when_it_answers() -
     assert questions.due_after(1, 0) == []
     questions.answered(0)
     assert questions.due_after(1, 0) != []
-
-
-def test_an_answer_to_what_was_never_asked_proves_nothing() -> None:
-    questions = BoardQuestions()
-    questions.answered_about_rails(ASK_RAILS[0], 0)
-    assert (questions.reached, questions.reached_ns) == (0, 0)
 
 
 def test_a_question_that_was_not_sent_is_free_again() -> None:
@@ -240,17 +237,22 @@ def test_without_an_answer_it_asks_again_every_50_ms_for_two_seconds(errors: Boa
     assert errors.due_ns is None
 
 
-def test_what_another_program_has_deleted_is_not_deleted_again(errors: BoardErrors) -> None:
+@pytest.mark.parametrize(
+    ("then", "left"),
+    [
+        (lambda _: None, [(0, CLEAR_ERROR), (50, ASK_ERROR)]),
+        (lambda errors: errors.deleted(NS_PER_MS), [(1, ASK_ERROR), (51, ASK_ERROR)]),
+        (lambda errors: errors.delete(5 * NS_PER_MS), [(5, ASK_ERROR), (55, ASK_ERROR)]),
+    ],
+    ids=["its answer was lost", "another program has deleted it", "deleting begins anew"],
+)
+def test_what_was_shown_is_deleted_once(
+    errors: BoardErrors, then: Callable[[BoardErrors], None], left: list[tuple[int, CanFrame]]
+) -> None:
     errors.delete(0)
     errors.shown(FIRST, 0)
-    errors.deleted(1 * NS_PER_MS)
-    assert frames(errors, range(1, 10)) == [(1, ASK_ERROR)]
-
-
-def test_an_answer_that_was_lost_does_not_delete_what_is_shown_next(errors: BoardErrors) -> None:
-    errors.delete(0)
-    errors.shown(FIRST, 0)
-    assert frames(errors, range(60)) == [(0, CLEAR_ERROR), (50, ASK_ERROR)]
+    then(errors)
+    assert frames(errors, range(60)) == left
 
 
 def test_none_is_deleted_while_the_board_may_feed_what_it_blocks(errors: BoardErrors) -> None:
@@ -259,13 +261,6 @@ def test_none_is_deleted_while_the_board_may_feed_what_it_blocks(errors: BoardEr
     assert frames(errors, range(60), without=False) == [(50, ASK_ERROR)]
     errors.shown(FIRST, 60 * NS_PER_MS)
     assert frames(errors, range(60, 70)) == [(60, CLEAR_ERROR)]
-
-
-def test_to_delete_anew_begins_with_a_question(errors: BoardErrors) -> None:
-    errors.delete(0)
-    errors.shown(FIRST, 0)
-    errors.delete(5 * NS_PER_MS)
-    assert frames(errors, range(10)) == [(5, ASK_ERROR)]
 
 
 # ---- Which outputs the power board has confirmed to be off, and who hears of it when
