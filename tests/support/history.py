@@ -7,19 +7,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 from gateway.allowance import NS_PER_S
 from gateway.model.frames import Op, leg_of
-from gateway.robot.core.events import (
-    Announce,
-    Command,
-    Completed,
-    Effect,
-    Rejected,
-    Request,
-    Reset,
-    StoppedOutside,
-    Targets,
-    Transmit,
-    results,
-)
+from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Mode, Reason
 
@@ -28,8 +16,8 @@ CLOSED = {Mode.STOPPING: Reason.STOPPING, Mode.BUS_FAULT: Reason.BUS_FAULT, Mode
 NOBODY = "somebody without a name"
 T = TypeVar("T")
 STOP_SERVOS = {
-    "stop-servos at work": StoppedOutside(at_work=True),
-    "stop-servos ended": StoppedOutside(at_work=False),
+    "stop-servos at work": events.StoppedOutside(at_work=True),
+    "stop-servos ended": events.StoppedOutside(at_work=False),
 }
 
 
@@ -43,52 +31,54 @@ def demand(condition: bool, promise: str) -> None:
         raise Violation(promise)
 
 
-def is_announced(effects: Iterable[Effect], kind: Kind) -> bool:
+def is_announced(effects: Iterable[events.Effect], kind: Kind) -> bool:
     """Return whether an event of this kind is announced."""
-    return any(isinstance(effect, Announce) and effect.kind is kind for effect in effects)
+    return any(isinstance(effect, events.Announce) and effect.kind is kind for effect in effects)
 
 
-def announced(effects: Iterable[Effect], kinds: Collection[Kind]) -> list[Announce]:
+def announced(effects: Iterable[events.Effect], kinds: Collection[Kind]) -> list[events.Announce]:
     """Return the announced events of these kinds."""
-    return [effect for effect in effects if isinstance(effect, Announce) and effect.kind in kinds]
+    return [effect for effect in effects if isinstance(effect, events.Announce) and effect.kind in kinds]
 
 
-def spelled_out(effects: Iterable[Effect]) -> Iterator[Effect]:
+def spelled_out(effects: Iterable[events.Effect]) -> Iterator[events.Effect]:
     """The same, with what each frame completes behind it."""
     for effect in effects:
         yield effect
-        if isinstance(effect, Transmit):
-            yield from map(Completed, effect.done)
+        if isinstance(effect, events.Transmit):
+            yield from map(events.Completed, effect.done)
 
 
-def is_coalesced(request: Request) -> bool:
+def is_coalesced(request: events.Request) -> bool:
     """Whether a newer command has replaced a part of it."""
-    return isinstance(request, Command) and request.coalesced
+    return isinstance(request, events.Command) and request.coalesced
 
 
-def rejections_of(number: int, effects: Iterable[Effect]) -> list[Reason]:
+def rejections_of(number: int, effects: Iterable[events.Effect]) -> list[Reason]:
     """Why this command is rejected."""
-    return [effect.reason for effect in effects if isinstance(effect, Rejected) and effect.request.number == number]
+    return [
+        effect.reason for effect in effects if isinstance(effect, events.Rejected) and effect.request.number == number
+    ]
 
 
-def is_newer(reset: Reset, age_ns: int, estops: int, rules: Rules) -> bool:
+def is_newer(reset: events.Reset, age_ns: int, estops: int, rules: Rules) -> bool:
     """Whether a reset was certainly sent after the latest emergency stop, which is so old."""
     if reset.estop is None:
         return age_ns >= rules.unnumbered_reset_ns
     return reset.estop == estops and age_ns > 0
 
 
-def judge_results(effects: Sequence[Effect]) -> None:
+def judge_results(effects: Sequence[events.Effect]) -> None:
     """Judge the pass over a step's outcome: all frames are written, one fails, or all do. Raises Violation."""
-    undisturbed = results(effects)
+    undisturbed = events.results(effects)
     if not undisturbed:
         return
     requests = [request for request, _, _ in undisturbed]
     demand(len({id(each) for each in requests}) == len(requests), "a request is answered once")
-    frames = [effect for effect in effects if isinstance(effect, Transmit)]
+    frames = [effect for effect in effects if isinstance(effect, events.Transmit)]
     for failed in (frames, *([each] for each in frames)):
         carried = {id(command) for frame in failed for command in frame.commands}
-        disturbed = results(effects, failed, "a test's fault")
+        disturbed = events.results(effects, failed, "a test's fault")
         demand([each for each, _, _ in disturbed] == requests, "a fault changes verdicts, and no order")
         for (request, before, _), (_, verdict, why) in zip(undisturbed, disturbed, strict=True):
             fails = id(request) in carried and not isinstance(before, Reason)
@@ -258,9 +248,9 @@ class LegHistory:
 def change_hands(
     legs: Mapping[int, LegHistory],
     running: Iterable[int],
-    command: Command,
-    targets: Targets,
-    effects: Iterable[Effect],
+    command: events.Command,
+    targets: events.Targets,
+    effects: Iterable[events.Effect],
 ) -> None:
     """An accepted command for another source's running legs changes their source, which is announced once each."""
     named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in targets}
@@ -268,7 +258,7 @@ def change_hands(
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
     changes = announced(effects, {Kind.SOURCE_CHANGED})
     expected = [
-        Announce(
+        events.Announce(
             Kind.SOURCE_CHANGED,
             f"leg {number} is commanded by {command.source or NOBODY}, and was by {leg.source or NOBODY}",
             command.source,

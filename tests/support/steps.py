@@ -6,33 +6,7 @@ from typing import TypeVar, cast
 from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import CalibrationChange, RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
-from gateway.robot.core.events import (
-    Announce,
-    BodyMeasured,
-    BusFailed,
-    BusOpened,
-    ButtonDo,
-    ButtonRequest,
-    Calibrate,
-    CalibrationSaved,
-    Command,
-    Completed,
-    Effect,
-    EmergencyStop,
-    Event,
-    LeaseDo,
-    LeaseRequest,
-    PowerSeen,
-    Rejected,
-    Request,
-    RequestAnswer,
-    Reset,
-    SaveCalibration,
-    ShutDown,
-    StoppedOutside,
-    TimePassed,
-    Transmit,
-)
+from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.robot import SERVO_IDS
@@ -41,7 +15,7 @@ from tests.support.history import is_coalesced, spelled_out
 from tests.support.oracle import Oracle
 
 Targets = tuple[tuple[int, ServoOp], ...]
-T = TypeVar("T", bound=Effect)
+T = TypeVar("T", bound=events.Effect)
 
 
 def op(word: str) -> ServoOp:
@@ -65,22 +39,22 @@ def legs_to(numbers: str, word: str) -> Targets:
     return tuple(target for number in numbers for target in leg_to(int(number), word))
 
 
-def said(effect: Effect) -> str:
+def said(effect: events.Effect) -> str:
     """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
     match effect:
-        case Transmit(frame=frame):
+        case events.Transmit(frame=frame):
             words = [_word(command) for _, command in frame.servos]
             number = frame.servo_id if isinstance(frame, OneServo) else frame.leg
             return f"{effect.cause} {number} {words[0] if len(set(words)) == 1 else ' | '.join(words)}"
-        case Completed():
+        case events.Completed():
             return f"completed {effect.request.number}{' coalesced' if is_coalesced(effect.request) else ''}"
-        case Rejected():
+        case events.Rejected():
             return f"rejected {effect.request.number} {effect.reason}{' stopped' if effect.request.stopped else ''}"
-        case Announce():
+        case events.Announce():
             return f"announce {effect.kind}"
-        case RequestAnswer():
+        case events.RequestAnswer():
             return effect.reason or "granted"
-        case SaveCalibration():
+        case events.SaveCalibration():
             return f"keep {effect.number}"
 
 
@@ -117,12 +91,12 @@ class Steps:
             self.supervisor.calibrating.load(calibration or RobotCalibration(), fault)
         self.oracle = Oracle(self.rules, calibration=calibration, fault=fault)
         self.number = 0
-        self.effects: list[Effect] = []
+        self.effects: list[events.Effect] = []
         self.instant_ms: float | None = None
         if opened:
-            self.take(0, BusOpened())
+            self.take(0, events.BusOpened())
 
-    def take(self, at_ms: float, event: Event) -> list[str]:
+    def take(self, at_ms: float, event: events.Event) -> list[str]:
         """One step; in the instant that began at `instant_ms`, or in one of its own.
 
         The words leave out the Stops that join first Stops, for legs at rest: the oracle demands each of them.
@@ -134,9 +108,9 @@ class Steps:
         return [said(effect) for effect in spelled_out(self.effects) if effect not in self.joining]
 
     @property
-    def joining(self) -> list[Transmit]:
+    def joining(self) -> list[events.Transmit]:
         """The latest step's Stops to legs at rest that leave with its first Stops."""
-        return [effect for effect in self.effects if isinstance(effect, Transmit) and effect.joins]
+        return [effect for effect in self.effects if isinstance(effect, events.Transmit) and effect.joins]
 
     def only(self, kind: type[T]) -> T:
         """The only effect of this kind that the latest step has."""
@@ -144,14 +118,14 @@ class Steps:
         return found
 
     @property
-    def announced(self) -> list[Announce]:
+    def announced(self) -> list[events.Announce]:
         """What the latest step says to everybody."""
-        return [effect for effect in self.effects if isinstance(effect, Announce)]
+        return [effect for effect in self.effects if isinstance(effect, events.Announce)]
 
     @property
     def detail(self) -> str:
         """What the only rejection of the latest step states."""
-        return self.only(Rejected).detail
+        return self.only(events.Rejected).detail
 
     def command(
         self,
@@ -164,20 +138,22 @@ class Steps:
     ) -> list[str]:
         """A command with the next number."""
         self.number += 1
-        return self.take(at_ms, Command(targets, key=channel, source=source, number=self.number, lease=lease))
+        return self.take(at_ms, events.Command(targets, key=channel, source=source, number=self.number, lease=lease))
 
     def unread(self, at_ms: float, targets: Targets, channel: str = "leg") -> list[str]:
         """A message that could not be read, and may stop these."""
         self.number += 1
-        rejected = Rejected(Request(number=self.number), Reason.MALFORMED, "it is no JSON")
-        return self.take(at_ms, Command(targets, key=channel, number=self.number, rejected=rejected))
+        rejected = events.Rejected(events.Request(number=self.number), Reason.MALFORMED, "it is no JSON")
+        return self.take(at_ms, events.Command(targets, key=channel, number=self.number, rejected=rejected))
 
     def lease(self, at_ms: float, words: str, token: str | None = None, *, fresh: str = "") -> list[str]:
         """A request such as `acquire anna`, `renew` or `release to bert`."""
         verb, _, name = words.partition(" ")
         to = name.removeprefix("to ") if name.startswith("to ") else None
         source = name if name and to is None else None
-        return self.take(at_ms, LeaseRequest(cast(LeaseDo, verb), source, token=token, to=to, fresh_token=fresh))
+        return self.take(
+            at_ms, events.LeaseRequest(cast(events.LeaseDo, verb), source, token=token, to=to, fresh_token=fresh)
+        )
 
     def button(
         self,
@@ -192,17 +168,19 @@ class Steps:
     ) -> list[str]:
         """`register` by a name, whose token that then is as well (with a certificate, its holder's before it); `alive`
         and `leave` by that token."""
-        do, token = cast(ButtonDo, verb), who if holder is None else f"{holder}: {who}"
-        return self.take(at_ms, ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
+        do, token = cast(events.ButtonDo, verb), who if holder is None else f"{holder}: {who}"
+        return self.take(at_ms, events.ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
 
     def reset(self, at_ms: float, *, newer: int = 0, lease: str | None = None) -> list[str]:
         """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
         self.number += 1
-        return self.take(at_ms, Reset(number=self.number, estop=self.supervisor.latch.number + newer, lease=lease))
+        return self.take(
+            at_ms, events.Reset(number=self.number, estop=self.supervisor.latch.number + newer, lease=lease)
+        )
 
     def reset_without_number(self, at_ms: float) -> list[str]:
         self.number += 1
-        return self.take(at_ms, Reset(number=self.number))
+        return self.take(at_ms, events.Reset(number=self.number))
 
     def calibrate(
         self,
@@ -215,7 +193,7 @@ class Steps:
     ) -> list[str]:
         """A change with the next number."""
         self.number += 1
-        event = Calibrate(
+        event = events.Calibrate(
             number=self.number, change=change, revision=revision, accept_default=accept_default, lease=lease
         )
         event.source, event.key = "anna", "hexapod/calibration/cmd"
@@ -224,22 +202,22 @@ class Steps:
     def kept(self, at_ms: float, fault: str | None = None) -> list[str]:
         """The disk has answered for the latest change."""
         way = self.supervisor.calibrating._on_its_way
-        return self.take(at_ms, CalibrationSaved(0 if way is None else way.event.number, fault))
+        return self.take(at_ms, events.CalibrationSaved(0 if way is None else way.event.number, fault))
 
     def time(self, at_ms: float) -> list[str]:
-        return self.take(at_ms, TimePassed())
+        return self.take(at_ms, events.TimePassed())
 
     def estop(self, at_ms: float) -> list[str]:
-        return self.take(at_ms, EmergencyStop("somebody"))
+        return self.take(at_ms, events.EmergencyStop("somebody"))
 
     def outside(self, at_ms: float, *, at_work: bool) -> list[str]:
         """`stop-servos` is seen at work, or its end is."""
-        return self.take(at_ms, StoppedOutside(at_work))
+        return self.take(at_ms, events.StoppedOutside(at_work))
 
     def measure(self, at_ms: float, tilt_deg: float | None = 0, battery_v: float = 7.4) -> list[str]:
         """The robot has measured."""
         tilt_cdeg = None if tilt_deg is None else round(tilt_deg * 100)
-        return self.take(at_ms, BodyMeasured(tilt_cdeg, round(battery_v * 1000)))
+        return self.take(at_ms, events.BodyMeasured(tilt_cdeg, round(battery_v * 1000)))
 
     def board(
         self,
@@ -253,16 +231,16 @@ class Steps:
     ) -> list[str]:
         """The power board is seen; `refused` are servo ids that it will not feed, for overcurrent."""
         why = tuple((int(servo_id), "overcurrent") for servo_id in refused.split())
-        return self.take(at_ms, PowerSeen(alive, why, frozenset(fed), frozenset(lost), doubt))
+        return self.take(at_ms, events.PowerSeen(alive, why, frozenset(fed), frozenset(lost), doubt))
 
     def fail(self, at_ms: float, kind: Kind = Kind.BUS_FAULT) -> list[str]:
-        return self.take(at_ms, BusFailed("EIO", kind))
+        return self.take(at_ms, events.BusFailed("EIO", kind))
 
     def open(self, at_ms: float) -> list[str]:
-        return self.take(at_ms, BusOpened())
+        return self.take(at_ms, events.BusOpened())
 
     def end(self, at_ms: float) -> list[str]:
-        return self.take(at_ms, ShutDown())
+        return self.take(at_ms, events.ShutDown())
 
     @property
     def due_ms(self) -> float | None:

@@ -6,70 +6,55 @@ Written down apart from the code that decides, so that tests compare the two.
 from collections.abc import Mapping
 from typing import Final, get_args
 
-from gateway.robot.core.events import (
-    BodyMeasured,
-    BusFailed,
-    BusOpened,
-    ButtonRequest,
-    Calibrate,
-    CalibrationSaved,
-    Command,
-    EmergencyStop,
-    EstopKept,
-    Event,
-    LeaseRequest,
-    PowerSeen,
-    Reset,
-    ShutDown,
-    StoppedOutside,
-    TimePassed,
-)
+from gateway.robot.core import events
 from schemas.telemetry import Mode
 
 _QUIET: Final = frozenset({Mode.IDLE, Mode.ACTIVE})
 _FAULT: Final = frozenset({Mode.BUS_FAULT})
 _LEFT_OR_NOT: Final = frozenset({Mode.IDLE, Mode.ESTOPPED})
 _TAKEN: Final = (
-    Command,
-    Reset,
-    LeaseRequest,
-    ButtonRequest,
-    Calibrate,
-    CalibrationSaved,
-    StoppedOutside,
-    BodyMeasured,
-    PowerSeen,
-    TimePassed,
+    events.Command,
+    events.Reset,
+    events.LeaseRequest,
+    events.ButtonRequest,
+    events.Calibrate,
+    events.CalibrationSaved,
+    events.StoppedOutside,
+    events.BodyMeasured,
+    events.PowerSeen,
+    events.TimePassed,
 )
 
 
 def _opened(
-    stays: frozenset[Mode], more: Mapping[type[Event], frozenset[Mode]], estopped: Mode = Mode.ESTOPPED
-) -> dict[type[Event], frozenset[Mode]]:
+    stays: frozenset[Mode], more: Mapping[type[events.Event], frozenset[Mode]], estopped: Mode = Mode.ESTOPPED
+) -> dict[type[events.Event], frozenset[Mode]]:
     """A mode of a bus that was opened once: what is taken leads to `stays`, except for `more`."""
-    ends: dict[type[Event], frozenset[Mode]] = {
-        EmergencyStop: frozenset({estopped}),
-        BusFailed: _FAULT,
-        ShutDown: frozenset({Mode.STOPPING}),
+    ends: dict[type[events.Event], frozenset[Mode]] = {
+        events.EmergencyStop: frozenset({estopped}),
+        events.BusFailed: _FAULT,
+        events.ShutDown: frozenset({Mode.STOPPING}),
     }
     return {**dict.fromkeys(_TAKEN, stays), **ends, **more}
 
 
-TRANSITIONS: Final[dict[Mode, dict[type[Event], frozenset[Mode]]]] = {
+TRANSITIONS: Final[dict[Mode, dict[type[events.Event], frozenset[Mode]]]] = {
     Mode.STARTING: {
-        EmergencyStop: frozenset({Mode.STARTING}),
-        EstopKept: frozenset({Mode.STARTING}),
-        BusOpened: _LEFT_OR_NOT,
-        BusFailed: _FAULT,
-        BodyMeasured: frozenset({Mode.STARTING}),
-        PowerSeen: frozenset({Mode.STARTING}),
-        TimePassed: frozenset({Mode.STARTING}),
-        ShutDown: frozenset({Mode.STOPPING}),
+        events.EmergencyStop: frozenset({Mode.STARTING}),
+        events.EstopKept: frozenset({Mode.STARTING}),
+        events.BusOpened: _LEFT_OR_NOT,
+        events.BusFailed: _FAULT,
+        events.BodyMeasured: frozenset({Mode.STARTING}),
+        events.PowerSeen: frozenset({Mode.STARTING}),
+        events.TimePassed: frozenset({Mode.STARTING}),
+        events.ShutDown: frozenset({Mode.STOPPING}),
     },
     Mode.IDLE: _opened(_QUIET, {}),
     Mode.ACTIVE: _opened(_QUIET, {}),
-    Mode.ESTOPPED: _opened(frozenset({Mode.ESTOPPED}), dict.fromkeys((Reset, EstopKept), _LEFT_OR_NOT)),
-    Mode.BUS_FAULT: _opened(_FAULT, {BusOpened: _LEFT_OR_NOT, EstopKept: _FAULT}, estopped=Mode.BUS_FAULT),
-    Mode.STOPPING: {event: frozenset({Mode.STOPPING}) for event in get_args(Event)},
+    Mode.ESTOPPED: _opened(frozenset({Mode.ESTOPPED}), dict.fromkeys((events.Reset, events.EstopKept), _LEFT_OR_NOT)),
+    Mode.BUS_FAULT: _opened(
+        _FAULT, {events.BusOpened: _LEFT_OR_NOT, events.EstopKept: _FAULT}, estopped=Mode.BUS_FAULT
+    ),
+    Mode.STOPPING: {event: frozenset({Mode.STOPPING}) for event in get_args(events.Event)},
 }
 """In which mode which event may come, and which modes it may lead to. Any other event is a mistake of the caller."""

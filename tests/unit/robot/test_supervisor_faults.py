@@ -6,17 +6,7 @@ from typing import Final
 import pytest
 
 from gateway.allowance import NS_PER_S
-from gateway.robot.core.events import (
-    BusFailed,
-    BusOpened,
-    Command,
-    EmergencyStop,
-    Event,
-    Reset,
-    ShutDown,
-    StoppedOutside,
-    TimePassed,
-)
+from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
@@ -27,15 +17,15 @@ from tests.support.transitions import TRANSITIONS
 
 # ---- the table of transitions
 
-EVENTS: dict[type[Event], Event] = {
-    Command: Command(servo_to(11, "start 90"), key="leg", number=9),
-    Reset: Reset(number=9),
-    EmergencyStop: EmergencyStop(),
-    BusOpened: BusOpened(),
-    BusFailed: BusFailed("EIO"),
-    StoppedOutside: StoppedOutside(at_work=True),
-    TimePassed: TimePassed(),
-    ShutDown: ShutDown(),
+EVENTS: dict[type[events.Event], events.Event] = {
+    events.Command: events.Command(servo_to(11, "start 90"), key="leg", number=9),
+    events.Reset: events.Reset(number=9),
+    events.EmergencyStop: events.EmergencyStop(),
+    events.BusOpened: events.BusOpened(),
+    events.BusFailed: events.BusFailed("EIO"),
+    events.StoppedOutside: events.StoppedOutside(at_work=True),
+    events.TimePassed: events.TimePassed(),
+    events.ShutDown: events.ShutDown(),
 }
 
 
@@ -59,7 +49,7 @@ def robot_in(mode: Mode) -> Steps:
 @pytest.mark.parametrize("kind", EVENTS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("at_ms", [4, 10_000])
-def test_every_event_in_every_mode(mode: Mode, kind: type[Event], at_ms: float) -> None:
+def test_every_event_in_every_mode(mode: Mode, kind: type[events.Event], at_ms: float) -> None:
     robot = robot_in(mode)
     event = replace(EVENTS[kind])
     if kind in TRANSITIONS[mode]:

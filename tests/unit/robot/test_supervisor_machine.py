@@ -16,28 +16,7 @@ from gateway.errors import SpiError
 from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.model.framing import Framing
-from gateway.robot.core.events import (
-    Announce,
-    BodyMeasured,
-    BusFailed,
-    BusOpened,
-    Calibrate,
-    CalibrationSaved,
-    Command,
-    Completed,
-    Effect,
-    EmergencyStop,
-    Event,
-    LeaseDo,
-    LeaseRequest,
-    PowerSeen,
-    Rejected,
-    Reset,
-    ShutDown,
-    StoppedOutside,
-    TimePassed,
-    Transmit,
-)
+from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.robot import LEGS, SERVO_IDS
@@ -116,19 +95,19 @@ WHOSE = st.sampled_from(["now", "now", "now", "before", "nobody's"])
 """Of the lease as it is now, as it was before, or of none."""
 
 
-def is_handover(effect: Effect) -> bool:
-    return isinstance(effect, Announce) and effect.kind is Kind.SOURCE_CHANGED
+def is_handover(effect: events.Effect) -> bool:
+    return isinstance(effect, events.Announce) and effect.kind is Kind.SOURCE_CHANGED
 
 
-def numbered(effect: Effect) -> object:
+def numbered(effect: events.Effect) -> object:
     """An effect with the numbers of requests in place of these."""
     match effect:
-        case Transmit():
+        case events.Transmit():
             numbers = [[each.number for each in named] for named in (effect.commands, effect.done)]
             return replace(effect, commands=(), done=()), numbers
-        case Completed():
+        case events.Completed():
             return effect.request.number, is_coalesced(effect.request)
-        case Rejected():
+        case events.Rejected():
             return effect.request.number, effect.reason, effect.detail
     return effect
 
@@ -155,17 +134,17 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.carries = "now"
         self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
-            self.step(BusOpened())
+            self.step(events.BusOpened())
             self.the_board_is_seen(alive=True, refused=(), lost=frozenset(), fed=frozenset(), doubt="", wait_ns=0)
 
-    def step(self, event: Event, wait_ns: int = 0) -> None:
+    def step(self, event: events.Event, wait_ns: int = 0) -> None:
         """One step as the service takes it: write the frames, and tell of a transfer that failed. Or none, in a mode in
         which the event may not come."""
         mode = self.supervisor.mode
         if type(event) not in TRANSITIONS[mode]:
             return
         self.now_ns += wait_ns
-        without = replace(event, source=None) if isinstance(event, Command) else event
+        without = replace(event, source=None) if isinstance(event, events.Command) else event
         effects = self.supervisor.step(event, self.now_ns, self.instant_ns)
         nameless = self.nameless.step(without, self.now_ns, self.instant_ns)
         if not self.supervisor._rules.takeover_cdeg_s:
@@ -178,7 +157,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.oracle.judge(event, self.now_ns, effects, self.supervisor, self.instant_ns)
         fault: SpiError | None = None
         for effect in effects:
-            if isinstance(effect, Transmit) and (fault is None or effect.frame.is_stop):
+            if isinstance(effect, events.Transmit) and (fault is None or effect.frame.is_stop):
                 data = effect.frame.to_bytes()
                 assert decode(data) == effect.frame
                 try:
@@ -186,13 +165,14 @@ class SupervisorMachine(RuleBasedStateMachine):
                 except SpiError as error:
                     fault = error
         if fault is not None:
-            self.step(BusFailed(str(fault)))
+            self.step(events.BusFailed(str(fault)))
 
     def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
         self.number += 1
         source = ("anna", "ben", None)[self.number % 3]
         self.step(
-            Command(targets, key=channel, number=self.number, source=source, lease=self.token(self.carries)), wait_ns
+            events.Command(targets, key=channel, number=self.number, source=source, lease=self.token(self.carries)),
+            wait_ns,
         )
 
     def token(self, whose: str) -> str | None:
@@ -206,14 +186,14 @@ class SupervisorMachine(RuleBasedStateMachine):
         self.carries = whose
 
     @rule(do=st.sampled_from(["acquire", "acquire", "ask", "take"]), name=DRIVERS, wait_ns=WAITS_NS)
-    def wants_the_lease(self, do: LeaseDo, name: str, wait_ns: int) -> None:
+    def wants_the_lease(self, do: events.LeaseDo, name: str, wait_ns: int) -> None:
         self.tokens += 1
-        self.step(LeaseRequest(do, name, fresh_token=f"{self.tokens:032x}"), wait_ns)
+        self.step(events.LeaseRequest(do, name, fresh_token=f"{self.tokens:032x}"), wait_ns)
 
     @rule(whose=WHOSE, to=st.one_of(st.none(), st.none(), DRIVERS), renew=st.booleans(), wait_ns=WAITS_NS)
     def keeps_or_releases_it(self, whose: str, to: str | None, renew: bool, wait_ns: int) -> None:
-        do: LeaseDo = "renew" if renew else "release"
-        self.step(LeaseRequest(do, token=self.token(whose), to=None if renew else to), wait_ns)
+        do: events.LeaseDo = "renew" if renew else "release"
+        self.step(events.LeaseRequest(do, token=self.token(whose), to=None if renew else to), wait_ns)
 
     @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
     def command_servo(self, servo_id: int, op: ServoOp, wait_ns: int) -> None:
@@ -245,7 +225,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
         lease = self.token(self.carries)
         self.step(
-            Calibrate(number=self.number, change=change, revision=revision, accept_default=default, lease=lease),
+            events.Calibrate(number=self.number, change=change, revision=revision, accept_default=default, lease=lease),
             wait_ns,
         )
 
@@ -253,7 +233,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(fault=st.sampled_from([None, None, "the disk is full"]), wait_ns=WAITS_NS)
     def the_disk_answers(self, fault: str | None, wait_ns: int) -> None:
         way = self.oracle.calibration.on_its_way
-        self.step(CalibrationSaved(0 if way is None else way.number, fault), wait_ns)
+        self.step(events.CalibrationSaved(0 if way is None else way.number, fault), wait_ns)
 
     @rule(
         tilt_cdeg=st.sampled_from([None, 0, 30_00, 30_01, 180_00]),
@@ -261,7 +241,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         wait_ns=WAITS_NS,
     )
     def the_body_is_measured(self, tilt_cdeg: int | None, battery_mv: int, wait_ns: int) -> None:
-        self.step(BodyMeasured(tilt_cdeg, battery_mv), wait_ns)
+        self.step(events.BodyMeasured(tilt_cdeg, battery_mv), wait_ns)
 
     @rule(
         alive=st.sampled_from([True, True, True, False]),
@@ -282,30 +262,30 @@ class SupervisorMachine(RuleBasedStateMachine):
     ) -> None:
         if self.supervisor._rules.power:
             why = tuple((servo_id, "overcurrent") for servo_id in refused)
-            self.step(PowerSeen(alive, why, fed, lost, doubt), wait_ns)
+            self.step(events.PowerSeen(alive, why, fed, lost, doubt), wait_ns)
 
     @rule(wait_ns=WAITS_NS)
     def time_passes(self, wait_ns: int) -> None:
-        self.step(TimePassed(), wait_ns)
+        self.step(events.TimePassed(), wait_ns)
 
     @precondition(lambda self: self.supervisor.due_ns is not None)
     @rule(late_ns=st.sampled_from([0, 0, 1, NS_PER_MS]))
     def wake_up_when_due(self, late_ns: int) -> None:
         due_ns = self.supervisor.due_ns
         assert due_ns is not None
-        self.step(TimePassed(), max(0, due_ns - self.now_ns) + late_ns)
+        self.step(events.TimePassed(), max(0, due_ns - self.now_ns) + late_ns)
         assert self.supervisor.due_ns is None or self.supervisor.due_ns > self.now_ns, "waking up makes progress"
 
     @rule(rarely=st.integers(0, 3), wait_ns=WAITS_NS)
     def emergency_stop(self, rarely: int, wait_ns: int) -> None:
         if rarely == 0:
-            self.step(EmergencyStop("somebody"), wait_ns)
+            self.step(events.EmergencyStop("somebody"), wait_ns)
 
     @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
     def reset(self, newer: int | None, wait_ns: int) -> None:
         self.number += 1
         estop = None if newer is None else self.supervisor.latch.number + newer
-        self.step(Reset(number=self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
+        self.step(events.Reset(number=self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
 
     @rule()
     def an_instant_begins(self) -> None:
@@ -322,18 +302,18 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(rarely=st.integers(0, 3), at_work=st.booleans(), wait_ns=WAITS_NS)
     def stop_servos(self, rarely: int, at_work: bool, wait_ns: int) -> None:
         if rarely == 0 or not at_work:
-            self.step(StoppedOutside(at_work), wait_ns)
+            self.step(events.StoppedOutside(at_work), wait_ns)
 
     @rule(wait_ns=WAITS_NS)
     def bus_opens(self, wait_ns: int) -> None:
-        if BusOpened in TRANSITIONS[self.supervisor.mode]:
+        if events.BusOpened in TRANSITIONS[self.supervisor.mode]:
             self.controller.fail_next(0)
-        self.step(BusOpened(), wait_ns)
+        self.step(events.BusOpened(), wait_ns)
 
     @rule(rarely=st.integers(0, 5), kind=st.sampled_from(BUS_FAULTS), wait_ns=WAITS_NS)
     def bus_fails(self, rarely: int, kind: Kind, wait_ns: int) -> None:
         if rarely == 0:
-            self.step(BusFailed("a test's fault", kind), wait_ns)
+            self.step(events.BusFailed("a test's fault", kind), wait_ns)
 
     @rule(count=st.sampled_from([0, 0, 0, 1, 3]))
     def transfers_will_fail(self, count: int) -> None:
@@ -342,7 +322,7 @@ class SupervisorMachine(RuleBasedStateMachine):
     @rule(rarely=st.integers(0, 29), wait_ns=WAITS_NS)
     def shut_down(self, rarely: int, wait_ns: int) -> None:
         if rarely == 0:
-            self.step(ShutDown(), wait_ns)
+            self.step(events.ShutDown(), wait_ns)
 
     @invariant()
     def the_robot_is_as_everybody_believes(self) -> None:
