@@ -24,7 +24,6 @@ from gateway.model.frames import (
     Op,
     ServoOp,
     decode,
-    stop_leg,
 )
 from schemas.robot import LEGS, SERVO_IDS
 
@@ -69,11 +68,6 @@ def test_only_what_breaks_a_rule_is_rejected(calibration: RobotCalibration, serv
 @given(frames)
 def test_the_default_changes_no_byte(frame: Frame) -> None:
     assert RobotCalibration().frame(frame) is frame
-
-
-@given(calibrations, st.sampled_from(LEGS))
-def test_a_stop_is_the_same_in_every_calibration(calibration: RobotCalibration, leg: int) -> None:
-    assert calibration.frame(stop_leg(leg)).to_bytes() == stop_leg(leg).to_bytes()
 
 
 @given(calibrations)

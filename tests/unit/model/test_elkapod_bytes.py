@@ -2,6 +2,8 @@
 
 import math
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -65,65 +67,47 @@ def test_every_legal_angle_comes_back(angles_cdeg: list[int]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("angles_cdeg", "sentence"),
+    ("call", "wrong", "error", "sentence"),
     [
-        ([], "here are 0 angles; a frame has 18"),
-        ([MIDDLE_CDEG] * 17, "here are 17 angles"),
-        ([MIDDLE_CDEG] * 19, "here are 19 angles"),
-        ([-1] + [MIDDLE_CDEG] * 17, "servo 11 at -1 hundredths"),
-        ([MIDDLE_CDEG] * 17 + [180_01], "servo 63 at 18001 hundredths"),
+        (frame, [], ValueError, "here are 0 angles; a frame has 18"),
+        (frame, [MIDDLE_CDEG] * 17, ValueError, "here are 17 angles"),
+        (frame, [MIDDLE_CDEG] * 19, ValueError, "here are 19 angles"),
+        (frame, [-1] + [MIDDLE_CDEG] * 17, ValueError, "servo 11 at -1 hundredths"),
+        (frame, [MIDDLE_CDEG] * 17 + [180_01], ValueError, "servo 63 at 18001 hundredths"),
+        (angles_of, b"", ValueError, "these are 0"),
+        (angles_of, FRAME[:-1], ValueError, "these are 79"),
+        (angles_of, FRAME + b"\x0f", ValueError, "these are 81"),
+        (angles_of, b"\0" + FRAME[1:], ValueError, "from 7e to 0f"),
+        (angles_of, FRAME[:-1] + b"\0", ValueError, "from 7e to 0f"),
+        (angles_of, b"\0" + FRAME[:-1], ValueError, "from 7e to 0f"),
+        (angles_of, FRAME[1:] + b"\0", ValueError, "from 7e to 0f"),
+        (angles_of, bytes(80), ValueError, "from 7e to 0f"),
+        (angles_of, b"\xff" * 80, ValueError, "from 7e to 0f"),
+        (angles_of, FRAME[:1] + struct.pack("<f", -0.01) + FRAME[5:], ValueError, "servo 11 at -0.0"),
+        (angles_of, FRAME[:69] + struct.pack("<f", 180.01) + FRAME[73:], ValueError, "servo 63 at 180.0"),
+        (angles_of, FRAME[:5] + struct.pack("<f", math.nan) + FRAME[9:], ValueError, "servo 12 at nan"),
+        (angles_of, FRAME[:5] + struct.pack("<f", math.inf) + FRAME[9:], ValueError, "servo 12 at inf"),
+        (measured, b"", AnswerError, "0 bytes"),
+        (measured, ANSWER[:-1], AnswerError, "79 bytes"),
+        (measured, ANSWER + b"\0", AnswerError, "81 bytes"),
+        (measured, bytes(80), AnswerError, "from 00 to 00"),
+        (measured, b"\xff" * 80, AnswerError, "from ff to ff"),
+        (measured, b"\0" + ANSWER[:-1], AnswerError, "from 00 to 00"),
+        (measured, ANSWER[1:] + ANSWER[:1], AnswerError, "from 00 to 7e"),
+        (measured, b"\x7f" + ANSWER[1:], AnswerError, "from 7f to 0f"),
+        (measured, ANSWER[:-1] + b"\x0e", AnswerError, "from 7e to 0e"),
+        (measured, b"\x7e" + b"\xff" * 78 + b"\x0f", AnswerError, "not finite"),
     ],
+    ids=lambda part: getattr(part, "__name__", part if isinstance(part, str) else ""),
 )
-def test_no_other_frame_can_be_made(angles_cdeg: list[int], sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        frame(angles_cdeg)
-
-
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        (b"", "these are 0"),
-        (FRAME[:-1], "these are 79"),
-        (FRAME + b"\x0f", "these are 81"),
-        (b"\0" + FRAME[1:], "from 7e to 0f"),
-        (FRAME[:-1] + b"\0", "from 7e to 0f"),
-        (b"\0" + FRAME[:-1], "from 7e to 0f"),
-        (FRAME[1:] + b"\0", "from 7e to 0f"),
-        (bytes(80), "from 7e to 0f"),
-        (b"\xff" * 80, "from 7e to 0f"),
-        (FRAME[:1] + struct.pack("<f", -0.01) + FRAME[5:], "servo 11 at -0.0"),
-        (FRAME[:69] + struct.pack("<f", 180.01) + FRAME[73:], "servo 63 at 180.0"),
-        (FRAME[:5] + struct.pack("<f", math.nan) + FRAME[9:], "servo 12 at nan"),
-        (FRAME[:5] + struct.pack("<f", math.inf) + FRAME[9:], "servo 12 at inf"),
-    ],
-)
-def test_what_is_no_frame_is_rejected_with_the_reason(data: bytes, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        angles_of(data)
+def test_what_is_no_frame_and_no_answer_is_rejected_with_the_reason(
+    call: Callable[[Any], object], wrong: object, error: type[Exception], sentence: str
+) -> None:
+    with pytest.raises(error, match=sentence):
+        call(wrong)
 
 
 # ---- answers
-
-
-@pytest.mark.parametrize(
-    ("data", "sentence"),
-    [
-        (b"", "0 bytes"),
-        (ANSWER[:-1], "79 bytes"),
-        (ANSWER + b"\0", "81 bytes"),
-        (bytes(80), "from 00 to 00"),
-        (b"\xff" * 80, "from ff to ff"),
-        (b"\0" + ANSWER[:-1], "from 00 to 00"),
-        (ANSWER[1:] + ANSWER[:1], "from 00 to 7e"),
-        (b"\x7f" + ANSWER[1:], "from 7f to 0f"),
-        (ANSWER[:-1] + b"\x0e", "from 7e to 0e"),
-        (b"\x7e" + b"\xff" * 78 + b"\x0f", "not finite"),
-    ],
-    ids=["empty", "short", "long", "zeros", "ff", "late", "early", "begin", "end", "ff between its ends"],
-)
-def test_what_is_no_answer_is_rejected_with_the_reason(data: bytes, sentence: str) -> None:
-    with pytest.raises(AnswerError, match=sentence):
-        measured(data)
 
 
 @given(st.binary(max_size=100) | st.binary(min_size=78, max_size=78).map(lambda middle: b"\x7e" + middle + b"\x0f"))

@@ -2,6 +2,8 @@
 
 import json
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -69,22 +71,6 @@ def test_the_ids_are_leg_then_joint() -> None:
     assert servo_ids_of(3) == (31, 32, 33)
 
 
-@pytest.mark.parametrize("servo_id", [*range(-1, 11), 14, 20, 24, 64, 70, 71, 256 + 11])
-def test_ids_that_no_servo_has(servo_id: int) -> None:
-    with pytest.raises(FrameError, match=f"servo id is {servo_id}; a servo id is leg 1-6 then joint 1-3"):
-        leg_of(servo_id)
-    with pytest.raises(FrameError, match=f"servo id is {servo_id};"):
-        OneServo(servo_id, STOP)
-
-
-@pytest.mark.parametrize("leg", [-1, 0, 7, 11])
-def test_legs_that_do_not_exist(leg: int) -> None:
-    with pytest.raises(FrameError, match=f"leg is {leg}; it is 1 to 6"):
-        servo_ids_of(leg)
-    with pytest.raises(FrameError, match=f"leg is {leg}; it is 1 to 6"):
-        stop_leg(leg)
-
-
 @pytest.mark.parametrize("vector", LEGAL, ids=lambda vector: vector["bytes"])
 def test_legal_vectors_both_ways(vector: dict[str, Any]) -> None:
     data = bytes.fromhex(vector["bytes"])
@@ -132,23 +118,6 @@ def test_every_hundredth_survives_the_way_over_a_float(angle_cdeg: int) -> None:
     assert centidegrees(float(f"{angle_cdeg // 100}.{angle_cdeg % 100:02d}")) == angle_cdeg
 
 
-@pytest.mark.parametrize("angle", [-1, 180_01, True, 90.0, "90", None])
-def test_an_angle_is_whole_hundredths_in_range(angle: Any) -> None:
-    with pytest.raises(FrameError, match="angle is"):
-        ServoOp(Op.SET, angle)
-
-
-@pytest.mark.parametrize("op", [0, 1, 2, 4, True, "stop", None])
-def test_an_operation_is_an_op(op: Any) -> None:
-    with pytest.raises(FrameError, match="operation is"):
-        ServoOp(op)
-
-
-def test_a_stop_has_no_angle() -> None:
-    with pytest.raises(FrameError, match="a Stop has none"):
-        ServoOp(Op.STOP, 1)
-
-
 @given(ops=st.tuples(*[st.sampled_from([STOP, ServoOp(Op.START, 9000), ServoOp(Op.SET, 1)])] * 3))
 def test_a_frame_is_a_stop_where_all_of_its_operations_are(ops: tuple[ServoOp, ServoOp, ServoOp]) -> None:
     assert OneLeg(4, ops).is_stop is all(each is STOP for each in ops)
@@ -160,20 +129,31 @@ def test_a_stop_is_repeated_three_times_each_20_ms() -> None:
     assert (STOP_REPEATS, STOP_REPEAT_MS) == (3, 20)
 
 
-@pytest.mark.parametrize("commands", [(), (STOP, STOP), (STOP,) * 4, [STOP] * 3, (STOP, STOP, None), STOP])
-def test_a_leg_takes_three_operations(commands: Any) -> None:
-    with pytest.raises(FrameError, match="commands are"):
-        OneLeg(1, commands)
+NO_NUMBERS: tuple[Any, ...] = (True, 1.0, "1", None)
+NO_SERVOS = (*range(-1, 11), 14, 20, 24, 64, 70, 71, 256 + 11)
+NO_LEGS = (-1, 0, 7, 11)
+NO_ANGLES: tuple[Any, ...] = (-1, 180_01, True, 90.0, "90", None)
+NO_OPS: tuple[Any, ...] = (0, 1, 2, 4, True, "stop", None)
+NO_COMMANDS: tuple[Any, ...] = ((), (STOP, STOP), (STOP,) * 4, [STOP] * 3, (STOP, STOP, None), STOP)
 
 
-@pytest.mark.parametrize("bad", [True, 1.0, "1", None])
-def test_ids_and_legs_are_whole_numbers(bad: Any) -> None:
-    with pytest.raises(FrameError):
-        OneLeg(bad, (STOP, STOP, STOP))
-    with pytest.raises(FrameError):
-        OneServo(bad, STOP)
-    with pytest.raises(FrameError, match="it is a ServoOp"):
-        OneServo(11, bad)
+@pytest.mark.parametrize(
+    ("make", "wrong", "sentence"),
+    [
+        *((leg_of, bad, f"servo id is {bad!r}; a servo id is leg 1-6 then joint 1-3") for bad in NO_SERVOS),
+        *((partial(OneServo, command=STOP), bad, f"servo id is {bad!r};") for bad in (*NO_SERVOS, *NO_NUMBERS)),
+        *((each, bad, f"leg is {bad!r}; it is 1 to 6") for each in (servo_ids_of, stop_leg) for bad in NO_LEGS),
+        *((partial(OneLeg, commands=(STOP,) * 3), bad, "leg is") for bad in NO_NUMBERS),
+        *((partial(OneLeg, 1), bad, "commands are") for bad in NO_COMMANDS),
+        *((partial(OneServo, 11), bad, "it is a ServoOp") for bad in NO_NUMBERS),
+        *((partial(ServoOp, Op.SET), bad, "angle is") for bad in NO_ANGLES),
+        *((ServoOp, bad, "operation is") for bad in NO_OPS),
+        (partial(ServoOp, Op.STOP), 1, "a Stop has none"),
+    ],
+)
+def test_what_is_no_id_leg_angle_or_operation(make: Callable[[Any], object], wrong: object, sentence: str) -> None:
+    with pytest.raises(FrameError, match=sentence):
+        make(wrong)
 
 
 @given(frames)

@@ -18,12 +18,18 @@ def staleness() -> Staleness:
     return NeverStopped(MAX_AGE_MS)
 
 
+@pytest.fixture
+def laptop(staleness: Staleness) -> Publisher:
+    """It has been heard for a second."""
+    found = Publisher(staleness)
+    found.streams(0, 1000)
+    return found
+
+
 @pytest.mark.parametrize("silence_ms", [1e4, 1e6, 3.6e6])
-def test_the_burst_is_known_for_one_after_any_silence(staleness: Staleness, silence_ms: float) -> None:
-    publisher = Publisher(staleness)
-    publisher.streams(0, 1000)
+def test_the_burst_is_known_for_one_after_any_silence(laptop: Publisher, silence_ms: float) -> None:
     drift_ms = 200e-6 * silence_ms
-    late_ms = publisher.arrives(1000 + silence_ms, sent_at_ms=1000 + silence_ms - drift_ms - MAX_AGE_MS - 5)
+    late_ms = laptop.arrives(1000 + silence_ms, sent_at_ms=1000 + silence_ms - drift_ms - MAX_AGE_MS - 5)
     assert late_ms is not None
 
 
@@ -41,36 +47,30 @@ def test_drift_does_not_hide_a_delay(staleness: Staleness) -> None:
 
 @pytest.mark.parametrize("first_ms", [700, 1000], ids=["steady", "grows once"])
 def test_a_way_that_has_become_slower_for_good_is_the_new_baseline_after_five_seconds(
-    staleness: Staleness, first_ms: float
+    laptop: Publisher, first_ms: float
 ) -> None:
-    publisher = Publisher(staleness)
-    publisher.streams(0, 1000)
-    assert all(publisher.streams(1000, 2000, delay_ms=first_ms))
-    rejected = publisher.streams(2000, 12_000, delay_ms=1000 if first_ms == 700 else 700)
+    assert all(laptop.streams(1000, 2000, delay_ms=first_ms))
+    rejected = laptop.streams(2000, 12_000, delay_ms=1000 if first_ms == 700 else 700)
     assert sum(rejected) * 20 == pytest.approx(STEADY_MS, abs=40)
     assert not any(rejected[260:])
     now_delayed = 905 + (300 if first_ms == 700 else 0)
-    assert publisher.arrives(20_000, sent_at_ms=20_000 - now_delayed) == pytest.approx(205, abs=3)
+    assert laptop.arrives(20_000, sent_at_ms=20_000 - now_delayed) == pytest.approx(205, abs=3)
 
 
 @pytest.mark.parametrize(("apart_ms", "becomes_steady"), [(1000, True), (1001, False)])
 def test_a_steady_delay_is_one_that_is_heard_each_second(
-    staleness: Staleness, apart_ms: float, becomes_steady: bool
+    laptop: Publisher, apart_ms: float, becomes_steady: bool
 ) -> None:
-    publisher = Publisher(staleness)
-    publisher.streams(0, 1000)
-    rejected = publisher.streams(1000, 1000 + 7 * apart_ms, delay_ms=700, period_ms=apart_ms)
+    rejected = laptop.streams(1000, 1000 + 7 * apart_ms, delay_ms=700, period_ms=apart_ms)
     assert rejected == [True] * 5 + [not becomes_steady] * 2
 
 
 @pytest.mark.parametrize(("spread_ms", "becomes_steady"), [(200, True), (201, False)])
 def test_a_steady_delay_varies_by_no_more_than_what_is_allowed(
-    staleness: Staleness, spread_ms: float, becomes_steady: bool
+    laptop: Publisher, spread_ms: float, becomes_steady: bool
 ) -> None:
-    publisher = Publisher(staleness)
-    publisher.streams(0, 1000)
     late = [
-        publisher.arrives(sent_ms + 700 + spread_ms * (sent_ms % 1000 != 0), sent_at_ms=sent_ms) is not None
+        laptop.arrives(sent_ms + 700 + spread_ms * (sent_ms % 1000 != 0), sent_at_ms=sent_ms) is not None
         for sent_ms in range(1000, 7000, 500)
     ]
     assert all(late[:10])
@@ -99,14 +99,12 @@ def test_a_baseline_falls_by_a_quarter_of_what_is_allowed_and_beyond_that_it_is_
 
 @pytest.mark.parametrize(("sent_at_ms", "late_ms"), [(1979, 600), (1980, None)])
 def test_a_clock_keeps_its_baseline_where_a_late_command_overtook_another_since_there_may_be_two(
-    staleness: Staleness, sent_at_ms: float, late_ms: float | None
+    laptop: Publisher, sent_at_ms: float, late_ms: float | None
 ) -> None:
-    publisher = Publisher(staleness)
-    publisher.streams(0, 1000)
-    assert all(publisher.streams(1000, 2000, delay_ms=700))
-    assert publisher.arrives(2690, sent_at_ms=sent_at_ms) is not None, "the newest was sent at 1980 ms"
-    assert publisher.streams(2000, 8000, delay_ms=700)[-50:] == [False] * 50
-    assert publisher.arrives(9000, sent_at_ms=8400) == (late_ms and pytest.approx(late_ms, abs=3))
+    assert all(laptop.streams(1000, 2000, delay_ms=700))
+    assert laptop.arrives(2690, sent_at_ms=sent_at_ms) is not None, "the newest was sent at 1980 ms"
+    assert laptop.streams(2000, 8000, delay_ms=700)[-50:] == [False] * 50
+    assert laptop.arrives(9000, sent_at_ms=8400) == (late_ms and pytest.approx(late_ms, abs=3))
 
 
 def test_a_clock_that_has_a_new_baseline_is_the_one_heard_last(staleness: Staleness) -> None:
@@ -125,12 +123,8 @@ def test_stalls_again_and_again_never_pass_for_a_steady_way(staleness: Staleness
         assert publisher.arrives(now_ms + 710, sent_at_ms=now_ms + 10) is not None or now_ms == 1000
 
 
-def test_bursts_with_pauses_between_them_never_pass_for_a_steady_way(staleness: Staleness) -> None:
-    publisher = Publisher(staleness)
-    publisher.streams(0, 1000)
-    assert all(
-        publisher.arrives(10_000 + index * 2000, sent_at_ms=5000 + index * 2000) is not None for index in range(10)
-    )
+def test_bursts_with_pauses_between_them_never_pass_for_a_steady_way(laptop: Publisher) -> None:
+    assert all(laptop.arrives(10_000 + index * 2000, sent_at_ms=5000 + index * 2000) is not None for index in range(10))
 
 
 def test_a_delay_of_just_what_is_allowed_is(staleness: Staleness) -> None:
@@ -174,12 +168,12 @@ def test_memory_is_bounded(staleness: Staleness) -> None:
 # ---- several clocks behind one name: forgers, programs of one name, restarts
 
 
-def test_a_clock_that_is_pushed_ahead_little_by_little_does_not_lock_its_owner_out(staleness: Staleness) -> None:
-    owner = Publisher(staleness)
-    owner.streams(0, 1000)
+def test_a_clock_that_is_pushed_ahead_little_by_little_does_not_lock_its_owner_out(
+    staleness: Staleness, laptop: Publisher
+) -> None:
     for ahead_ms in range(40, 4000, 40):
         Publisher(staleness, zero_ms=5e6 + ahead_ms).asks(1000)
-    assert not any(owner.streams(1001, 9000))
+    assert not any(laptop.streams(1001, 9000))
 
 
 def test_a_slow_clocks_owner_is_not_locked_out_after_an_hour_either(staleness: Staleness) -> None:

@@ -1,9 +1,10 @@
-"""What controllers ask for, read: joint names in any order, and trajectories in time."""
+"""What controllers ask for, read: joint names in any order, trajectories in time, and goals until they end."""
 
 import itertools
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pytest
@@ -12,9 +13,19 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from gateway.geometry import load
+from gateway.people.ros2 import goals
+from gateway.people.ros2.goals import Followed, GoalProgress, error_code
 from gateway.people.ros2.messages import Header, Message, Time
 from gateway.people.ros2.trajectory import MAX_POINTS, MAX_RAD_S, JointNames, JointsError, Trajectory
-from tests.support.ros2_messages import Duration, JointTrajectory, JointTrajectoryPoint, replace
+from tests.support.ros2_messages import (
+    Duration,
+    FollowGoal,
+    JointTolerance,
+    JointTrajectory,
+    JointTrajectoryPoint,
+    MultiDOFJointTrajectory,
+    replace,
+)
 
 GEOMETRY = load()
 NAMES = JointNames()
@@ -48,28 +59,24 @@ def read(message: Message) -> Trajectory:
 # ---- joints
 
 
+NO_PATTERNS = ("", "joint", "leg{leg}", "{joint}", "{leg}{joint}{}", "{leg.__class__}{joint}", "a<b")
+
+
 @pytest.mark.parametrize(
-    ("names", "why"),
+    ("call", "names", "why"),
     [
-        ((), "names no joint"),
-        (("joint_11", "joint_12", "joint_13", "gripper"), "no joint 'gripper'"),
-        (("joint_11", "joint_12", "joint_14"), "no joint 'joint_14'"),
-        (("joint_11", "joint_12", "joint_13", "joint_12"), "joint_12 twice"),
-        (("joint_11", "joint_13"), "of leg 1 it lacks joint_12"),
-        (("joint_71",), "no joint 'joint_71'"),
+        (NAMES.servos, (), "names no joint"),
+        (NAMES.servos, ("joint_11", "joint_12", "joint_13", "gripper"), "no joint 'gripper'"),
+        (NAMES.servos, ("joint_11", "joint_12", "joint_14"), "no joint 'joint_14'"),
+        (NAMES.servos, ("joint_11", "joint_12", "joint_13", "joint_12"), "joint_12 twice"),
+        (NAMES.servos, ("joint_11", "joint_13"), "of leg 1 it lacks joint_12"),
+        (NAMES.servos, ("joint_71",), "no joint 'joint_71'"),
+        *((JointNames, each, "no pattern of joint names|gives two joints one name") for each in NO_PATTERNS),
     ],
 )
-def test_names_that_are_not_taken(names: tuple[str, ...], why: str) -> None:
+def test_names_and_patterns_that_are_not_taken(call: Callable[[Any], object], names: object, why: str) -> None:
     with pytest.raises(JointsError, match=why):
-        NAMES.servos(names)
-
-
-@pytest.mark.parametrize(
-    "pattern", ["", "joint", "leg{leg}", "{joint}", "{leg}{joint}{}", "{leg.__class__}{joint}", "a<b"]
-)
-def test_patterns_that_do_not_name_each_joint(pattern: str) -> None:
-    with pytest.raises(JointsError, match=r"no pattern of joint names|gives two joints one name"):
-        JointNames(pattern)
+        call(names)
 
 
 # ---- trajectories
@@ -168,6 +175,116 @@ def test_from_where_the_robot_is_it_goes_no_faster_either() -> None:
 def test_trajectories_that_are_not_taken(message: Message, why: str) -> None:
     with pytest.raises(JointsError, match=why):
         read(message)
+
+
+# ---- the goals of FollowJointTrajectory: how far one is, and how it ends
+
+
+GOALS_LEG = ("joint_13", "joint_11", "joint_12")
+
+
+def goal_of(*points: tuple[float, float], names: tuple[str, ...] = GOALS_LEG, begins_s: float | None = None) -> Message:
+    """Seconds, and radians of joint_11."""
+    turned = [
+        replace(each, positions=(*each.positions[2:], *each.positions[:2])) for each in itertools.starmap(point, points)
+    ]
+    return FollowGoal(replace(trajectory(*turned, begins_s=begins_s), joint_names=names))
+
+
+WAY = goal_of((1.0, 0.0), (2.0, 0.4))
+
+
+def follow(goal: Message) -> Followed:
+    followed = Followed(goal, NAMES, read(goal.trajectory))
+    followed.plan.begin({}, NOW_S)
+    return followed
+
+
+def sent(followed: Followed, now_s: float, behind_rad: float = 0.0) -> GoalProgress:
+    desired = followed.plan.at(now_s)
+    return GoalProgress(desired, {**desired, 11: desired[11] - behind_rad})
+
+
+def test_legs_that_do_not_run_yet_have_not_reached_it() -> None:
+    followed = follow(WAY)
+    assert followed.judge(GoalProgress(followed.plan.at(NOW_S + 2), {}), NOW_S + 2) is None
+    assert followed.positions(GoalProgress(followed.plan.at(NOW_S + 2), {})) is None
+
+
+def test_what_ends_the_motion_aborts_the_goal() -> None:
+    judged = follow(WAY).judge(GoalProgress({}, {}, "the emergency stop was engaged"), NOW_S + 1)
+    assert judged == goals.GoalResult(goals.INVALID_GOAL, "the emergency stop was engaged")
+
+
+@pytest.mark.parametrize(
+    ("position", "behind_rad", "code"),
+    [
+        (0.05, 0.06, goals.PATH_TOLERANCE_VIOLATED),
+        (0.05, -0.06, goals.PATH_TOLERANCE_VIOLATED),
+        (0.05, 0.04, None),
+        (0.0, 3.0, None),
+        (-1.0, 3.0, None),
+    ],
+)
+def test_what_falls_behind_its_path(position: float, behind_rad: float, code: int | None) -> None:
+    followed = follow(replace(WAY, path_tolerance=(JointTolerance("joint_11", position),)))
+    judged = followed.judge(sent(followed, NOW_S + 1.5, behind_rad), NOW_S + 1.5)
+    assert (judged and judged.error_code) == code
+    if judged is not None:
+        assert judged.error_string == "joint_11 is 0.06 rad from its plan, more than 0.05"
+    not_started = GoalProgress(followed.plan.at(NOW_S + 1), {})
+    assert followed.judge(not_started, NOW_S + 1.5) is None, "legs start one after the other"
+
+
+@pytest.mark.parametrize(
+    ("at_s", "behind_rad", "expected"),
+    [
+        (2.0, 0.01, goals.SUCCESSFUL),
+        (2.4, 0.06, None),
+        (2.5, 0.06, None),
+        (2.6, 0.06, goals.GOAL_TOLERANCE_VIOLATED),
+        (2.6, 0.05, goals.SUCCESSFUL),
+    ],
+)
+def test_the_goals_own_tolerance_and_time(at_s: float, behind_rad: float, expected: object) -> None:
+    tolerance = (JointTolerance("joint_11", 0.05 + 1e-9),)
+    followed = follow(replace(WAY, goal_tolerance=tolerance, goal_time_tolerance=Duration(0, 500_000_000)))
+    judged = followed.judge(sent(followed, NOW_S + at_s, behind_rad), NOW_S + at_s)
+    assert (judged and judged.error_code) == expected
+
+
+def test_feedback_has_the_goals_order_of_joints() -> None:
+    followed = follow(WAY)
+    found = followed.positions(sent(followed, NOW_S + 1.5, behind_rad=0.05))
+    assert found is not None
+    assert followed.names == GOALS_LEG
+    assert found[0] == pytest.approx((-1.5, 0.2, 0.5))
+    assert found[1] == pytest.approx((-1.5, 0.15, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("goal", "code", "why"),
+    [
+        (goal_of((1, 0.0), names=("a", "b", "c")), goals.INVALID_JOINTS, "no joint 'a'"),
+        (goal_of((1, 0.0), names=GOALS_LEG[:2]), goals.INVALID_JOINTS, "it lacks joint_12"),
+        (FollowGoal(), goals.INVALID_JOINTS, "names no joint"),
+        (goal_of((1, 9.0)), goals.INVALID_GOAL, "joint_11 at 9 rad"),
+        (goal_of((1, 0.0), begins_s=-2), goals.OLD_HEADER_TIMESTAMP, "over 1.0 s ago"),
+        (goal_of((1, 0.0), begins_s=-999_999), goals.OLD_HEADER_TIMESTAMP, "does its clock agree"),
+        (replace(WAY, path_tolerance=(JointTolerance("joint_21", 0.1),)), goals.INVALID_JOINTS, "for 'joint_21'"),
+        (replace(WAY, goal_tolerance=(JointTolerance("joint_11", math.nan),)), goals.INVALID_GOAL, "joint_11 is nan"),
+        (replace(WAY, goal_tolerance=(JointTolerance("joint_11", -2.0),)), goals.INVALID_GOAL, "joint_11 is -2.0"),
+        (
+            replace(WAY, multi_dof_trajectory=MultiDOFJointTrajectory(points=(object(),))),
+            goals.INVALID_GOAL,
+            "one degree of freedom",
+        ),
+    ],
+)
+def test_why_a_goal_cannot_be_followed(goal: Message, code: int, why: str) -> None:
+    with pytest.raises(JointsError, match=why) as caught:
+        follow(goal)
+    assert error_code(caught.value) == code
 
 
 # ---- what examples/ros2 configures
