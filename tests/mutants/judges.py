@@ -121,7 +121,7 @@ JUDGES: Final = {
     # rules of the people's wing, with the time as an argument
     "gateway/allowance.py": _tests("unit", "allowance"),
     "gateway/people/ros2/own_stop.py": _people("ros2_own_stop times"),
-    "gateway/people/client/confirmed_stop.py": _people("confirmed_stop stop_status console_stops times"),
+    "gateway/people/client/confirmed_stop.py": _people("confirmed_stop stop_status console_pages times"),
     "gateway/people/client/pace.py": _people("client_times stream times"),
     "gateway/people/client/patience.py": _people("client_times times"),
     "gateway/people/client/renewal.py": _people("lease_renewal times"),
@@ -129,6 +129,6 @@ JUDGES: Final = {
     "gateway/people/console/pages/presence.py": _people("client_times times"),
     "gateway/people/walking/tempo.py": _people("ride_script times"),
     "gateway/people/walking/words.py": _people("words times"),
-    "gateway/people/walking/ride.py": _people("ride ride_again ride_course ride_script times"),
+    "gateway/people/walking/ride.py": _people("ride ride_course ride_script times"),
 }
 """What keeps the robot safe, in the order of the way back: what stays longest comes first."""

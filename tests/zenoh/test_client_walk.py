@@ -85,7 +85,7 @@ def test_a_dozen_lines_stand_walk_turn_and_sit(robot: Client, watcher: Client) -
 def test_after_stops_of_others_it_goes_on_as_the_robot_then_is_and_an_error_of_the_program_stops_it(
     robot: Client, watcher: Client
 ) -> None:
-    """What follows from which Stop: tests/unit/people/test_ride_again.py. Here the thread asks, starts and ends."""
+    """What follows from which Stop: tests/unit/people/test_ride.py. Here the thread asks, starts and ends."""
 
     def program(walk: Walk) -> None:
         walk.stand()

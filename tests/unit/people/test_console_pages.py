@@ -1,7 +1,8 @@
-"""What waits for one page is bounded, and of the state only the newest is sent."""
+"""What waits for one page is bounded, of the state only the newest is sent, and STOP ALL is asked until confirmed."""
 
 import asyncio
 import json
+from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, cast
@@ -9,15 +10,19 @@ from typing import Any, cast
 import pytest
 
 from gateway import geometry
+from gateway.errors import DisconnectedError
+from gateway.people.client.confirmed_stop import AGAIN_NS
 from gateway.people.console.pages.page_messages import AckMessage, EventMessage, LinkMessage, Stopping
-from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks
+from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
-from schemas.telemetry import Event, Report, Telemetry, WireReport
+from schemas.telemetry import Ack, Event, Report, Telemetry, WireReport
 from tests.support.published import WALL, state
+
+pytestmark = pytest.mark.virtual_time
 
 
 def event(number: int) -> EventMessage:
@@ -184,3 +189,94 @@ def test_a_page_knows_the_pose_from_which_a_walk_begins() -> None:
     engine = Engine(Robot(robot), angles_deg=pose)
     assert engine.is_down
     assert all(engine.robot.foot_m(leg, pose[leg])[2] > -engine.robot.lying_m for leg in LEGS), "no foot pushes"
+
+
+# ---- STOP ALL: confirmed by an answer to a request that began after the press
+
+
+AGAIN_S = AGAIN_NS / 1e9
+ACK = Ack(accepted=True, stop_frames=6, estop=1, latency_us=900.0)
+
+
+class StoppedRobot:
+    """Answers when the test says so."""
+
+    def __init__(self) -> None:
+        self.requests: list[asyncio.Future[Ack]] = []
+        self.sources: list[str] = []
+
+    async def estop(self, source: str) -> Ack:
+        self.sources.append(source)
+        request: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
+        self.requests.append(request)
+        return await request
+
+    async def answer(self, number: int, ack: Ack = ACK) -> None:
+        self.requests[number].set_result(ack)
+        await turns()
+
+    async def fail(self, number: int) -> None:
+        self.requests[number].set_exception(DisconnectedError("no answer"))
+        await turns()
+
+
+class StopPage(Outgoing):
+    """Keeps all that it is sent of how far its stops have come."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: list[Stopping] = []
+
+    def put(self, message: Report) -> None:
+        assert isinstance(message, Stopping)
+        self.heard.append(message)
+
+    def answered(self) -> list[int]:
+        return [message.id for message in self.heard if message.answered]
+
+
+async def turns() -> None:
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+@pytest.fixture
+async def robot() -> AsyncIterator[StoppedRobot]:
+    found = StoppedRobot()
+    yield found
+    for request in found.requests:
+        if not request.done():
+            request.set_result(ACK)
+    await turns()
+
+
+async def test_a_press_is_asked_at_once_and_again_until_it_is_answered(robot: StoppedRobot) -> None:
+    stops, page = Stops(robot.estop, send_stopping), StopPage()
+    stops.press(page, 7, "anna (page 1)")
+    assert [(message.answered, message.attempts) for message in page.heard] == [(False, 0)]
+    for number in range(5):
+        await turns()
+        assert len(robot.requests) == number + 1
+        await robot.fail(number)
+        newest = page.heard[-1]
+        assert (newest.answered, newest.attempts, newest.error) == (False, number + 1, "no answer")
+        assert stops.unconfirmed
+        await asyncio.sleep(AGAIN_S)
+    await turns()
+    await robot.answer(5)
+    assert (page.answered(), page.heard[-1].stop_frames, page.heard[-1].attempts) == ([7], 6, 6)
+    assert (len(robot.requests), stops.unconfirmed) == (6, False), "nobody waits any more"
+
+
+async def test_a_press_outlives_its_page(robot: StoppedRobot) -> None:
+    stops, page = Stops(robot.estop, send_stopping), StopPage()
+    stops.press(page, 1, "anna (page 1)")
+    stops.leave(page)
+    await turns()
+    await robot.fail(0)
+    assert stops.unconfirmed
+    await asyncio.sleep(AGAIN_S)
+    await turns()
+    await robot.answer(1)
+    assert not stops.unconfirmed
+    assert page.answered() == []

@@ -1,18 +1,32 @@
 """What a stream makes of a gateway's silence, its end and its watchdog, in virtual time: no thread, no gateway."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from datetime import timedelta
 from types import SimpleNamespace
-from typing import Any, Self
+from typing import Any, Final, Self
 
 import pytest
 
 from gateway.errors import DisconnectedError, GatewayError, RejectedError, StoppedError, UnansweredError
+from gateway.geometry import load
 from gateway.people.client.pace import SILENCE_S
 from gateway.people.client.stopped import AGAIN, DECIDES, STOP
 from gateway.people.client.stream import WHOLE, Stream
-from schemas.robot import LEGS
-from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState
+from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
+from gateway.people.ros2.trajectory import JointsError, Trajectory, Waypoint
+from schemas.robot import LEGS, SERVO_IDS
+from schemas.telemetry import (
+    Ack,
+    ControllerReport,
+    Event,
+    GatewayState,
+    Kind,
+    Mode,
+    Reason,
+    WatchdogState,
+    WireReport,
+)
 from tests.support.published import WALL, event, state
 
 HZ = 50
@@ -38,6 +52,8 @@ class Robot:
         self.answers = True
         self.published: list[tuple[float, list[str]]] = []
         self.asked: list[str] = []
+        self.asked_legs: list[list[int]] = []
+        """Of each request."""
         self.questions = 0
         self.running: set[int] = set()
         self.expired: set[int] = set()
@@ -70,17 +86,25 @@ class Robot:
     def check_open(self) -> None:
         pass
 
+    def calibration(self) -> Any:
+        raise UnansweredError("an older gateway has none")
+
+    def stream(self, hz: float) -> Stream:
+        found: Any = self
+        return Stream(found, hz)
+
     def publish(self, _key: str, payload: Mapping[str, Any]) -> None:
         self.published.append((self.now_s, list(payload["legs"])))
 
     def ask(self, _key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack:
+        legs = {int(leg) for leg in payload["legs"]}
         self.asked.append("stop" if again else "start")
+        self.asked_legs.append(sorted(legs))
         self.requests_s.append(self.now_s)
         if not again and not self.answers:
             raise UnansweredError("no gateway answered")
         if not again and self.rejects is not None:
             return self.rejects
-        legs = {int(leg) for leg in payload["legs"]}
         self.running = self.running - legs if again else self.running | legs
         return Ack(accepted=True)
 
@@ -442,3 +466,37 @@ def test_a_stream_reports_its_jitter_and_a_short_repr(robot: Robot, stream: Stre
     assert stream.jitter.p50_ms < 1
     assert stream.jitter.max_ms == pytest.approx(0.4 * PERIOD_S * 1000, abs=1e-3)
     assert repr(stream) == "<Stream 50 Hz, open, legs 1 and 2 started, 0 missed>"
+
+
+# ---- the bridge's motions on a robot that starts as a whole: all six legs at once
+
+
+GEOMETRY: Final = load()
+ALL_RAD: Final = {servo_id: GEOMETRY.joint_rad(servo_id, 90) for servo_id in SERVO_IDS}
+ONE_LEG_RAD: Final = {servo_id: at for servo_id, at in ALL_RAD.items() if servo_id < 20}
+
+
+@pytest.fixture
+def whole(robot: Robot) -> Any:
+    robot.changed = {"wire": WireReport(name="any", whole_robot=True)}
+    return robot
+
+
+def test_joint_commands_start_all_legs_at_once_and_a_message_with_fewer_starts_none(whole: Any) -> None:
+    motion = JointCommands(whole, GEOMETRY)
+    with pytest.raises(JointsError, match=STARTS_WHOLE):
+        motion.command(ONE_LEG_RAD)
+    motion.command(ALL_RAD)
+    assert whole.asked_legs == [list(LEGS)]
+    motion.command(ONE_LEG_RAD)  # what runs is not started again
+    motion.end(sits=False)
+    assert whole.asked_legs[1:] == [list(LEGS)], "its Stop"
+
+
+def test_a_trajectory_without_all_joints_starts_nothing_and_leaves_the_robot_to_others(whole: Any) -> None:
+    motion = Following(whole, GEOMETRY)
+    with pytest.raises(JointsError, match=STARTS_WHOLE):
+        motion.follow(Trajectory((Waypoint(1.0, ONE_LEG_RAD),), time.monotonic()), lambda: True)
+    assert not motion.check(time.monotonic())
+    motion.end(sits=True)
+    assert whole.asked_legs == []
