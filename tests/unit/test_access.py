@@ -173,17 +173,15 @@ FOR_ALL: dict[str, object] = {
     "transport/link/tls/enable_mtls": True,
     "transport/link/tls/verify_name_on_connect": True,
 }
-LISTENS: dict[str, object] = {
-    "listen/endpoints": ["tls/[::]:7447"],
-    "transport/link/tls/listen_certificate": "gateway.pem",
-    "transport/link/tls/listen_private_key": "gateway.key",
-}
-HOLDS: dict[str, object] = {
-    "adminspace/enabled": False,
-    "transport/link/tls/close_link_on_expiration": True,
-}
 ITS_OWN: dict[str, dict[str, object]] = {
-    "gateway": {"mode": "peer", **LISTENS, **HOLDS},
+    "gateway": {
+        "mode": "peer",
+        "listen/endpoints": ["tls/[::]:7447"],
+        "transport/link/tls/listen_certificate": "gateway.pem",
+        "transport/link/tls/listen_private_key": "gateway.key",
+        "adminspace/enabled": False,
+        "transport/link/tls/close_link_on_expiration": True,
+    },
     "laptop": {
         "mode": "client",
         "connect/endpoints": ["tls/robot.local:7447", "tls/[fd00::1]:7447"],

@@ -1,4 +1,4 @@
-"""The robot's shape: its file, servo angles and joint angles, where the feet are, and the URDF."""
+"""The robot's shape: its file, servo and joint angles, where the feet are; and the legs' inverse kinematics."""
 
 import json
 import math
@@ -7,10 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, WalkError
 from gateway.geometry import ELKAPOD, load
 from gateway.geometry.model import MAX_FILE_BYTES
+from gateway.people.walking.inverse import Limb
+from gateway.people.walking.robot import Range, Robot
 from schemas.robot import LEGS
 
 GEOMETRY: Final = load()
@@ -63,3 +67,77 @@ def test_a_faulty_file_is_told_in_a_sentence_that_names_the_place(
         load(path)
     assert sentence in str(told.value)
     assert all(line.startswith(str(path)) for line in str(told.value).splitlines())
+
+
+# ---- inverse: exact wherever a leg reaches, and a sentence where it does not
+
+
+LIMBS: Final = {leg: Limb(GEOMETRY, leg) for leg in LEGS}
+MICROMETRE: Final = 1e-6
+joints = st.tuples(*(st.floats(*joint.limits_rad) for joint in GEOMETRY.joints))
+
+
+@given(leg=st.sampled_from(LEGS), angles=joints)
+@settings(max_examples=300)
+def test_forward_of_inverse_is_where_the_foot_was_to_be(leg: int, angles: tuple[float, float, float]) -> None:
+    """The whole workspace: wherever joint angles within the limits can put a foot."""
+    wanted = LIMBS[leg].forward(angles).foot_m
+    found = LIMBS[leg].inverse(wanted)
+    assert math.dist(LIMBS[leg].forward(found).foot_m, wanted) < MICROMETRE
+
+
+def leg_3_of(tmp_path: Path, change: Any) -> Limb:
+    path = tmp_path / "robot.json"
+    path.write_text(changed(change))
+    return Limb(load(path), 3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda it: it["chain"][1].update(origin_xyz_m=[0.06, 0.012, 0.02], origin_rpy_rad=[-1.5708, 0, 0]),
+        lambda it: it["chain"][2].update(origin_xyz_m=[0.09, 0.03, 0.015], origin_rpy_rad=[3.14159265, 0, 0.4]),
+        lambda it: it["chain"][0].update(axis=[0, 0, -1], origin_rpy_rad=[0, 0, 0.3]),
+        lambda it: (
+            it["chain"][1].update(axis=[0, 1, 0], origin_rpy_rad=[0, 0, 0])
+            or it["chain"][2].update(axis=[0, -1, 0], origin_rpy_rad=[0, 0.2, 0])
+            or it["chain"][3].update(origin_xyz_m=[0.2, 0.01, -0.05])
+        ),
+        lambda it: it["chain"][1].update(origin_rpy_rad=[1.56, 0.004, 0]),
+    ],
+    ids=["offset sideways", "turned knee", "downward axis", "axes along y", "crooked"],
+)
+def test_another_robots_chain_is_inverted_too(tmp_path: Path, change: Any) -> None:
+    limb = leg_3_of(tmp_path, change)
+    for first in (-0.9, 0.0, 0.7):
+        for second in (-0.6, 0.2, 1.0):
+            for third in (-2.2, -1.3, -0.5):
+                wanted = limb.forward((first, second, third)).foot_m
+                assert math.dist(limb.forward(limb.inverse(wanted)).foot_m, wanted) < MICROMETRE
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda it: it["chain"][0].update(axis=[1, 0, 0]),
+        lambda it: it["chain"][1].update(origin_rpy_rad=[0, 0, 0]),
+        lambda it: it["chain"][2].update(axis=[1, 0, 0]),
+    ],
+)
+def test_a_chain_without_a_closed_form_is_rejected(tmp_path: Path, change: Any) -> None:
+    with pytest.raises(WalkError, match="for another chain there is no walking"):
+        leg_3_of(tmp_path, change)
+
+
+def test_what_a_leg_does_not_reach_is_an_error_that_says_how_far_it_reaches() -> None:
+    for point in ((1.0, 1.0, -0.1), (0.17841, 0.13276, 0.5)):
+        with pytest.raises(WalkError, match=r"leg 1 does not reach: .* and 0\.121 to 0\.306 m are possible"):
+            LIMBS[1].inverse(point)
+
+
+def test_what_a_servo_may_not_do_is_an_error_that_names_its_limit() -> None:
+    robot = Robot(GEOMETRY, {12: Range(60, 100)})
+    with pytest.raises(WalkError, match=r"servo 12 would stand at 130\.6 degrees, and may go from 60 to 100"):
+        robot.angles_deg(1, (0.17841 + 0.2 * math.cos(0.63973287), 0.13276 + 0.2 * math.sin(0.63973287), -0.15))
+    with pytest.raises(WalkError, match="servo 12: its limits and its joint's leave no angle"):
+        Robot(GEOMETRY, {12: Range(190, 200)})

@@ -146,15 +146,9 @@ def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
     assert [[each[1] for each in batch] for batch in controller.batches] == [[pause_us] * 6]
 
 
-@pytest.mark.parametrize(
-    ("spi", "written"),
-    [
-        ({"framing": "length-prefixed"}, False),
-        ({"framing": "plain"}, True),
-    ],
-)
-def test_the_guard_knows_them(spi: dict[str, object], written: bool) -> None:
-    settings = Settings.of({"spi": {**spi, "frame_gap_us": 20}})
+@pytest.mark.parametrize(("framing", "written"), [("length-prefixed", False), ("plain", True)])
+def test_the_guard_knows_them(framing: str, written: bool) -> None:
+    settings = Settings.of({"spi": {"framing": framing, "frame_gap_us": 20}})
     controller = SimulatedController(settings.spi.framing)
     bus = Bus(settings.spi, lambda: controller)
     bus.open()

@@ -3,8 +3,7 @@
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -48,16 +47,6 @@ def test_an_incident_is_listed_shown_and_exported_by_its_name_or_as_the_last(fol
     assert [run("show", name)[0] for name in ("yesterday", "20200101-000000-000-estop")] == [1, 1]
 
 
-@contextmanager
-def nobody() -> Iterator[None]:
-    """To root no folder is closed."""
-    os.seteuid(65534)
-    try:
-        yield
-    finally:
-        os.seteuid(0)
-
-
 @pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
 @pytest.mark.parametrize("mode", [0o700, 0o755], ids=["a closed folder", "a closed ring"])
 def test_who_may_not_read_it_is_not_told_that_there_is_nothing(mode: int) -> None:
@@ -67,10 +56,13 @@ def test_who_may_not_read_it_is_not_told_that_there_is_nothing(mode: int) -> Non
         folder.mkdir()
         (folder / RING_FILE).touch(0o600)
         folder.chmod(mode)
-        with nobody():
+        os.seteuid(65534)  # to root no folder is closed
+        try:
             for call in (black_box.list_all, lambda found: black_box.show(found, "last")):
                 with pytest.raises(ConfigError, match=r"Permission denied.*sudo"):
                     call(settings(folder))
+        finally:
+            os.seteuid(0)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="to give a file away takes root")

@@ -50,20 +50,6 @@ OF: Mapping[str, Probes] = {
 """The functions of the table, by the names of their lines."""
 
 
-def compare(lines: list[Result], expected: tuple[str, ...]) -> None:
-    """Each expected line has its parts, with … between, in this order. A remedy's commands are this program's."""
-    found = [f"{each.verdict} {each.name}: {each.sentence} → {each.fix}" for each in lines]
-    assert len(found) == len(expected), found
-    for line, parts in zip(found, expected, strict=True):
-        at = 0
-        for part in parts.split(" … "):
-            assert part in line[at:], (part, line)
-            at = line.index(part, at)
-    for each in lines:
-        assert (each.verdict is Verdict.OK) is (each.fix == ""), each
-        parse_commands(each.fix)
-
-
 def robot(root: Path, *, service: tuple[int, int] | None = None, **sections: Any) -> CheckedRobot:
     found = CheckedRobot(Settings.of(sections), root, lambda *_: {})
     found.service = service
@@ -471,7 +457,18 @@ IDS = [f"{each.name}: {(*each.lines, 'nothing')[0]}" for each in SCENES]
 
 @pytest.mark.parametrize("planted", SCENES, ids=IDS)
 def test_what_is_planted_is_a_line(planted: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compare(planted.results(tmp_path, monkeypatch), planted.lines)
+    """Each expected line has its parts, with … between, in this order. A remedy's commands are this program's."""
+    lines = planted.results(tmp_path, monkeypatch)
+    found = [f"{each.verdict} {each.name}: {each.sentence} → {each.fix}" for each in lines]
+    assert len(found) == len(planted.lines), found
+    for line, parts in zip(found, planted.lines, strict=True):
+        at = 0
+        for part in parts.split(" … "):
+            assert part in line[at:], (part, line)
+            at = line.index(part, at)
+    for each in lines:
+        assert (each.verdict is Verdict.OK) is (each.fix == ""), each
+        parse_commands(each.fix)
 
 
 def test_each_row_of_the_table_is_reached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

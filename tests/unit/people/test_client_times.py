@@ -6,6 +6,7 @@ from types import ModuleType
 import pytest
 
 from gateway.people.client import pace as pace_module
+from gateway.people.client import payloads as payloads_module
 from gateway.people.client import silence as silence_module
 from gateway.people.client.pace import MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
@@ -84,11 +85,8 @@ def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -
 BEGUN_S = 1000.0
 
 
-WATCHDOG_S = 0.25
-
-
 def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
-    doubt = Doubt(WATCHDOG_S)
+    doubt = Doubt(0.25)
     doubt.sent(BEGUN_S)
     doubt.received(BEGUN_S)
     for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True), (60.0, True)):
@@ -199,6 +197,6 @@ def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_b
     assert presence.link == CONNECTED
 
 
-@pytest.mark.parametrize(("module", "count"), [(pace_module, 16), (silence_module, 5)])
+@pytest.mark.parametrize(("module", "count"), [(pace_module, 16), (payloads_module, 4), (silence_module, 5)])
 def test_the_examples_are_right(module: ModuleType, count: int) -> None:
     assert doctest.testmod(module) == (0, count)

@@ -36,6 +36,7 @@ class Stand:
         found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
         self.session: SignIn = found
+        self.cookie = f"Cookie: hexapod-console-8080={found.cookie}\r\n"
         self.admitted: asyncio.Queue[Entry] = asyncio.Queue()
         self.address = listening.getsockname()
         auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions)
@@ -52,9 +53,8 @@ class Stand:
 
     async def proved(self, key: str) -> str:
         """What a page with that key offers for its WebSocket."""
-        cookie = f"Cookie: hexapod-console-8080={self.session.cookie}\r\n"
         answer = await self.ask(
-            f"GET /session?nonce=mine HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nConnection: close\r\n{cookie}\r\n"
+            f"GET /session?nonce=mine HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nConnection: close\r\n{self.cookie}\r\n"
         )
         nonce = json.loads(answer.partition(b"\r\n\r\n")[2])["nonce"]
         made = proof(hashlib.sha256(key.encode()).hexdigest(), f"page {nonce}")
@@ -125,10 +125,9 @@ async def test_who_comes_ends_the_oldest(stand: Stand) -> None:
 
 async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None:
     reader, writer = await asyncio.open_connection(*stand.address[:2])
-    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
     strangers: list[asyncio.StreamWriter] = []
     for count in (MAX_CONNECTIONS, 0):
-        writer.write(f"GET /stop.js HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n{cookie}\r\n".encode())
+        writer.write(f"GET /stop.js HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n{stand.cookie}\r\n".encode())
         head = await reader.readuntil(b"\r\n\r\n")
         assert head.startswith(b"HTTP/1.1 200 ")
         await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
@@ -142,8 +141,7 @@ async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
     shown = await stand.proved(stand.session.key)
     reader, writer = await asyncio.open_connection(*stand.address[:2])
-    cookie = f"Cookie: hexapod-console-8080={stand.session.cookie}\r\n"
-    writer.write(f"GET /ws?{shown} HTTP/1.1\r\n{UPGRADE}{cookie}\r\n".encode())
+    writer.write(f"GET /ws?{shown} HTTP/1.1\r\n{UPGRADE}{stand.cookie}\r\n".encode())
     async with asyncio.timeout(10):
         assert await stand.admitted.get() == stand.session.entry
         assert b"101 Switching" in await reader.readuntil(b"\r\n\r\n")

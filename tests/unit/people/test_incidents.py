@@ -132,12 +132,10 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
 LANDING = {"watchdog": {"landing_ms": 500, "landing": {"31": 30.0}}, "rules": {"repeats": 0}}
 
 
-TRIMMED = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
-
-
 async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
     robot = recorded(folder, **LANDING)
-    robot.conductor.supervisor.calibrating.load(TRIMMED)
+    trimmed = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
+    robot.conductor.supervisor.calibrating.load(trimmed)
     Calibrations(robot.conductor, None, asyncio.get_running_loop()).publish()
     robot.put(LEG_3, START)
     await asyncio.sleep(2)

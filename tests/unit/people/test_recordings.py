@@ -110,11 +110,6 @@ def test_what_the_gateway_publishes_is_what_is_recorded() -> None:
     assert set(keys.PUBLISHED) == REPORTS.keys(), "a new key wants its model in REPORTS"
 
 
-def frames_of(message: Message) -> dict[str, Message]:
-    """By the name of what is there."""
-    return {each.child_frame_id: each for each in message.transforms}
-
-
 # ---- killed, full
 
 

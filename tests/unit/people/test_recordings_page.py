@@ -12,7 +12,7 @@ import pytest
 from gateway.people.recorder.drawing import DRAWN, FRAMES
 from gateway.people.recorder.record import REPORTS
 from tests.support.mcap_file import checked
-from tests.unit.people.test_recordings import frames_of, recorded
+from tests.unit.people.test_recordings import recorded
 
 DOCS: Final = Path(__file__).parents[3] / "docs"
 PAGE: Final = (DOCS / "recordings.md").read_text()
@@ -54,7 +54,7 @@ def test_the_viewers_layout_names_only_what_a_recording_has(tmp_path: Path) -> N
             assert samples[topic].name[int(fields[-1][1:-1])] == f"joint_{number}", series
         named += len(topics) + len(panel.get("paths", ()))
     assert named == 10
-    assert panels["3D!robot"]["followTf"] in frames_of(samples[FRAMES])
+    assert panels["3D!robot"]["followTf"] in {each.child_frame_id for each in samples[FRAMES].transforms}
 
 
 def _panels(node: Any) -> list[str]:

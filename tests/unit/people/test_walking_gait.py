@@ -178,32 +178,29 @@ def test_from_any_pose_of_the_legs_that_run_it_stands_up_three_legs_at_a_time(
 
 
 def test_a_lost_leg_in_any_phase_leaves_the_others_standing_still() -> None:
+    """And the walk goes on once it runs again."""
     walked = standing(ROBOT)
     walked.checks_balance = False  # which feet then carry is not ours to choose
     walked.run(2.0, Velocity(0.1))
     for _ in range(6):
         for lost in ((3,), (1, 4)):
-            lose(walked.copy(), lost)
+            halted = walked.copy()
+            engine = halted.engine
+            frozen = {leg: engine.pose[leg] for leg in lost}
+            engine.halt(lost)
+            halted.run(1.5, Velocity(0.1))
+            assert engine.posture is Posture.HALTED
+            assert engine.pose.keys() == set(LEGS) - set(lost)
+            assert all(feet_of(engine)[leg][2] == pytest.approx(0, abs=1e-9) for leg in engine.pose)
+            still = engine.pose
+            halted.run(1.0, Velocity(0.1))
+            assert engine.pose == still
+            engine.resume()
+            assert {leg: engine.pose[leg] for leg in lost} == frozen
+            halted.pose = engine.pose
+            halted.until(Posture.STANDING, 1.0)
+            halted.checks_balance = True
+            x_m = engine.odometry.x_m
+            halted.run(1.5, Velocity(0.1))
+            assert engine.odometry.x_m > x_m + 0.1
         walked.run(0.38, Velocity(0.1))
-
-
-def lose(walked: Walked, lost: tuple[int, ...]) -> None:
-    """These legs in this phase; the others stand still, and the walk goes on once they run again."""
-    frozen = {leg: walked.engine.pose[leg] for leg in lost}
-    walked.engine.halt(lost)
-    walked.run(1.5, Velocity(0.1))
-    assert walked.engine.posture is Posture.HALTED
-    assert walked.engine.pose.keys() == set(LEGS) - set(lost)
-    assert all(feet_of(walked.engine)[leg][2] == pytest.approx(0, abs=1e-9) for leg in walked.engine.pose)
-    still = walked.engine.pose
-    walked.run(1.0, Velocity(0.1))
-    assert walked.engine.pose == still
-
-    walked.engine.resume()
-    assert {leg: walked.engine.pose[leg] for leg in lost} == frozen
-    walked.pose = walked.engine.pose
-    walked.until(Posture.STANDING, 1.0)
-    walked.checks_balance = True
-    x_m = walked.engine.odometry.x_m
-    walked.run(1.5, Velocity(0.1))
-    assert walked.engine.odometry.x_m > x_m + 0.1
