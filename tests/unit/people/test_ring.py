@@ -1,23 +1,45 @@
-"""The black box's ring: a record is there whole or not at all, whatever was in the file before."""
+"""The black box: a record is in its ring whole or not at all; incidents are found in it, told and exported."""
 
+import asyncio
 import os
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
 
+from gateway import __version__
+from gateway.geometry import load
 from gateway.model.black_box import format as form
 from gateway.model.black_box import header
+from gateway.model.black_box.header import RING_FILE
+from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
+from gateway.people.recorder import export, ring_reader
 from gateway.people.recorder import records as rec
-from gateway.people.recorder import ring_reader
-from gateway.people.recorder.incidents import MOST, find, is_id
+from gateway.people.recorder.drawing import JOINT_STATES
+from gateway.people.recorder.incidents import CRASH, MOST, Incident, find, is_id
+from gateway.people.recorder.messages import messages
 from gateway.people.recorder.ring_reader import NoRingError
+from gateway.people.recorder.story import WORDS, frames_in, headline, story
+from gateway.robot.blackbox import paths
 from gateway.robot.blackbox.ring import RecordRing
+from gateway.robot.core.events import Announce
+from gateway.robot.runtime.calibrations import Calibrations
+from schemas import keys
 from schemas.robot import SERVO_IDS
+from schemas.telemetry import Kind
+from tests.support.mcap_file import about, checked, read
+from tests.support.measured import MEASURED, ON_ITS_SIDE
 from tests.support.ring import parse, put, start
-from tests.support.robot import WALL_NS
+from tests.support.robot import LEG_3, WALL_NS, Robot, leg
+from tests.unit.people.test_recorder import recorded
+from tests.unit.people.test_recordings import drawn_in, positions
+
+pytestmark = pytest.mark.virtual_time
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
@@ -268,3 +290,281 @@ def test_a_start_with_facts_that_no_file_takes_is_damaged(fact: object) -> None:
     assert (len(records), damaged) == (0, 1)
     records, damaged, _ = parse(image((form.START, start(WALL_NS, {"\udfff": 1}), 1)))
     assert (len(records), damaged) == (0, 1)
+
+
+# ---- incidents
+
+
+START = leg("start", 90, 45, 120, source="anna")
+SECOND = 1_000_000_000
+
+
+def incidents(folder: Path) -> tuple[list[Incident], ring_reader.Content]:
+    content = ring_reader.read(folder / RING_FILE)
+    return find(content.records, written=content.written), content
+
+
+def exported(folder: Path, incident: Incident, content: ring_reader.Content) -> Path:
+    path = folder / f"{incident.name}.mcap"
+    export.write(path, incident, content.records)
+    return path
+
+
+def told(folder: Path) -> list[str]:
+    """The story of the only incident."""
+    ((incident,), content) = incidents(folder)
+    return story(list(messages(incident, content.records)))
+
+
+async def silence(robot: Robot) -> None:
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.1)
+    robot.put(LEG_3, leg("set", 90, 46, 120, source="anna"))
+    await asyncio.sleep(1)
+
+
+async def estop(robot: Robot) -> None:
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.05)
+    robot.put(keys.ESTOP, {"source": "bert"})
+    robot.put(LEG_3, START)
+    robot.put(LEG_3, START)
+    robot.put(keys.RESET, {"estop": 1, "source": "bert"})
+    robot.put(keys.leg_command(4), START)
+
+
+async def test_the_story_of_a_silent_leg(folder: Path) -> None:
+    robot = recorded(folder)
+    await asyncio.sleep(1)
+    await silence(robot)
+    ((incident,), _) = incidents(folder)
+    assert robot.events(Kind.WATCHDOG_EXPIRED)[0].incident == robot.conductor.reports.state().incident == incident.name
+    lines = told(folder)
+    assert (
+        lines[0]
+        == "20260921-141320-123-watchdog: a leg was silent, and was stopped: leg 3, at 2026-09-21T14:13:20.123457Z"
+    )
+    assert lines[1] == "Before it, anna sent 2 commands for leg 3."
+    assert [line.strip() for line in lines[-8:]] == [
+        "−0.250 s  last command of leg 3 (anna, set 90 46 120)",
+        "0.000 s  watchdog: no command for leg 3 in 250 ms; it is stopped",
+        "0.000 s  Stop written to leg 3 (watchdog)",
+        "0.000 s  Stop repeated for legs 1, 2, 4, 5 and 6, the last at 0.000 s",
+        "0.000 s  mode idle",
+        "+20.0 ms  Stop repeated for all legs, the last at +20.0 ms",
+        "+40.0 ms  Stop repeated for all legs, the last at +40.0 ms",
+        "+60.0 ms  Stop repeated for all legs, the last at +60.0 ms",
+    ]
+
+
+async def test_a_gateway_that_stood_still_is_not_reported_as_a_silent_leg(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    robot.sleep_through(4.2)
+    robot.put(LEG_3, leg("set", 90, 46, 120, source="anna"))
+    robot.conductor.recorder.beat(4_100_000_000)
+    await asyncio.sleep(0.1)
+    assert ": the gateway stood still for 4.1 s; commands kept coming, at " in told(folder)[0]
+
+
+async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(keys.leg_command(2), START)
+    robot.put(LEG_3, START)
+    for _ in range(10):
+        await asyncio.sleep(0.1)
+        robot.put(keys.leg_command(2), leg("set", 90, 46, 120, source="anna"))
+    lines = told(folder)
+    assert ": a leg was silent, and was stopped: leg 3, at " in lines[0]
+    assert not [line for line in lines if "first command after it" in line], "leg 2 walked throughout"
+    robot.put(keys.ESTOP, {"source": "bert"})
+    ((incident,), content) = incidents(folder)
+    silent = "a leg was silent, and was stopped: leg 3"
+    worst = f"somebody requested an emergency stop (bert); also: {silent}"
+    assert f": {worst}, at " in told(folder)[0]
+    assert headline(messages(incident, content.records)) == worst
+    robot.conductor.recorder.close()
+    assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
+
+
+LANDING = {"watchdog": {"landing_ms": 500, "landing": {"31": 30.0}}, "rules": {"repeats": 0}}
+
+
+async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    trimmed = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
+    robot.conductor.supervisor.calibrating.load(trimmed)
+    Calibrations(robot.conductor, None, asyncio.get_running_loop()).publish()
+    robot.put(LEG_3, START)
+    await asyncio.sleep(2)
+    robot.conductor.recorder.calibration(RobotCalibration(2))  # of later frames
+    await asyncio.sleep(10)
+    (incident,), content = incidents(folder)
+    path = exported(folder, incident, content)
+    told = list(read(path))
+    (way_down,) = [line for line in story(told) if "last frame of the way down" in line]
+    assert way_down.endswith("leg 3 at 30 45 120")
+    started = next(frame for _, frame in frames_in(told) if not frame.is_stop)
+    assert [op.angle_cdeg for _, op in started.servos] == [90_00, 45_00, 120_00]
+    joints = positions(drawn_in(path, JOINT_STATES)[-1])
+    assert joints["joint_32"] == pytest.approx(load().joint_rad(32, 45.0), abs=1e-4)
+    revisions = [each.content["revision"] for each in told if each.topic == keys.CALIBRATION]
+    assert revisions == [1, 1, 2], "at its beginning, and what a change replaces and brings"
+
+
+async def test_a_landing_that_somebody_stops_and_the_next_one_are_two(folder: Path) -> None:
+    robot = recorded(folder, **LANDING)
+    for _ in range(2):
+        robot.put(LEG_3, START)
+        await asyncio.sleep(0.35)
+        robot.put(LEG_3, leg("stop", source="bert"))
+    text = [line.partition("  ")[2].strip() for line in told(folder)]
+    assert [line for line in text if "way down" in line or "Stop written to leg" in line] == [
+        "first frame of the way down",
+        "last frame of the way down, after 5 frames; leg 3 at 76.95 45 120",
+        "Stop written to leg 3 (command)",
+    ] * 2
+
+
+async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_none(folder: Path) -> None:
+    robot = recorded(folder)
+    robot.put(LEG_3, START)
+    assert incidents(folder)[0] == [], "it runs"
+    robot.conductor.recorder.close()
+    ((crash,), content) = incidents(folder)
+    assert crash.name == "20260921-141320-123-crash"
+    lines = story(list(messages(crash, content.records)))
+    assert lines[-1].strip() == "0.000 s  the gateway's last record; its process ended without a word"
+    after = recorded(folder)
+    assert [each.name for each in incidents(folder)[0]] == [crash.name], "the next gateway continues the ring"
+    after.put(keys.ESTOP, {"source": "bert"})
+    await asyncio.sleep(0.1)
+    (_, later), content = incidents(folder)
+    lines = [line.split("  ")[1] for line in story(list(messages(later, content.records)))[2:]]
+    ends = [line for line in lines if line.startswith(("a gateway starts", "the gateway"))]
+    assert [line.split(" (")[0] for line in ends] == [
+        "a gateway starts",
+        "the gateway's last record; its process ended without a word",
+        "a gateway starts",
+    ], "told in the story of the next incident, too"
+    after.conductor.recorder.ended("asked to")
+    after.conductor.recorder.close()
+    assert [each.name for each in incidents(folder)[0]] == [crash.name, later.name]
+
+
+# ---- files
+
+
+@pytest.mark.parametrize("happens", [silence, estop])
+async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas_hold(
+    folder: Path, happens: Callable[[Robot], Any]
+) -> None:
+    robot = recorded(folder)
+    await happens(robot)
+    robot.put(LEG_3, b"{")
+    ((incident,), content) = incidents(folder)
+    path = exported(folder, incident, content)
+    seen = Counter(topic for topic, _ in checked(path))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    topics = sorted(channel.topic for channel in summary.channels.values())
+    assert topics == sorted(seen), "viewers show a topic as its first channel, and list channels that are empty"
+    assert {keys.FRAME, keys.EVENT, LEG_3, "hexapod/recorder", "/joint_states", "/tf"} <= seen.keys()
+    frames = [message.content["bytes"] for message in read(path) if message.topic == keys.FRAME]
+    assert frames == [data.hex() for _, data in robot.controller.transfers]
+    assert story(list(read(path))) == story(list(messages(incident, content.records)))
+    assert_ordered(path)
+
+
+async def test_an_incidents_file_has_the_settings_of_the_gateway_that_it_happened_to(folder: Path) -> None:
+    first = recorded(folder, watchdog={"timeout_ms": 300})
+    first.conductor.recorder.beat(0)
+    await silence(first)
+    first.conductor.recorder.ended("asked to")
+    first.conductor.recorder.close()
+    second = recorded(folder, watchdog={"timeout_ms": 500}, spi={"framing": "length-prefixed"})
+    second.conductor.recorder.beat(0)
+    await estop(second)
+    (before, after), content = incidents(folder)
+    facts = [about(exported(folder, each, content)) for each in (before, after)]
+    assert [each["watchdog"]["timeout_ms"] for each in facts] == [300, 500]
+    assert [each["spi"]["framing"] for each in facts] == ["plain", "length-prefixed"]
+    assert {each["version"] for each in facts} == {__version__}
+
+
+async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -> None:
+    robot = recorded(folder, wire={"name": "elkapod-2025"})
+    measured = robot.conductor.measured
+    measured(MEASURED, robot.now_ns())
+    await asyncio.sleep(1)
+    measured(MEASURED._replace(voltage_v=6.5), robot.now_ns())  # under load
+    await asyncio.sleep(1)
+    measured(ON_ITS_SIDE._replace(feet=(0.0,) * 6), robot.now_ns())
+    await asyncio.sleep(0.2)
+    robot.conductor.events.announce(
+        Announce(Kind.FALLEN, "the body tilts by 82°, beyond 45°; all six legs are stopped")
+    )
+    await asyncio.sleep(1)
+    measured(MEASURED._replace(orientation_wxyz=(0.0, 1.0, 0.0, 0.0)), robot.now_ns())
+    ((incident,), content) = incidents(folder)
+    assert incident.name == "20260921-141320-123-fallen"
+    path = exported(folder, incident, content)
+    seen = Counter(topic for topic, _ in checked(path))
+    assert seen[keys.TELEMETRY] == 4
+    assert_ordered(path)
+    told = story(list(read(path)))
+    assert told == story(list(messages(incident, content.records)))
+    assert ": the body tilted too far, and all legs were stopped, at " in told[0]
+    assert [line.strip() for line in told if ", battery " in line] == [
+        "−1.200 s  battery lowest: tilt 0.0°, battery 6.50 V (80 %), 31.5 °C, feet 1 2 3 4 5 6",
+        "−0.200 s  measured: tilt 82.4°, battery 7.50 V (80 %), 31.5 °C, feet 0 0 0 0 0 0",
+        "+1.000 s  tilted most: tilt 180.0°, battery 7.50 V (80 %), 31.5 °C, feet 1 2 3 4 5 6",
+    ]
+
+
+def assert_ordered(path: Path) -> None:
+    """No message is logged earlier than the one before it: Rerun calls such a file unordered, and seeks slowly."""
+    with path.open("rb") as file:
+        times_ns = [message.log_time for _, _, message in make_reader(file).iter_messages(log_time_order=False)]
+    assert times_ns == sorted(times_ns)
+
+
+def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
+    """Records that no gateway writes in this order, or at all."""
+    place_of_ring = paths.prepare(folder)
+    ring = RecordRing(place_of_ring, 100)
+    ring.append(form.INCIDENT, 5 * SECOND, form.at_wall_time(WALL_NS, "20260921-141320-123-watchdog"))
+    ring.append(form.INCIDENT, 5 * SECOND, form.at_wall_time(WALL_NS, "../../etc/passwd"))
+    ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
+    ring.append(form.DECISION, 5 * SECOND, form.decision(3, "made up", "no key", None))
+    ring.append(form.COMMAND, 5 * SECOND, form.command(0, "put", "no key", None, float("inf"), ()))
+    ring.append(form.EVENT, 5 * SECOND, form.event("made up", None, None, None, "", 0))
+    ring.append(form.CLOCK, 2**62, form.number(0))
+    ring.append(form.CLOCK, 1, form.number(2**62))
+    ring.close()
+    found, content = incidents(folder)
+    assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
+    assert content.damaged == 2
+    path = exported(folder, found[0], content)
+    assert "made up: " in "\n".join(story(list(read(path))))
+
+
+def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
+    def found(*later_s: float) -> Incident:
+        """Of a watchdog's at 20 s, behind the start of a gateway, and emergency stops at these seconds."""
+        silent = form.at_wall_time(WALL_NS, "20260921-141320-123-watchdog")
+        behind = [(form.START, start(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
+        stop = form.event("estop_engaged", "anna", None, None, "a sentence", 0)
+        behind += [(form.EVENT, stop, round(at_s * SECOND)) for at_s in (20.0, *later_s)]
+        (incident,) = find(parse(image(*behind))[0], written=True)
+        return incident
+
+    assert (found().begin_ns, found().end_ns) == (10 * SECOND, 25 * SECOND)
+    assert found(24.0, 28.0).end_ns == 33 * SECOND
+    assert found(*range(24, 65, 4)).end_ns == 50 * SECOND
+
+
+def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
+    kinds = {*INCIDENT_NAMES.values(), MISTAKE, CRASH}
+    assert kinds <= WORDS.keys()
