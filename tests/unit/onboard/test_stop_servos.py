@@ -129,22 +129,12 @@ CONFIRMED = "the power board has confirmed: all servos without supply, after "
 BY_HAND = "switch the power off by hand"
 
 
-class Board:
-    """The power board that `stop-servos` finds, on whatever interface its settings name."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.bus = BoardBus()
-        self.asked: list[PowerSettings] = []
-        monkeypatch.setattr(last_cut, "SupplyCut", self._cut)
-
-    def _cut(self, settings: PowerSettings, say: Callable[[str, bool], None]) -> SupplyCut:
-        self.asked.append(settings)
-        return SupplyCut(settings, say, self.bus.opened)
-
-
 @pytest.fixture
-def board(monkeypatch: pytest.MonkeyPatch) -> Board:
-    return Board(monkeypatch)
+def bus(monkeypatch: pytest.MonkeyPatch) -> BoardBus:
+    """That of the power board which `stop-servos` finds, on whatever interface its settings name."""
+    found = BoardBus()
+    monkeypatch.setattr(last_cut, "SupplyCut", lambda settings, say: SupplyCut(settings, say, found.opened))
+    return found
 
 
 def test_a_wrong_board_is_no_reason_to_write_no_stop(robot: Robot, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,21 +145,21 @@ def test_a_wrong_board_is_no_reason_to_write_no_stop(robot: Robot, capsys: pytes
 
 
 def test_spi_fails_and_the_supply_is_taken_all_the_same(
-    robot: Robot, board: Board, capsys: pytest.CaptureFixture[str]
+    robot: Robot, bus: BoardBus, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot.file.write_text(PLAIN + BOARD)
     robot.spi_fails = True
     with pytest.raises(SpiError):
         stop.run(robot.file)
-    assert board.bus.board.fed == 0
+    assert bus.board.fed == 0
     assert CONFIRMED in capsys.readouterr().out
 
 
 def test_what_is_not_confirmed_ends_with_a_code_of_its_own(
-    robot: Robot, board: Board, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    robot: Robot, bus: BoardBus, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     robot.file.write_text(PLAIN + BOARD)
-    board.bus.silent = True
+    bus.silent = True
     monkeypatch.setattr(last_cut, "TRY_NS", 1)
     monkeypatch.setattr(realtime, "prefer_process", lambda: None)
     monkeypatch.setattr(realtime, "prefer_thread", lambda _: True)

@@ -238,8 +238,7 @@ def test_every_event_that_stops_all_legs_and_every_doubt_is_bad() -> None:
 
 
 def test_a_terminal_is_red_until_the_board_confirms_a_stop() -> None:
-    stop = StopStatus()
-    stop.press(0)
+    stop = pressed()
     stop.confirm(STOPPED.model_copy(update={"confirmed": False}), None, 150 * MS)
     assert stop.remark(10 * SHOWN_NS) == (UNCONFIRMED, True, 0)
     stop.power.received_state(of(OFF, Mode.ESTOPPED), 200 * MS)
