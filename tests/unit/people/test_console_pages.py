@@ -203,16 +203,14 @@ class StoppedRobot:
 
     def __init__(self) -> None:
         self.requests: list[asyncio.Future[Ack]] = []
-        self.sources: list[str] = []
 
-    async def estop(self, source: str) -> Ack:
-        self.sources.append(source)
+    async def estop(self, _source: str) -> Ack:
         request: asyncio.Future[Ack] = asyncio.get_running_loop().create_future()
         self.requests.append(request)
         return await request
 
-    async def answer(self, number: int, ack: Ack = ACK) -> None:
-        self.requests[number].set_result(ack)
+    async def answer(self, number: int) -> None:
+        self.requests[number].set_result(ACK)
         await turns()
 
     async def fail(self, number: int) -> None:
@@ -220,19 +218,9 @@ class StoppedRobot:
         await turns()
 
 
-class StopPage(Outgoing):
-    """Keeps all that it is sent of how far its stops have come."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.heard: list[Stopping] = []
-
-    def put(self, message: Report) -> None:
-        assert isinstance(message, Stopping)
-        self.heard.append(message)
-
-    def answered(self) -> list[int]:
-        return [message.id for message in self.heard if message.answered]
+def heard(page: Kept) -> list[Stopping]:
+    """All that it is sent of how far its stops have come."""
+    return [message for message in page.put_in if isinstance(message, Stopping)]
 
 
 async def turns() -> None:
@@ -251,25 +239,25 @@ async def robot() -> AsyncIterator[StoppedRobot]:
 
 
 async def test_a_press_is_asked_at_once_and_again_until_it_is_answered(robot: StoppedRobot) -> None:
-    stops, page = Stops(robot.estop, send_stopping), StopPage()
+    stops, page = Stops(robot.estop, send_stopping), Kept()
     stops.press(page, 7, "anna (page 1)")
-    assert [(message.answered, message.attempts) for message in page.heard] == [(False, 0)]
+    assert [(message.answered, message.attempts) for message in heard(page)] == [(False, 0)]
     for number in range(5):
         await turns()
         assert len(robot.requests) == number + 1
         await robot.fail(number)
-        newest = page.heard[-1]
+        newest = heard(page)[-1]
         assert (newest.answered, newest.attempts, newest.error) == (False, number + 1, "no answer")
         assert stops.unconfirmed
         await asyncio.sleep(AGAIN_S)
     await turns()
     await robot.answer(5)
-    assert (page.answered(), page.heard[-1].stop_frames, page.heard[-1].attempts) == ([7], 6, 6)
+    assert [(each.id, each.stop_frames, each.attempts) for each in heard(page) if each.answered] == [(7, 6, 6)]
     assert (len(robot.requests), stops.unconfirmed) == (6, False), "nobody waits any more"
 
 
 async def test_a_press_outlives_its_page(robot: StoppedRobot) -> None:
-    stops, page = Stops(robot.estop, send_stopping), StopPage()
+    stops, page = Stops(robot.estop, send_stopping), Kept()
     stops.press(page, 1, "anna (page 1)")
     stops.leave(page)
     await turns()
@@ -279,4 +267,4 @@ async def test_a_press_outlives_its_page(robot: StoppedRobot) -> None:
     await turns()
     await robot.answer(1)
     assert not stops.unconfirmed
-    assert page.answered() == []
+    assert not any(each.answered for each in heard(page))
