@@ -82,18 +82,15 @@ def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -
 # ---- the grid of a stream's setpoints: no drift, no bursts, what was missed is counted; and when the gateway is asked
 
 
-BEGUN_S = 1000.0
-
-
 def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
-    doubt = Doubt(0.25)
-    doubt.sent(BEGUN_S)
-    doubt.received(BEGUN_S)
+    doubt, begun_s = Doubt(0.25), 1000.0
+    doubt.sent(begun_s)
+    doubt.received(begun_s)
     for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True), (60.0, True)):
-        doubt.sent(BEGUN_S + late_s)  # the program goes on
-        assert doubt.is_there(BEGUN_S + late_s) is is_there
-    doubt.received(BEGUN_S + 60)
-    assert not doubt.is_there(BEGUN_S + 60)
+        doubt.sent(begun_s + late_s)  # the program goes on
+        assert doubt.is_there(begun_s + late_s) is is_there
+    doubt.received(begun_s + 60)
+    assert not doubt.is_there(begun_s + 60)
     assert SILENCE_S == 0.5
 
 

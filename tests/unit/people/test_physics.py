@@ -145,9 +145,6 @@ def test_help_says_the_defaults() -> None:
 # ---- what its sensors feel
 
 
-G = 9.81
-
-
 def on_the_wire(sensed: Sensed) -> Measured:
     """What a controller with this body answers: its bytes, read again."""
     page = SensedPage()
@@ -160,7 +157,7 @@ def on_the_wire(sensed: Sensed) -> Measured:
 def test_between_two_steps_it_feels_what_it_felt() -> None:
     world = World(GEOMETRY)
     sensors = Sensors(world)
-    assert sensors.read().linear_acceleration_m_s2 == pytest.approx((0, 0, G))
+    assert sensors.read().linear_acceleration_m_s2 == pytest.approx((0, 0, 9.81))
     run(world, 0.02)
     assert sensors.read() == sensors.read()
 

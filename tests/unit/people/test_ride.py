@@ -210,15 +210,14 @@ def test_a_ride_that_cannot_stand_is_not_made() -> None:
 
 # ---- a robot that cannot sit
 
-FELL: Final = Telemetry(time=MEASURED.time, age_ms=1.0, tilt_deg=80.0)
-
 
 def test_a_robot_that_has_fallen_is_left_to_the_gateways_watchdog_although_its_driver_goes_on() -> None:
     ridden = Ridden(terrain="adapt")
     for _ in range(300):
         ridden.ride.go(AHEAD, ridden.now_s)
         ridden.tick()
-    ridden.telemetry, fell_s, fell = FELL, ridden.now_s, len(ridden.sent)
+    ridden.telemetry = Telemetry(time=MEASURED.time, age_ms=1.0, tilt_deg=80.0)
+    fell_s, fell = ridden.now_s, len(ridden.sent)
     while ridden.ride.phase is Phase.RUNS:
         ridden.ride.go(AHEAD, ridden.now_s)
         ridden.tick()
