@@ -20,83 +20,102 @@ import threading
 import time
 import traceback
 from datetime import UTC, datetime
-from functools import partial
+from logging.handlers import QueueHandler, QueueListener
+from queue import SimpleQueue
 from typing import Final
 
 from gateway.host.directories import runtime_directory
-from gateway.host.worker import Worker
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.text import visible, visible_json
 
+_TEXT: Final = "text"
+"""Name of a record that comes from no logger."""
 MAX_LINES_WAITING: Final = 1000
 """About 1 MB. Above this, lines are dropped until half of the queue is written."""
 
 
-class LogWriter(logging.Handler):
-    """Queues records and texts, which a thread writes to `descriptor`. Queuing never blocks.
+class LogWriter(QueueHandler):
+    """Queues records, which a QueueListener's thread writes to `descriptor`. Queuing never blocks.
 
     With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
     """
 
+    queue: SimpleQueue[logging.LogRecord | None]  # without a lock that a descheduled thread could hold
+
     def __init__(self, descriptor: int, formatter: logging.Formatter | None = None) -> None:
-        super().__init__()
-        self._lines = formatter or logging.Formatter()
+        super().__init__(SimpleQueue())
         self.descriptor = descriptor
         self.dropped = 0
         """Lines not written, because the queue was full or writing failed."""
-        self._dropped_logged = 0
         self._full = False
-        self._worker = Worker("log")
+        self._writing = _Writing(self, formatter or logging.Formatter())
+        self._writing.start()
 
     def handle(self, record: logging.LogRecord) -> bool:
         """Queue a record, without the handler's lock, which a descheduled thread may hold."""
         self.emit(record)
         return True
 
-    def emit(self, record: logging.LogRecord) -> None:
-        """Queue a record. Its message is formatted now, since its arguments may change.
+    def prepare(self, record: logging.LogRecord) -> logging.LogRecord:
+        """Format the message now, since its arguments may change. The thread formats exceptions, which needs files."""
+        record.msg, record.args = record.getMessage(), None
+        return record
 
-        The thread formats exceptions, which needs files.
-        """
-        try:
-            record.msg, record.args = record.getMessage(), None
-        except Exception:
-            self.handleError(record)
-        else:
-            self.put(record)
-
-    def put(self, line: logging.LogRecord | str) -> None:
-        """Queue a record, or a text, which is written unchanged. Drop it if too many wait."""
-        waiting = self._worker.waiting
+    def enqueue(self, record: logging.LogRecord) -> None:
+        """Queue a record, or drop it if too many wait."""
+        waiting = self.queue.qsize()
         self._full = waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2)
         if self._full:
             self.dropped += 1
         else:
-            self._worker.do(partial(self._take, line))
+            self.queue.put_nowait(record)
+
+    def put(self, text: str) -> None:
+        """Queue a text, which is written unchanged."""
+        self.enqueue(logging.makeLogRecord({"name": _TEXT, "msg": text}))
 
     def stop(self, timeout_s: float) -> None:
         """Write the queued lines and end the thread. Give up after `timeout_s`."""
-        self._worker.close(timeout_s)
+        self._writing.stop_within(timeout_s)
 
-    # ---- on the thread. It holds no handler's lock while it writes, since `logging.shutdown` takes these.
 
-    def _take(self, line: logging.LogRecord | str) -> None:
-        written, dropped = self._write(line), self.dropped
-        if written and dropped != self._dropped_logged and self._worker.waiting <= MAX_LINES_WAITING // 2:
+class _Writing(QueueListener):
+    """The thread of a LogWriter. It holds no handler's lock while it writes, since `logging.shutdown` takes these."""
+
+    def __init__(self, log_writer: LogWriter, formatter: logging.Formatter) -> None:
+        super().__init__(log_writer.queue)
+        self._log_writer = log_writer
+        self._formatter = formatter
+        self._dropped_logged = 0
+
+    def stop_within(self, timeout_s: float) -> None:
+        self.enqueue_sentinel()
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    def _monitor(self) -> None:
+        prefer_thread(PAGE_PRIORITY)
+        super()._monitor()  # type: ignore[misc]  # missing in typeshed
+
+    def handle(self, record: logging.LogRecord) -> None:
+        written = self._write(record)
+        dropped = self._log_writer.dropped
+        if written and dropped != self._dropped_logged and self._log_writer.queue.qsize() <= MAX_LINES_WAITING // 2:
             self._write(_left_out(dropped - self._dropped_logged))
             self._dropped_logged = dropped
 
-    def _write(self, line: logging.LogRecord | str) -> bool:
+    def _write(self, record: logging.LogRecord) -> bool:
         try:
-            text = line if isinstance(line, str) else f"{self._lines.format(line)}\n"
+            text = record.msg if record.name is _TEXT else f"{self._formatter.format(record)}\n"
             data = text.encode(errors="backslashreplace")
             # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
             while data:
                 try:
-                    data = data[os.write(self.descriptor, data) :]
+                    data = data[os.write(self._log_writer.descriptor, data) :]
                 except BlockingIOError:  # another program has made the shared terminal non-blocking
-                    select.select([], [self.descriptor], [])
+                    select.select([], [self._log_writer.descriptor], [])
         except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: skip the line
-            self.dropped += 1
+            self._log_writer.dropped += 1
             return False
         return True
 
