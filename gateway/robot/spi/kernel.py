@@ -104,19 +104,18 @@ class KernelDevice(SpiDevice, DuplexDevice):
 
         Raises BatchRejectedError if the kernel rejects the list: it checks the whole list before the first bit leaves.
         """
-        parts, pauses_us = zip(*batch, strict=True)
-        self._write(b"".join(parts), tuple(map(len, parts)), pauses_us)
+        self._write(batch)
 
     def exchange(self, data: bytes) -> bytes:
         """Write `data`; return the bytes that the controller sent meanwhile. Raises SpiError if the transfer fails."""
-        self._write(data, (len(data),), (0,), answered=True)
+        self._write(((data, 0),), answered=True)
         return self._received[: len(data)].tobytes()
 
-    def _write(
-        self, data: bytes, sizes: tuple[int, ...], pauses_us: tuple[int, ...], *, answered: bool = False
-    ) -> None:
-        """Write transfers of these sizes in one call, as in `transfer`; with `answered`, as in `exchange`."""
+    def _write(self, batch: Batch, *, answered: bool = False) -> None:
+        """Write the batch in one call, as in `transfer`; with `answered`, as in `exchange`."""
         try:
+            parts, pauses_us = zip(*batch, strict=True)
+            data, sizes = b"".join(parts), tuple(map(len, parts))
             self._bytes[: len(data)] = data
             at = self._data_at, self._received_at
             try:
@@ -130,7 +129,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
         except Exception as error:
             if not answered and isinstance(error, OSError) and error.errno in _NO_LISTS:
                 raise BatchRejectedError(
-                    f"{self._path}: the kernel rejects a list of {len(sizes)} transfers: {_cause_of(error)}"
+                    f"{self._path}: the kernel rejects a list of {len(batch)} transfers: {_cause_of(error)}"
                 ) from error
             raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
         if sent != len(data):
