@@ -26,7 +26,7 @@ def payload(number: int) -> str:
 
 
 def publish(publishers: "itertools.cycle[zenoh.Publisher]", pause_s: float, duration_s: float) -> None:
-    """Publish on each in turn, with this pause, for so long."""
+    """Publish on each in turn, with this pause, for `seconds`."""
     due_s = time.monotonic()
     end_s = due_s + duration_s
     for number in itertools.count():

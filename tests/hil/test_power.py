@@ -229,7 +229,7 @@ def test_stop_servos_on_the_same_adapter_takes_the_supply_until_a_reset(
     assert state.mode is Mode.IDLE
     assert not servos_on(state)
     assert client.estop().confirmed
-    assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "once, and for good"
+    assert [each.mask for each in board.noted[begun:] if each.what == "fed"] == [0], "cut once, never fed again"
     assert client.reset().accepted
     states(client).wait(answers_steadily())
     power = client.state().power

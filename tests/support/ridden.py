@@ -80,7 +80,7 @@ class Ridden:
         self.stop()
 
     def wait(self, seconds: float) -> None:
-        """The shell stands still for so long."""
+        """Suspend the shell for this time."""
         self.now_s += seconds
         self._watch()
 
@@ -118,7 +118,7 @@ class Ridden:
         return self.now_s - begun_s
 
     def run(self, seconds: float) -> None:
-        """Ticks for so long."""
+        """Tick for this time."""
         for _ in range(round(seconds / TICK_S)):
             self.tick()
 

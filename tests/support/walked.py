@@ -73,7 +73,7 @@ class Walked:
         self.pose, self.velocity = after, velocity_of(self.engine)
 
     def run(self, seconds: float, velocity: Velocity = STILL) -> None:
-        """Ticks for so long."""
+        """Tick for this time."""
         for _ in range(round(seconds / TICK_S)):
             self.tick(velocity)
 

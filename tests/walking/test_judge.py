@@ -33,7 +33,7 @@ _GEOMETRY: Final = load()
 
 
 class Part(NamedTuple):
-    """A part of a course: a velocity, for so long."""
+    """A part of a course: a velocity, held for `seconds`."""
 
     name: str
     velocity: Velocity

@@ -266,7 +266,7 @@ class LateRing:
 @pytest.mark.parametrize("early", [0, 1])
 @pytest.mark.parametrize("beside", [0, 1])
 async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: int, beside: int) -> None:
-    """Also when another of the same key is taken in its place, or was taken before its own wakeup was heard."""
+    """Also if another message of the key is taken instead, or was taken before its own wakeup arrived."""
     key, other = KEYS[3], KEYS[4]
     late: Any = LateRings()
     taker = Held(late, takes=True)
@@ -289,7 +289,7 @@ async def test_a_message_that_reaches_its_ring_after_its_wakeup_is_taken(early: 
         await taker.close()
 
 
-# ---- how many messages of a key are heard of and taken: W, its wakeup is heard; M, it reaches its ring; T, a tick
+# ---- wakeups and messages of a key: W, a wakeup arrives; M, a message reaches its ring; T, a tick
 
 K, OTHER, FURTHER = leg_command(1), leg_command(2), leg_command(3)
 
@@ -314,7 +314,7 @@ class Counted:
 
     @property
     def left(self) -> dict[str, int]:
-        """Those of which a wakeup was heard and that were not taken; negative: taken before their wakeup."""
+        """Wakeups without a taken message; negative: messages taken before their wakeup."""
         missed: dict[str, int] = self.inbox._missed
         return missed | {key: -count for key, count in self.inbox._early.items()}
 
@@ -365,7 +365,7 @@ async def test_as_many_are_looked_for_as_were_heard_of_and_not_taken(counted: Co
 async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     counted: Counted, waiting: int, all_rings: bool
 ) -> None:
-    """Whoever was missed before is among them; they are looked at once more, after the flood's next tick."""
+    """They include the messages missed before. All rings are polled once more, after the flood's next tick."""
     counted.step("W", FURTHER)
     counted.rings[OTHER].put(Sample(OTHER))
     wakeups = [named(K)] * waiting

@@ -66,7 +66,7 @@ class JointCommands:
         return True
 
     def end(self, *, sits: bool) -> None:
-        """Stop the legs. It cannot sit, since nobody knows how the robot stands."""
+        """Stop the legs. The robot does not sit down first: its pose is unknown."""
         del sits
         self.stream.close()
 
