@@ -2,29 +2,23 @@
 
 from typing import Final
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter
 
 from gateway.model.calibration import CalibrationChange, MappingChange
 from gateway.model.frames import centidegrees
-from gateway.robot.core.rejections import Rejection, explain, given_twice, name_given_twice, too_many_fields
+from gateway.robot.core.intake import parse
+from gateway.robot.core.rejections import Rejection
 from schemas.calibration import CalibrationCommand
 from schemas.robot import SERVO_IDS
 
-_MAX_COLONS: Final = 7 + len(SERVO_IDS) * (1 + 4 + 1) + 64
-"""A CalibrationCommand with all fields: for each servo its name, four numbers and a landing angle, and a source of
-colons. A payload with more is rejected before pydantic lists each wrong field."""
+_SCHEMA: Final = TypeAdapter(CalibrationCommand)
+_MOST_FIELDS: Final = 7 + len(SERVO_IDS) * (1 + 4 + 1)
+"""For each servo its name, four numbers and a landing angle."""
 
 
 def read(payload: bytes) -> CalibrationCommand | Rejection:
     """Return the command in a payload (JSON), or a Rejection with the reason. Never raises."""
-    if payload.count(b":") > _MAX_COLONS:
-        return too_many_fields(payload)
-    try:
-        command = CalibrationCommand.model_validate_json(payload)
-    except ValidationError as error:
-        return explain(error)
-    twice = name_given_twice(payload)
-    return command if twice is None else given_twice(twice)
+    return parse(payload, _MOST_FIELDS, _SCHEMA)
 
 
 def change_of(command: CalibrationCommand) -> CalibrationChange:

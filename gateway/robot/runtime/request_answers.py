@@ -8,16 +8,16 @@ import datetime as dt
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import zenoh
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from gateway.host.settings_table import ButtonSettings
-from gateway.robot.core.events import ButtonRequest, LeaseRequest
+from gateway.robot.core.events import ButtonRequest, LeaseRequest, RequestAnswer
 from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
-from gateway.robot.core.rejections import Rejection, too_large
+from gateway.robot.core.rejections import BAD_ENCODING, Rejection, explain, too_large
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
@@ -29,45 +29,11 @@ from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Re
 from schemas.telemetry import Reason
 
 if TYPE_CHECKING:
-    from gateway.certs.authority import Holder
     from gateway.certs.proof import ProofChecker
 
 PAUSE_S: Final = 0.05
 """The pause between two requests that may write a file: 20 a second, each of which may take a millisecond."""
-BY_WILDCARD: Final = Rejection(Reason.INVALID, "a wildcard does not ask this key; name the key")
-BAD_ENCODING: Final = Rejection(Reason.BAD_ENCODING, "the encoding must be application/json, or left out")
-
-_LEASE_DOES: Final = '"challenge", "acquire", "ask", "take", "renew" or "release"'
-_BUTTON_DOES: Final = '"challenge", "register", "alive" or "leave"'
-
-
-def why_unread(error: ValidationError, does: str) -> tuple[Reason, str]:
-    """Return reason and sentence for an invalid request. `does` lists the valid verbs.
-
-    The sentence repeats no value, which may be secret.
-    """
-    first = error.errors()[0]
-    if first["type"] == "json_invalid":
-        return Reason.MALFORMED, "the payload is not JSON"
-    # All names in `loc` except an unknown field's come from the schema; pydantic puts the verb first.
-    known = [str(part) for part in first["loc"][1:]]
-    if first["type"].startswith("union_tag") or not known:
-        return Reason.INVALID, f"do must be {does}"
-    if first["type"] == "extra_forbidden":
-        return Reason.INVALID, "the payload has a field that is not known here"
-    return Reason.INVALID, f"{'.'.join(known)} is missing, or not as docs/interface.md defines it"
-
-
-def payload_of(query: zenoh.Query, most: int) -> bytes | Rejection:
-    """Return the payload, or why it is rejected unread: over `most` bytes, a wildcard, or a wrong encoding."""
-    payload = query.payload
-    if "*" in str(query.key_expr):  # from a program that lists keys
-        return BY_WILDCARD
-    if payload is not None and len(payload) > most:
-        return too_large(len(payload), most)
-    if query.encoding is not None and not is_json(str(query.encoding)):
-        return BAD_ENCODING
-    return b"" if payload is None else payload.to_bytes()
+_BY_WILDCARD: Final = Rejection(Reason.INVALID, "a wildcard does not ask this key; name the key")
 
 
 class RequestAnswers(ABC):
@@ -85,11 +51,17 @@ class RequestAnswers(ABC):
     def note(self, query: zenoh.Query, now_ns: int, reply: Reply) -> OwnersTask:
         """Parse a query received at `now_ns`. Return the task for an owner of the state."""
         source = str(query.source_info.source_id.zid) if query.source_info is not None else None
-        payload = payload_of(query, self.most_bytes)
-        if isinstance(payload, Rejection):
-            task: OwnersTask = partial(self.reject, source, payload.reason, payload.detail, reply)
+        payload, unread = query.payload, None
+        if "*" in str(query.key_expr):  # from a program that lists keys
+            unread = _BY_WILDCARD
+        elif payload is not None and len(payload) > self.most_bytes:
+            unread = too_large(len(payload), self.most_bytes)
+        elif query.encoding is not None and not is_json(str(query.encoding)):
+            unread = BAD_ENCODING
+        if unread is not None:
+            task: OwnersTask = partial(self.reject, source, unread.reason, unread.detail, reply)
         else:
-            task = self.read(payload, now_ns, reply, source)
+            task = self.read(b"" if payload is None else payload.to_bytes(), now_ns, reply, source)
         return task if self.pause_s is None else partial(_with_pause, task, self.pause_s)
 
     @abstractmethod
@@ -114,11 +86,58 @@ def _with_pause(task: OwnersTask, pause_s: float) -> float:
 # ---- lease and buttons: the sender is proved
 
 
-class LeaseAnswers(RequestAnswers):
+class _ProvedAnswers(RequestAnswers):
+    """Answers requests whose sender may have to prove its name."""
+
+    schema: ClassVar[TypeAdapter[Any]]
+    denied: ClassVar[Reason]
+    """Why a request without a valid proof is rejected."""
+
+    def __init__(self, conductor: Conductor, proofs: Proofs) -> None:
+        super().__init__(conductor)
+        self._proofs = proofs
+
+    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
+        try:
+            request = self.schema.validate_json(payload)
+        except ValidationError as error:
+            unread = explain(error)
+            return partial(self.reject, source, unread.reason, unread.detail, reply)
+        if isinstance(request, Challenge):
+            return partial(reply, self.accepted(nonce=self._proofs.challenge(now_ns)))
+        if isinstance(request, Claim | Register):
+            denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
+            if denied is not None:
+                return partial(self.reject, request.source, self.denied, denied, reply)
+        return partial(self.ask, self._event(request, now_ns), reply)
+
+    @abstractmethod
+    def _event(self, request: Any, now_ns: int) -> Any:
+        """Return the supervisor's event for a request whose sender is proved."""
+
+    @abstractmethod
+    def _granted(self, answer: RequestAnswer) -> dict[str, object]:
+        """Return the fields of an accepting answer."""
+
+    def ask(self, request: Any, reply: Reply) -> None:
+        """Let the supervisor decide. Answer after its frames are written."""
+        answer = self._conductor.ask(request).answer
+        if answer is None:  # the service has ended
+            return
+        if answer.reason is None:
+            reply(self.accepted(**self._granted(answer)))
+            return
+        more = {"holder": self._conductor.supervisor.lease.holder} if isinstance(request, LeaseRequest) else {}
+        self.reject(request.source, answer.reason, answer.detail, reply, **more)
+
+
+class LeaseAnswers(_ProvedAnswers):
     """Answers requests for the lease."""
 
     key = keys.LEASE
     ack = LeaseAck
+    schema = LEASE_REQUEST
+    denied = Reason.LEASE_DENIED
 
     def __init__(
         self,
@@ -130,48 +149,32 @@ class LeaseAnswers(RequestAnswers):
         fresh: Callable[[], str] = fresh_token,
     ) -> None:
         """Without a `checker`, names are accepted unproved."""
-        super().__init__(conductor)
+        super().__init__(conductor, Proofs(checker, wall_clock, fresh))
         self._ttl_ms = ttl_ms
-        self._proofs = Proofs(checker, wall_clock, fresh)
 
-    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
-        try:
-            request = LEASE_REQUEST.validate_json(payload)
-        except ValidationError as error:
-            return partial(self.reject, source, *why_unread(error, _LEASE_DOES), reply)
+    def _event(self, request: Claim | Renew | Release, now_ns: int) -> LeaseRequest:  # noqa: ARG002
         match request:
-            case Challenge():
-                return partial(reply, self.accepted(nonce=self._proofs.challenge(now_ns)))
             case Claim():
-                denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
-                if denied is not None:
-                    return partial(self.reject, request.source, Reason.LEASE_DENIED, denied, reply)
                 fresh = self._proofs.fresh()
-                asked = LeaseRequest(request.do, request.source, self._proofs.wanted, fresh_token=fresh)
+                return LeaseRequest(request.do, request.source, self._proofs.wanted, fresh_token=fresh)
             case Renew():
-                asked = LeaseRequest("renew", token=request.lease)
+                return LeaseRequest("renew", token=request.lease)
             case Release():
-                asked = LeaseRequest("release", token=request.lease, to=request.to)
-        return partial(self.ask, asked, reply)
+                return LeaseRequest("release", token=request.lease, to=request.to)
 
-    def ask(self, request: LeaseRequest, reply: Reply) -> None:
-        """Let the supervisor decide. Answer after its frames are written."""
-        answer = self._conductor.ask(request).answer
-        if answer is None:  # the service has ended
-            return
+    def _granted(self, answer: RequestAnswer) -> dict[str, object]:
         lease = self._conductor.supervisor.lease
-        if answer.reason is not None:
-            self.reject(request.source, answer.reason, answer.detail, reply, holder=lease.holder)
-            return
         verified = None if lease.holder is None else lease.verified
-        reply(self.accepted(lease=answer.token, holder=lease.holder, ttl_ms=self._ttl_ms, verified=verified))
+        return {"lease": answer.token, "holder": lease.holder, "ttl_ms": self._ttl_ms, "verified": verified}
 
 
-class ButtonAnswers(RequestAnswers):
+class ButtonAnswers(_ProvedAnswers):
     """Answers requests of stop buttons."""
 
     key = keys.BUTTON
     ack = ButtonAck
+    schema = BUTTON_REQUEST
+    denied = Reason.BUTTON_DENIED
 
     def __init__(
         self,
@@ -182,55 +185,39 @@ class ButtonAnswers(RequestAnswers):
         fresh: Callable[[], str] = fresh_token,
     ) -> None:
         """Without a `checker`, names are accepted unproved."""
-        super().__init__(conductor)
+        super().__init__(conductor, Proofs(checker, wall_clock, fresh, watching=True))
         self._settings = settings
-        self._proofs = Proofs(checker, wall_clock, fresh, watching=True)
 
-    def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
-        try:
-            request = BUTTON_REQUEST.validate_json(payload)
-        except ValidationError as error:
-            return partial(self.reject, source, *why_unread(error, _BUTTON_DOES), reply)
+    def _event(self, request: Register | Alive | Leave, now_ns: int) -> ButtonRequest:
         match request:
-            case Challenge():
-                return partial(reply, self.accepted(nonce=self._proofs.challenge(now_ns)))
             case Register():
-                denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
-                if denied is not None:
-                    return partial(self.reject, request.source, Reason.BUTTON_DENIED, denied, reply)
-                holder = self._proofs.holder(request.proof)
-                asked = ButtonRequest(
-                    "register",
-                    now_ns,
-                    request.source,
-                    None if holder is None else " ".join(holder),
-                    self._counts(request.source, holder),
-                    sent_ms=request.sent_ms,
-                    fresh_token=self._proofs.fresh(),
-                )
+                return self._registration(request, now_ns)
             case Alive():
-                asked = ButtonRequest(
+                return ButtonRequest(
                     "alive", now_ns, token=request.button, count=request.count, sent_ms=request.sent_ms
                 )
             case Leave():
-                asked = ButtonRequest("leave", now_ns, token=request.button)
-        return partial(self.ask, asked, reply)
+                return ButtonRequest("leave", now_ns, token=request.button)
 
-    def ask(self, request: ButtonRequest, reply: Reply) -> None:
-        """Let the supervisor decide. Answer after its frames are written."""
-        answer = self._conductor.ask(request).answer
-        if answer is None:  # the service has ended
-            return
-        if answer.reason is not None:
-            self.reject(request.source, answer.reason, answer.detail, reply)
-            return
-        timeout_ms, required = self._settings.timeout_ms, self._settings.required
-        alive = self._conductor.supervisor.buttons.alive
-        detail = answer.detail or None
-        reply(self.accepted(detail=detail, button=answer.token, timeout_ms=timeout_ms, alive=alive, required=required))
+    def _registration(self, request: Register, now_ns: int) -> ButtonRequest:
+        """A button counts if `buttons.names` has its person (`anna` of `anna/phone`) or its certificate's role."""
+        holder = self._proofs.holder(request.proof)
+        named = {request.source.partition("/")[0]} if holder is None else {holder.name, holder.role}
+        return ButtonRequest(
+            "register",
+            now_ns,
+            request.source,
+            None if holder is None else " ".join(holder),
+            not self._settings.names or not named.isdisjoint(self._settings.names),
+            sent_ms=request.sent_ms,
+            fresh_token=self._proofs.fresh(),
+        )
 
-    def _counts(self, source: str, holder: "Holder | None") -> bool:
-        """Return whether `buttons.names` has the button's person (`anna` of `anna/phone`) or its certificate's role."""
-        person = source.partition("/")[0] if holder is None else holder.name
-        names = self._settings.names
-        return not names or person in names or (holder is not None and holder.role in names)
+    def _granted(self, answer: RequestAnswer) -> dict[str, object]:
+        return {
+            "detail": answer.detail or None,
+            "button": answer.token,
+            "timeout_ms": self._settings.timeout_ms,
+            "alive": self._conductor.supervisor.buttons.alive,
+            "required": self._settings.required,
+        }
