@@ -121,8 +121,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/lease.py": (
         ByHand(
             "who has handed the robot over goes on driving it",
-            "        self._give(to, None, now_ns, verified=self._askers[to])\n",
-            "        self._give(to, self._token, now_ns, verified=self._askers[to])\n",
+            "self._give(to, None, now_ns,",
+            "self._give(to, self._token, now_ns,",
         ),
     ),
     "gateway/robot/runtime/calibrations.py": (

@@ -110,7 +110,6 @@ JUDGES: Final = {
     "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_intake")),
     "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
     "gateway/robot/core/rejections.py": _robot("intake calibration_intake conductor conductor_safety"),
-    "gateway/robot/core/flat.py": _robot("intake"),
     "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor conductor")),

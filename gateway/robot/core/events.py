@@ -327,8 +327,6 @@ class SaveCalibration:
 
 
 Effect = Transmit | Completed | Rejected | Announce | RequestAnswer | SaveCalibration
-Decision = tuple[list[Effect], RequestAnswer]
-"""A request's events, and its answer."""
 
 
 # ---- the outcome of a step's requests

@@ -17,16 +17,7 @@ import hmac
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import (
-    Announce,
-    Calibrate,
-    Command,
-    Decision,
-    Effect,
-    LeaseRequest,
-    RequestAnswer,
-    Reset,
-)
+from gateway.robot.core.events import Announce, Calibrate, Command, Effect, LeaseRequest, RequestAnswer, Reset
 from gateway.robot.core.interlock import Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
@@ -115,72 +106,56 @@ class RobotLease(Interlock[LeaseRequest]):
         return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken) if event.do == "take" else None
 
     def take(self, event: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
-        published, answer = self.grant(event, now_ns)
-        dropped: list[Effect] = []
-        if answer.token is not None:  # others' waiting commands must not move the robot under the new holder
-            detail = f"{self.holder} has acquired the lease"
-            dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, detail)
-        return [*dropped, *published, answer]
-
-    def grant(self, request: LeaseRequest, now_ns: int) -> Decision:
-        """Handle one request. Return its events and its answer."""
-        match request.do:
-            case "acquire":
-                return self._acquire(request, now_ns)
-            case "take":
-                return self._take(request, now_ns)
-            case "ask":
-                return self._ask(request)
+        """Handle one request. Return its effects; the last one is its answer."""
+        why_not = self._why_not_granted(event)
+        if why_not is not None:
+            return [RequestAnswer(*why_not)]
+        name, holder, to = event.source or "", self.holder, event.to
+        kind, who = Kind.LEASE_RELEASED, holder
+        match event.do:
+            case "acquire" | "take":
+                return self._acquired(event, now_ns, legs)
             case "renew":
-                return self._renew(request, now_ns)
+                self.due_ns = now_ns + self._rules.lease_ttl_ns
+                return [RequestAnswer()]
+            case "ask":
+                self._askers.pop(name, None)
+                if len(self._askers) == MOST_ASKERS:
+                    del self._askers[next(iter(self._askers))]
+                self._askers[name] = event.verified
+                kind, who, detail = Kind.LEASE_ASKED, name, f"{name} asks {holder} for the lease"
+            case "release" if to is not None:
+                self._give(to, None, now_ns, verified=self._askers[to])
+                detail = f"{holder} has handed the lease over to {to}"
             case "release":
-                return self._release(request, now_ns)
+                self.end()
+                detail = f"{holder} has released the lease"
+        return [Announce(kind, detail, who, keys.LEASE), RequestAnswer()]
 
-    def _acquire(self, request: LeaseRequest, now_ns: int) -> Decision:
-        if self.holder is not None and not (self._handed_over and request.source == self.holder):
-            where = "handed over to" if self._handed_over else "held by"
-            return [], RequestAnswer(Reason.LEASE_HELD, f"the lease is {where} {self.holder}")
-        self._give(request.source, request.fresh_token, now_ns, verified=request.verified)
-        return _announced(Kind.LEASE_ACQUIRED, f"{request.source} has acquired the lease", request.source, self._token)
+    def _why_not_granted(self, request: LeaseRequest) -> Why | None:
+        match request.do:
+            case "acquire" if self.holder is not None and not (self._handed_over and request.source == self.holder):
+                where = "handed over to" if self._handed_over else "held by"
+                return Reason.LEASE_HELD, f"the lease is {where} {self.holder}"
+            case "ask" if self.holder is None:
+                return Reason.NO_LEASE, "nobody holds the lease; acquire it"
+            case "ask" if self._handed_over:
+                return Reason.LEASE_HELD, f"the lease is handed over to {self.holder}"
+            case "renew" | "release" if not self.holds(request.token):
+                return Reason.NOT_HOLDER, "this is not the token of the current lease"
+            case "release" if request.to is not None and request.to not in self._askers:
+                return Reason.LEASE_DENIED, f"{request.to} has not asked for the lease"
+        return None
 
-    def _take(self, request: LeaseRequest, now_ns: int) -> Decision:
-        name, before = request.source, self.holder
+    def _acquired(self, request: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
+        name, before, taken = request.source, self.holder, request.do == "take"
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
-        if before is None:
-            detail = f"{name} has stopped all legs and acquired the lease"
-            return _announced(Kind.LEASE_ACQUIRED, detail, name, self._token)
-        detail = f"{name} has stopped all legs and taken the lease from {before}"
-        return _announced(Kind.LEASE_TAKEN, detail, name, self._token)
-
-    def _ask(self, request: LeaseRequest) -> Decision:
-        if self.holder is None:
-            return [], RequestAnswer(Reason.NO_LEASE, "nobody holds the lease; acquire it")
-        if self._handed_over:
-            return [], RequestAnswer(Reason.LEASE_HELD, f"the lease is handed over to {self.holder}")
-        name = request.source or ""
-        self._askers.pop(name, None)
-        if len(self._askers) == MOST_ASKERS:
-            del self._askers[next(iter(self._askers))]
-        self._askers[name] = request.verified
-        return _announced(Kind.LEASE_ASKED, f"{name} asks {self.holder} for the lease", name)
-
-    def _renew(self, request: LeaseRequest, now_ns: int) -> Decision:
-        if not self.holds(request.token):
-            return [], RequestAnswer(Reason.NOT_HOLDER, _ENDED)
-        self.due_ns = now_ns + self._rules.lease_ttl_ns
-        return [], RequestAnswer()
-
-    def _release(self, request: LeaseRequest, now_ns: int) -> Decision:
-        name, to = self.holder, request.to
-        if not self.holds(request.token):
-            return [], RequestAnswer(Reason.NOT_HOLDER, _ENDED)
-        if to is None:
-            self.end()
-            return _announced(Kind.LEASE_RELEASED, f"{name} has released the lease", name)
-        if to not in self._askers:
-            return [], RequestAnswer(Reason.LEASE_DENIED, f"{to} has not asked for the lease")
-        self._give(to, None, now_ns, verified=self._askers[to])
-        return _announced(Kind.LEASE_RELEASED, f"{name} has handed the lease over to {to}", name)
+        # Others' waiting commands must not move the robot under the new holder.
+        dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, f"{name} has acquired the lease")
+        kind = Kind.LEASE_TAKEN if taken and before is not None else Kind.LEASE_ACQUIRED
+        what = "acquired the lease" if kind is Kind.LEASE_ACQUIRED else f"taken the lease from {before}"
+        detail = f"{name} has {'stopped all legs and ' if taken else ''}{what}"
+        return [*dropped, Announce(kind, detail, name, keys.LEASE), RequestAnswer(token=self._token)]
 
     # ----
 
@@ -195,10 +170,3 @@ class RobotLease(Interlock[LeaseRequest]):
         self.due_ns = None if now_ns is None else now_ns + self._rules.lease_ttl_ns
         self._askers = {}
         self.closed = holder is not None or self._rules.lease_required
-
-
-def _announced(kind: Kind, detail: str, source: str | None, token: str | None = None) -> Decision:
-    return [Announce(kind, detail, source, keys.LEASE)], RequestAnswer(token=token)
-
-
-_ENDED: Final = "this is not the token of the current lease"
