@@ -126,7 +126,9 @@ class Conductor:
         self._preamble = None
         if isinstance(bus, Bus) and bus.announces:
             self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self.bus_failed)
-        self._in_fault = self._closed = False
+        self._in_fault = False
+        self.closed = False
+        """Whether the conductor is closed and writes nothing more."""
         self._engaged = 0  # the number of the emergency stop; 0: none is engaged
         self.on_latch: Callable[[], None] = lambda: None
         """Called as owner when an emergency stop has been engaged, after its Stops, or left."""
@@ -153,12 +155,11 @@ class Conductor:
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()  # a last attempt, so that the Stops below can be written
         stop_frames = self._step(ShutDown()).stop_frames(Cause.SHUTDOWN)
-        self._arm()
         return stop_frames >= len(LEGS) and not self._in_fault
 
     def close(self) -> None:  # mutants accepted (LeaveOut): after the end a tick does nothing
         """Release the bus and the timers. A receiver thread that becomes owner afterwards does nothing."""
-        self._closed = True
+        self.closed = True
         for timer in (self._timer, self._reopen_timer, self._preamble):
             if timer is not None:
                 timer.cancel()
@@ -168,46 +169,38 @@ class Conductor:
 
     # ---- what happens
 
-    @property
-    def closed(self) -> bool:
-        """Whether the conductor is closed and writes nothing more."""
-        return self._closed
-
     def tick(self) -> None:  # mutants accepted (FalseWithTrue, TrueWithFalse): a look too many finds nothing
         """Take the received messages and do what is due.
 
         A tick is an instant or a part of one: the order of an instant's messages is unknown.
         """
-        if self._closed:
+        if self.closed:
             return
-        instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else self._clock()
-        estops, caught_up = self._messages.estops, False
+        instant_ns = self._instant()
         for received in self._messages.take():
-            while estops:
-                self._emergency_stop(estops.popleft(), instant_ns)
+            self._serve_estops(instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
-            caught_up = True
-        while estops:
-            self._emergency_stop(estops.popleft(), instant_ns)
-            caught_up = False
+        self._serve_estops(instant_ns)
         if self._losses.key:
             self._stop_what_lost_stops_named(instant_ns)
-            caught_up = False
-        if not caught_up:
-            self._do_what_is_due(instant_ns)
+        self._do_what_is_due(instant_ns)
         self._arm()
 
     def serve_estops(self) -> None:
         """Carry out emergency stops without a tick. Messages that wait in the rings belong to a later instant."""
-        estops = self._messages.estops
-        if self._closed or not estops:
-            return
-        instant_ns = self._instant_ns = self._instant_ns if self._messages.instant_open else self._clock()
-        while estops:
-            self._emergency_stop(estops.popleft(), instant_ns)
+        if not self.closed and self._messages.estops:
+            self._serve_estops(self._instant())
+
+    def _instant(self) -> int:
+        if not self._messages.instant_open:
+            self._instant_ns = self._clock()
+        return self._instant_ns
+
+    def _serve_estops(self, instant_ns: int) -> None:
+        while self._messages.estops:
+            self._emergency_stop(self._messages.estops.popleft(), instant_ns)
             self._do_what_is_due(instant_ns)
-        self._arm()
 
     def record_alive(self) -> int:
         """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
@@ -218,11 +211,7 @@ class Conductor:
 
     def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved | EstopKept) -> Outcome:
         """Let the supervisor take an event that moves no servo. Return the outcome; it is empty once closed."""
-        if self._closed:
-            return Outcome()
-        outcome = self._step(event)
-        self._arm()
-        return outcome
+        return Outcome() if self.closed else self._step(event)
 
     def too_old(self, request: Request, now_ns: int, instant_ns: int) -> str | None:
         """Return why a request was, or may have been, delayed for too long, or None if it was not."""
@@ -240,8 +229,7 @@ class Conductor:
         if meddled is not None:
             self.events.announce(Announce(Kind.BUS_MEDDLED, meddled))
             self._meddled(meddled)
-            self.reports.publish_mode()
-            self._arm()
+            self._settle()
             return  # the check for `stop-servos` follows once the device is open again
         self._check_stop_servos()
 
@@ -250,11 +238,10 @@ class Conductor:
         at_work = self.bus.stop_servos_at_work()
         if at_work is not None and at_work is not self.supervisor.stopped_outside:
             self._step(StoppedOutside(at_work))
-            self._arm()
 
     def measured(self, values: Measured, now_ns: int) -> None:
         """Take the measurements of one well-formed answer of the controller, received at `now_ns`."""
-        if self._closed:
+        if self.closed:
             return
         self.telemetry.note(values, now_ns)
         self.recorder.measured(values, now_ns)
@@ -263,11 +250,10 @@ class Conductor:
         if self.supervisor.body.watches:
             tilt_cdeg = None if values.tilt_deg is None else round(values.tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
-            self._arm()
 
     def power_changed(self) -> None:
         """Take the changes that the power board has reported."""
-        if self._closed or self.supply is None:
+        if self.closed or self.supply is None:
             return
         event, announcements = self.supply.take_news()
         self._step(event)
@@ -275,7 +261,6 @@ class Conductor:
             self.events.announce(each)
         if any(each.kind is Kind.OFF_BUTTON for each in announcements):
             self._emergency_stop(off_button(self._clock()), self._clock())
-        self._arm()
         self.reports.publish()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
@@ -295,8 +280,7 @@ class Conductor:
             self._reject_unread(received, command, instant_ns)
             return
         now_ns = self._clock()
-        judge = self._staleness
-        too_old = None if judge is None else judge.too_old(command.source, command.sent_ms, now_ns, instant_ns)
+        too_old = self.too_old(command, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # a late Stop does no harm
             if type(command) is not Command or not command.stops:
                 self.answers.reject(command, Reason.STALE, too_old, command)
@@ -362,19 +346,20 @@ class Conductor:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:
             self._meddled(outcome.meddled)
-        latch = self.supervisor.latch
-        if self._engaged != (0 if latch.since_ns is None else latch.number):
-            self._latch_changed(0 if latch.since_ns is None else latch.number)
-        if self.supervisor.mode is not self.reports.published_mode:
-            self.reports.publish_mode()
+        self._settle()
         return outcome
 
-    def _latch_changed(self, number: int) -> None:
-        """Record that the emergency stop `number` is engaged (0: left). Its Stops are written."""
-        if not (number and self._engaged):
-            self.reports.estop_since = self.reports.estop_since or wall_clock() if number else None
-        self._engaged = number
-        self.on_latch()
+    def _settle(self) -> None:
+        """Publish a change of the emergency stop (its Stops are written) or of the mode, and set the timer."""
+        latch, reports = self.supervisor.latch, self.reports
+        engaged = 0 if latch.since_ns is None else latch.number
+        if self._engaged != engaged:
+            self._engaged = engaged
+            reports.estop_since = reports.estop_since or wall_clock() if engaged else None
+            self.on_latch()
+        if self.supervisor.mode is not reports.published_mode:
+            reports.publish_mode()
+        self._arm()
 
     # ---- the bus
 
@@ -401,11 +386,9 @@ class Conductor:
 
     def bus_failed(self, fault: SpiError) -> None:  # mutants accepted (Forget): the timer finds nothing due
         """Handle a bus fault that was found outside a step."""
-        if self._closed:
-            return
-        self._bus_failed(fault)
-        self.reports.publish_mode()
-        self._arm()
+        if not self.closed:
+            self._bus_failed(fault)
+            self._settle()
 
     def _reopen(self) -> None:  # mutants accepted (Forget): a line in the log
         try:
@@ -419,7 +402,6 @@ class Conductor:
         if self.supervisor.mode is not Mode.BUS_FAULT:
             self._in_fault = False
             self._reopen_timer.cancel()
-        self._arm()
 
     # ---- time
 
