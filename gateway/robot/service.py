@@ -434,7 +434,7 @@ class _Beat:
             conductor.metrics.loop_lag.record(lag_ns)
             conductor.recorder.beat(lag_ns)
             if found is not None:
-                conductor.answers.reject_unread(*found)
+                conductor.executor.reject_unread(*found)
             for publish in wanted:
                 publish()
         self.begin()

@@ -80,7 +80,7 @@ async def test_stops_leave_before_repeated_ones_and_these_before_what_moves() ->
     move = OneLeg(2, (ServoOp(Op.START, 90_00),) * 3)
     effects = [Transmit(stop_leg(1), Cause.COMMAND), Transmit(stop_leg(3), Cause.REPEAT), Transmit(move, Cause.COMMAND)]
     for order in itertools.permutations(effects):
-        written = robot.conductor._executor.carry_out(order).written
+        written = robot.conductor.executor.carry_out(order).written
         assert [transmit for transmit, _ in written] == effects
 
 

@@ -73,7 +73,7 @@ class Calibrations(RequestAnswers):
 
     def change(self, command: CalibrationCommand, change: CalibrationChange, source: str | None, reply: Reply) -> None:
         """Let the supervisor decide. The answer follows the write, or the rejection."""
-        conductor, answers = self._conductor, self._conductor.answers
+        conductor, executor = self._conductor, self._conductor.executor
         now_ns = conductor.record_alive()
         event = Calibrate(
             change=change, revision=command.revision, accept_default=command.accept_default is not None,
@@ -81,9 +81,9 @@ class Calibrations(RequestAnswers):
         )  # fmt: skip
         too_old = conductor.too_old(event, now_ns, now_ns)
         if too_old is not None:
-            answers.reject(event, Reason.STALE, too_old)
+            executor.reject(event, Reason.STALE, too_old)
             return
-        event.number = answers.next_number()
+        event.number = executor.next_number()
         keep = conductor.ask(event).keep
         if keep is not None:
             self._hand_on(keep)

@@ -40,7 +40,7 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
-from gateway.robot.runtime.executor import Executor, Outcome, PendingCommands
+from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
 from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports
@@ -98,10 +98,7 @@ class Conductor:
         self.telemetry = LatestTelemetry(outbox, clock, supply)
         self.events = EventPublisher(outbox, recorder, self.metrics, clock)
         self.supply = supply
-        self.answers = PendingCommands(self.events, supply.confirm if supply else None)
-        self._executor = Executor(
-            bus, supervisor, supply, self.answers, self.events, publish_frames=settings.telemetry.frames
-        )
+        self.executor = Executor(bus, supervisor, supply, self.events, publish_frames=settings.telemetry.frames)
         if supply is not None:
             supply.on_news = self.power_changed
         self._clock = clock
@@ -140,7 +137,7 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError if any of that fails."""
         self.bus.open()
-        fault = self._executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
+        fault = self.executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
         if fault is not None:
             raise fault
         self._check_stop_servos()
@@ -283,10 +280,10 @@ class Conductor:
         too_old = self.too_old(command, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # a late Stop does no harm
             if type(command) is not Command or not command.stops:
-                self.answers.reject(command, Reason.STALE, too_old, command)
+                self.executor.reject(command, Reason.STALE, too_old, command)
                 return
             command.rejected = Rejected(command, Reason.STALE, too_old)
-        command.number = self.answers.next_number()
+        command.number = self.executor.next_number()
         try:
             outcome = self._step(command, instant_ns, now_ns, command)
         except Exception:
@@ -300,11 +297,11 @@ class Conductor:
         unread = Request(key=echo_of(received.expression), source=received.source, reply=received.reply)
         stops = stops_in(received)
         if not stops:
-            self.answers.reject(unread, why.reason, why.detail)
+            self.executor.reject(unread, why.reason, why.detail)
             return
         command = Command(stops, key=received.key, verb=received.verb, received_ns=received.received_ns)
         command.source, command.rejected = received.source, Rejected(unread, why.reason, why.detail)
-        command.number = unread.number = self.answers.next_number()
+        command.number = unread.number = self.executor.next_number()
         unread.received_ns = received.received_ns
         self._step(command, instant_ns, command=command)
 
@@ -312,7 +309,7 @@ class Conductor:
         key, targets = self._losses.take()
         stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
-            command = Command(stops, key=key, number=self.answers.next_number(), lost=True)
+            command = Command(stops, key=key, number=self.executor.next_number(), lost=True)
             self._step(command, instant_ns)
             legs = legs_of(command.servo_ids)
             self.events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
@@ -334,14 +331,14 @@ class Conductor:
             number = self.supervisor.latch.number
             ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
             request.reply = received.reply
-            self.answers.stopped(SERVO_IDS, request, ack)
+            self.executor.answer(request, ack, SERVO_IDS)
 
     def _step(
         self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, command: Request | None = None
     ) -> Outcome:
         """Let the supervisor take an event, and carry out its effects. `command` is the event's request, to record."""
         now_ns = self._clock() if now_ns is None else now_ns
-        outcome = self._executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
+        outcome = self.executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
         elif outcome.meddled is not None:
@@ -371,7 +368,7 @@ class Conductor:
         again, self._in_fault = self._in_fault, True
         if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
-        self._executor.carry_out(effects)
+        self.executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
 

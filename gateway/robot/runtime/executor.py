@@ -1,7 +1,7 @@
-"""Carries out the effects of a supervisor's step, and answers each command once. Only a transfer waits."""
+"""Carries out the effects of a supervisor's step, and answers each request once. Only a transfer waits."""
 
 import logging
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Final, assert_never
 
@@ -21,6 +21,7 @@ from gateway.robot.core.events import (
     Result,
     SaveCalibration,
     Transmit,
+    Verdict,
     results,
 )
 from gateway.robot.core.rejections import echo_of
@@ -33,91 +34,6 @@ from schemas.telemetry import Ack, Cause, Kind, Reason
 logger = logging.getLogger(__name__)
 
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
-
-
-# ---- the answers
-
-Confirm = Callable[[Collection[int], int, Callable[[bool, float | None], None]], None]
-"""Asks the power board to confirm that these servos are off, for a Stop received at this time (ns). Calls back once:
-whether they are confirmed off, and after how many ms."""
-
-
-class PendingCommands:
-    """Numbers commands and answers each once. For the owner of the state."""
-
-    def __init__(self, events: EventPublisher, confirm: Confirm | None = None) -> None:
-        """Answers to Stops wait for the power board's `confirm`. None: there is no board."""
-        self._number = 0
-        self._metrics = events.metrics
-        self._events = events
-        self._confirm = confirm
-
-    def next_number(self) -> int:
-        """Return the number for the next request to the supervisor."""
-        self._number += 1
-        return self._number
-
-    def take(self, results: Sequence[Result]) -> None:
-        """Count and answer the requests that a step has ended."""
-        for request, verdict, detail in results:
-            if type(verdict) is Reason:
-                self.end(request, verdict, detail)
-                continue
-            if isinstance(request, Command) and request.lost:
-                continue  # no client sent it
-            coalesced = verdict == COALESCED
-            self._metrics.accepted += 1
-            self._metrics.coalesced += coalesced
-            if request.reply is not None:
-                ack = Ack(accepted=True, coalesced=coalesced or None)
-                if self._confirm is not None and request.only_stops:
-                    self.stopped(tuple(request.servo_ids), request, ack)
-                else:
-                    request.reply(ack.model_dump_json().encode())
-
-    # mutants accepted (Forget): no caller asks where nobody waits
-    def stopped(self, servo_ids: Collection[int], request: Request, ack: Ack) -> None:
-        """Answer a request that has stopped these servos. With a power board, wait for its confirmation."""
-        reply = request.reply
-        if reply is None:
-            return
-        if self._confirm is None:
-            reply(ack.model_dump_json().encode())
-            return
-
-        def confirmed(whether: bool, ms: float | None) -> None:
-            reply(ack.model_copy(update={"confirmed": whether, "confirmed_ms": ms}).model_dump_json().encode())
-
-        self._confirm(servo_ids, request.received_ns, confirmed)
-
-    def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
-        """Reject a message on a key that takes no commands: an unknown key, or a key for `get` only."""
-        self.reject(Request(key=echo_of(key), source=source), reason, detail)
-
-    def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
-        """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
-        self._events.recorder.step(received, (), ((request, reason, detail),))
-        self.end(request, reason, detail)
-
-    def end(self, request: Request, reason: Reason, detail: str) -> None:
-        """Answer a rejected request and publish the rejection."""
-        written = sorted(set(request.written))
-        if written:
-            legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
-            detail = f"{detail}; what it asks of {legs} had been written before"
-        self._metrics.rejected[reason] += 1
-        if request.reply is not None:
-            ack = Ack(accepted=False, reason=reason, detail=detail, written=written or None)
-            if request.stopped:
-                ack = ack.model_copy(update={"stopped": True})
-                self.stopped(request.stopped, request, ack)
-            else:
-                request.reply(ack.model_dump_json().encode())
-        legs_named = legs_of(request.servo_ids)
-        self._events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, reason))
-
-
-# ---- the effects
 
 
 @dataclass(slots=True)
@@ -136,19 +52,9 @@ class Outcome:
     keep: SaveCalibration | None = None
     """The calibration that the caller has to write to the disk."""
 
-    def failed(self, effects: Sequence[Effect]) -> Sequence[Transmit]:
-        """Return the frames of `effects` that are not known to have left for the controller."""
-        received = {id(transmit) for transmit, sent in self.written if sent.received}
-        return [each for each in effects if type(each) is Transmit and id(each) not in received]
-
     def rejects(self, request: Request) -> bool:
         """Return whether the step has rejected this request. A pending request is not rejected."""
         return any(each is request and type(verdict) is Reason for each, verdict, _ in self.results)
-
-    @property
-    def resets(self) -> bool:
-        """Whether the step has accepted a reset."""
-        return any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in self.results)
 
     def stop_frames(self, cause: Cause) -> int:
         """Return how many frames with this cause are known to have left for the controller."""
@@ -156,26 +62,82 @@ class Outcome:
 
 
 class Executor:
-    """Carries out effects."""
+    """Carries out effects; numbers requests, and answers each once. For the owner of the state."""
 
     def __init__(
         self,
         bus: Wire,
         supervisor: Supervisor,
         supply: RobotSupply | None,
-        answers: PendingCommands,
         events: EventPublisher,
         *,
         publish_frames: bool,
     ) -> None:
+        """Answers to Stops wait until the power board (`supply`) confirms them. None: there is no board."""
         self._bus = bus
-        self._answers = answers
         self._events = events
         self._recorder = events.recorder
         self._metrics = events.metrics
         self._publish_frames = publish_frames
         self._supervisor = supervisor
         self._supply = supply
+        self._number = 0
+
+    # ---- the answers
+
+    def next_number(self) -> int:
+        """Return the number for the next request to the supervisor."""
+        self._number += 1
+        return self._number
+
+    def answer(self, request: Request, ack: Ack, stopped: Collection[int] = ()) -> None:
+        """Answer a request, if its sender waits; if it has stopped servos, once the power board has confirmed that."""
+        reply = request.reply
+        if reply is None:
+            return
+        if self._supply is None or not stopped:
+            reply(ack.model_dump_json().encode())
+            return
+
+        def confirmed(whether: bool, ms: float | None) -> None:
+            reply(ack.model_copy(update={"confirmed": whether, "confirmed_ms": ms}).model_dump_json().encode())
+
+        self._supply.confirm(stopped, request.received_ns, confirmed)
+
+    def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
+        """Reject a message on a key that takes no commands: an unknown key, or a key for `get` only."""
+        self.reject(Request(key=echo_of(key), source=source), reason, detail)
+
+    def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
+        """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
+        self._recorder.step(received, (), ((request, reason, detail),))
+        self._end(request, reason, detail)
+
+    def _end(self, request: Request, verdict: Verdict, detail: str) -> None:
+        """Count and answer an ended request, and publish a rejection."""
+        metrics = self._metrics
+        if type(verdict) is not Reason:
+            if isinstance(request, Command) and request.lost:
+                return  # no client sent it
+            coalesced = verdict == COALESCED
+            metrics.accepted += 1
+            metrics.coalesced += coalesced
+            if request.reply is not None:
+                stopped = tuple(request.servo_ids) if request.only_stops else ()
+                self.answer(request, Ack(accepted=True, coalesced=coalesced or None), stopped)
+            return
+        written = sorted(set(request.written))
+        if written:
+            legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
+            detail = f"{detail}; what it asks of {legs} had been written before"
+        metrics.rejected[verdict] += 1
+        stops = True if request.stopped else None
+        ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)
+        self.answer(request, ack, request.stopped)
+        legs_named = legs_of(request.servo_ids)
+        self._events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, verdict))
+
+    # ---- the effects
 
     def carry_out(self, effects: Sequence[Effect], command: Request | None = None) -> Outcome:
         """Write the frames in batches, then record, answer and publish. Return the outcome.
@@ -188,7 +150,7 @@ class Executor:
             return self._carry_out(effects, command)
         cuts = supply.before_step(self._supervisor)
         outcome = self._carry_out(effects, command)
-        if outcome.resets:
+        if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
             supply.reset()
         if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
             supply.after_step(self._supervisor)
@@ -199,13 +161,16 @@ class Executor:
     def _carry_out(self, effects: Sequence[Effect], command: Request | None) -> Outcome:
         outcome = Outcome()
         self._write(effects, outcome)
-        failed = () if outcome.fault is None else outcome.failed(effects)
+        failed: list[Transmit] = []
+        if outcome.fault is not None:
+            received = {id(transmit) for transmit, sent in outcome.written if sent.received}
+            failed = [each for each in effects if type(each) is Transmit and id(each) not in received]
         outcome.results = results(effects, failed, f"the frame could not be written: {outcome.fault}" if failed else "")
         for request, _, _ in outcome.results if failed else ():
             request.stopped = ()
         self._recorder.step(command, outcome.written, outcome.results)
-        if outcome.results:
-            self._answers.take(outcome.results)
+        for result in outcome.results:
+            self._end(*result)
         if outcome.meddled is not None:
             self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:

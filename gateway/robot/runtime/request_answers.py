@@ -74,7 +74,7 @@ class RequestAnswers(ABC):
 
     def reject(self, source: str | None, reason: Reason, detail: str, reply: Reply, **more: object) -> None:
         """Reject a request and publish the rejection. `more` are further fields of the answer."""
-        self._conductor.answers.reject_unread(self.key, source, detail, reason)
+        self._conductor.executor.reject_unread(self.key, source, detail, reason)
         reply(self.ack(accepted=False, reason=reason, detail=detail, **more).model_dump_json().encode())
 
 

@@ -31,7 +31,7 @@ async def test_a_rejection_repeats_no_token_that_stands_in_a_key(key: str) -> No
     robot = Robot()
     token = "0123456789abcdef" * 2
     ack = robot.ask(key.format(token), {})
-    robot.conductor.answers.reject_unread(key.format(token), None, "nothing reads this key")
+    robot.conductor.executor.reject_unread(key.format(token), None, "nothing reads this key")
     rejections = robot.events(Kind.COMMAND_REJECTED)
     assert len(rejections) == 2
     assert not any(token in report.model_dump_json() for report in (ack, *rejections))
