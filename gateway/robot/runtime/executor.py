@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Final, assert_never
+from typing import Final, Literal, assert_never
 
 from gateway.errors import SpiError
 from gateway.model.black_box.format import ACCEPTED, COALESCED
@@ -131,7 +131,7 @@ class Executor:
             legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
             detail = f"{detail}; what it asks of {legs} had been written before"
         metrics.rejected[verdict] += 1
-        stops = True if request.stopped else None
+        stops: Literal[True] | None = True if request.stopped else None
         ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)
         self.answer(request, ack, request.stopped)
         legs_named = legs_of(request.servo_ids)
