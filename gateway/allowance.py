@@ -47,16 +47,18 @@ class AllowanceBySource:
         self._known: dict[str | None, Allowance] = {}
         self._left_out: dict[str | None, int] = {}
 
-    def admit(self, source: str | None, now_ns: int) -> int | None:
-        """Take one token of this source. Return how many were rejected since the last success; None: rejected."""
+    def admit(self, source: str | None, now_ns: int, count: int = 1) -> int | None:
+        """Take `count` tokens of this source. Return how many were rejected since the last success; None: rejected."""
         if source not in self._known and len(self._known) >= MOST_SOURCES:
             self._known = {name: known for name, known in self._known.items() if not known.is_full(now_ns)}
-            self._left_out = {name: count for name, count in self._left_out.items() if name in self._known}
+            self._left_out = {name: left_out for name, left_out in self._left_out.items() if name in self._known}
             if len(self._known) >= MOST_SOURCES:
                 source = None
+        if source not in self._known:
+            self._known[source] = Allowance(*self._each)
         left_out = self._left_out.get(source, 0)
-        if not self._known.setdefault(source, Allowance(*self._each)).take(now_ns):
-            self._left_out[source] = left_out + 1
+        if not self._known[source].take(now_ns, count):
+            self._left_out[source] = left_out + count
             return None
         self._left_out[source] = 0
         return left_out

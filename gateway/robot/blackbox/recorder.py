@@ -10,15 +10,16 @@ command that is carried out at once shares a record with its frame.
 import json
 import logging
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
 from gateway import __version__, durable
-from gateway.allowance import NS_PER_S, Allowance
+from gateway.allowance import MOST_SOURCES, Allowance, AllowanceBySource
 from gateway.errors import GatewayError
 from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
@@ -123,54 +124,29 @@ def copy(ring: Path, newest: int) -> None:
 SHARE: Final = 0.75
 """One source's part of the records that messages may make. A stream of six legs at the limit makes a quarter of them
 with `plain` framing, half with `length-prefixed`."""
-SOURCES_COUNTED: Final = 64
-"""Sources with their own share at a time; all others have one together, since clients can make up sources."""
-
-
-@dataclass(slots=True)
-class _Share:
-    full_ns: int = 0
-    """When the share will be whole again."""
-    left_out: int = 0
 
 
 class RecordShares:
-    """Admits records by two token buckets of one second, inlined for speed: each setpoint asks."""
+    """Admits records of each source, and of all together, up to one second's at once. Counts the omitted ones."""
 
     def __init__(self, a_second: int) -> None:
-        """Admit `a_second` records of all sources at once, and as many a second."""
-        self._of_all_ns = NS_PER_S // a_second
-        self._of_one_ns = int(NS_PER_S / (a_second * SHARE))
-        self._all_full_ns = 0
-        self._sources: dict[str | None, _Share] = {}
+        """Admit `a_second` records of all sources."""
+        self._of_all = Allowance(a_second, a_second)
+        self._of_one = AllowanceBySource(a_second * SHARE, int(a_second * SHARE))
+        self._omitted = Counter[str | None]()
 
     def admit(self, source: str | None, count: int, now_ns: int) -> bool:
         """Return whether this source's next `count` records may be written. If not, count them."""
-        known = self._sources[source] if source in self._sources else self._known(source, now_ns)
-        one_ns, all_ns = known.full_ns, self._all_full_ns
-        one_ns = (now_ns if one_ns < now_ns else one_ns) + count * self._of_one_ns
-        all_ns = (now_ns if all_ns < now_ns else all_ns) + count * self._of_all_ns
-        if one_ns > now_ns + NS_PER_S or all_ns > now_ns + NS_PER_S:
-            known.left_out += count
-            return False
-        known.full_ns, self._all_full_ns = one_ns, all_ns
-        return True
+        admitted = self._of_one.admit(source, now_ns, count) is not None and self._of_all.take(now_ns, count)
+        if not admitted:
+            known = source in self._omitted or len(self._omitted) < MOST_SOURCES
+            self._omitted[source if known else None] += count
+        return admitted
 
     def left_out(self) -> list[tuple[str | None, int]]:
         """Return each source with omitted records since the last call, and their number."""
-        found = [(name, each.left_out) for name, each in self._sources.items() if each.left_out]
-        for name, _ in found:
-            self._sources[name].left_out = 0
-        return found
-
-    def _known(self, source: str | None, now_ns: int) -> _Share:
-        if len(self._sources) >= SOURCES_COUNTED:
-            self._sources = {
-                name: each for name, each in self._sources.items() if each.left_out or each.full_ns > now_ns
-            }
-            if len(self._sources) >= SOURCES_COUNTED:
-                source = None
-        return self._sources.setdefault(source, _Share())
+        found, self._omitted = self._omitted, Counter()
+        return list(found.items())
 
 
 LAG_NS: Final = 10_000_000
