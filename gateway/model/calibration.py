@@ -7,7 +7,7 @@ frames have the servos' own. All conversions between the two, and to the degrees
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Self
 
 from gateway.model.frames import (
@@ -136,36 +136,6 @@ def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
     return OneLeg(frame.leg, (first, second, third))
 
 
-class MappingChange(NamedTuple):
-    """A change of one servo; None: the value stays."""
-
-    trim_cdeg: int | None = None
-    inverted: bool | None = None
-    min_cdeg: int | None = None
-    max_cdeg: int | None = None
-
-
-class CalibrationChange(NamedTuple):
-    """A change of a calibration. `landing_cdeg` of None removes a servo from the landing pose."""
-
-    servos: Mapping[int, MappingChange]
-    landing_cdeg: Mapping[int, int | None]
-
-    def applied_to(self, before: RobotCalibration) -> RobotCalibration:
-        """Return the changed calibration, with the next revision. Raises CalibrationError if it is invalid."""
-        servos = dict(before.servos)
-        for servo_id, change in self.servos.items():
-            named = {name: value for name, value in change._asdict().items() if value is not None}
-            servos[servo_id] = before.of(servo_id)._replace(**named)
-        landing = {**before.landing_cdeg, **self.landing_cdeg}
-        return replace(
-            before,
-            revision=before.revision + 1,
-            servos=servos,
-            landing_cdeg={servo_id: angle for servo_id, angle in landing.items() if angle is not None},
-        )
-
-
 def changed_servos(before: RobotCalibration, after: RobotCalibration) -> frozenset[int]:
     """Return the servos whose frames or limits differ; the landing pose alone changes none."""
     return frozenset(servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id))
@@ -190,6 +160,18 @@ def calibration_of(report: wire.Calibration) -> RobotCalibration:
     except OverflowError as error:
         raise CalibrationError("an angle is infinite") from error
     return RobotCalibration(report.revision, servos, landing_cdeg)
+
+
+def changed(before: RobotCalibration, change: wire.CalibrationCommand) -> RobotCalibration:
+    """Return the changed calibration, with the next revision. Raises CalibrationError if it is invalid."""
+    report = report_of(before)
+    servos, landing = dict(report.servos), dict[str, float | None](report.landing)
+    for name, servo in change.servos.items():
+        servos[name] = servos[name].model_copy(update=servo.model_dump(exclude_none=True))
+    for name, angle_deg in change.landing.items():
+        landing[name] = angle_deg
+    left = {name: angle_deg for name, angle_deg in landing.items() if angle_deg is not None}
+    return calibration_of(wire.Calibration(revision=before.revision + 1, servos=servos, landing=left))
 
 
 def _check_name(servo: int | str) -> None:

@@ -8,10 +8,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
 
-from gateway.model.calibration import MappingChange, RobotCalibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.core.events import Calibrate, CalibrationSaved, Effect, SaveCalibration, Transmit
 from gateway.robot.core.leg import Rules
+from schemas.calibration import ServoChange
 from schemas.telemetry import Kind, Reason
 from tests.support.history import demand, is_announced, spelled_out
 
@@ -36,14 +37,13 @@ class OneServos(NamedTuple):
         """Whether it may be asked for."""
         return self.low_cdeg <= angle_cdeg <= self.high_cdeg and 0 <= self.wire_cdeg(angle_cdeg) <= 180_00
 
-    def with_change(self, change: MappingChange) -> Self:
+    def with_change(self, change: ServoChange) -> Self:
         """What it becomes, if that can be."""
-        trim, inverted, low, high = change
         return type(self)(
-            self.trim_cdeg if trim is None else trim,
-            self.inverted if inverted is None else inverted,
-            self.low_cdeg if low is None else low,
-            self.high_cdeg if high is None else high,
+            self.trim_cdeg if change.trim_deg is None else round(change.trim_deg * 100),
+            self.inverted if change.inverted is None else change.inverted,
+            self.low_cdeg if change.min_deg is None else round(change.min_deg * 100),
+            self.high_cdeg if change.max_deg is None else round(change.max_deg * 100),
         )
 
     @property
@@ -75,12 +75,12 @@ class Whole(NamedTuple):
     def changed(self, event: Calibrate) -> Self | None:
         """What it becomes; None: nothing that could be."""
         servos, landing = dict(self.servos), dict(self.landing_cdeg)
-        for servo_id, change in event.change.servos.items():
-            servos[servo_id] = servos.get(servo_id, AS_DRAWN).with_change(change)
-        for servo_id, angle_cdeg in event.change.landing_cdeg.items():
-            landing.pop(servo_id, None)
-            if angle_cdeg is not None:
-                landing[servo_id] = angle_cdeg
+        for name, change in event.change.servos.items():
+            servos[int(name)] = servos.get(int(name), AS_DRAWN).with_change(change)
+        for name, angle_deg in event.change.landing.items():
+            landing.pop(int(name), None)
+            if angle_deg is not None:
+                landing[int(name)] = round(angle_deg * 100)
         after = type(self)(self.revision + 1, _not_as_drawn(servos), landing)
         possible = all(servo.possible for servo in servos.values())
         return after if possible and all(after.allows(*pair) for pair in landing.items()) else None

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.calibration import CalibrationChange, RobotCalibration
+from gateway.model.calibration import RobotCalibration
 from gateway.robot.core import events
 from gateway.robot.core.buttons import Buttons
 from gateway.robot.core.interlock import Interlock
@@ -15,6 +15,7 @@ from gateway.robot.core.leg import Servo
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.rest import RestStops
 from gateway.robot.core.supervisor import Supervisor
+from schemas.calibration import CalibrationCommand
 from tests.support.backlog_history import backlog_key
 from tests.support.buttons_history import ButtonsHistory
 from tests.support.calibration_history import CalibrationHistory
@@ -168,7 +169,7 @@ def calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
 
 
 def changes(
-    wanted: Sequence[CalibrationChange], number: int, history: CalibrationHistory
+    wanted: Sequence[CalibrationCommand], number: int, history: CalibrationHistory
 ) -> Iterator[tuple[str, events.Event]]:
     """Everything that may be asked of the calibration, and what the disk may answer."""
     revision = history.whole.revision
@@ -181,7 +182,9 @@ def changes(
         yield "calibration of an older one", events.Calibrate(number=number, change=wanted[0], revision=revision - 1)
         yield (
             "another default accepted",
-            events.Calibrate(number=number, change=CalibrationChange({}, {}), accept_default=history.trusted),
+            events.Calibrate(
+                number=number, change=CalibrationCommand(servos={}, landing={}), accept_default=history.trusted
+            ),
         )
     if history.on_its_way is not None:
         yield "calibration kept", events.CalibrationSaved(history.on_its_way.number)

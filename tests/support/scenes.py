@@ -18,9 +18,9 @@ from typing import Any, Final
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.calibration import CalibrationChange, MappingChange
 from gateway.robot.core.events import Announce, Command, RequestAnswer
 from gateway.robot.core.leg import Rules
+from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.model_check import pending
@@ -158,17 +158,17 @@ def _button(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> 
     return robot.button(at_ms, verb, who, *map(int, count), sent_ms=sent_ms, holder=options.get("holder"))
 
 
-def change_of(words: str) -> CalibrationChange:
+def change_of(words: str) -> CalibrationCommand:
     """`32 trim -5 inverted + 33 trim 1 + landing 31 45`, or `nothing`; degrees."""
-    servos: dict[int, MappingChange] = {}
-    landing: dict[int, int | None] = {}
+    servos: dict[str, ServoChange] = {}
+    landing: dict[str, float] = {}
     for each in words.split(" + ") if words != "nothing" else ():
         of, value, *more = each.split()
         if of == "landing":
-            landing[int(value)] = round(float(more[0]) * 100)
+            landing[value] = float(more[0])
         else:
-            servos[int(of)] = MappingChange(round(float(more[0]) * 100), "inverted" in more or None)
-    return CalibrationChange(servos, landing)
+            servos[of] = ServoChange.model_construct(trim_deg=float(more[0]), inverted="inverted" in more or None)
+    return CalibrationCommand.model_construct(servos=servos, landing=landing)
 
 
 def _calibrate(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:

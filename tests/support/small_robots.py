@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_S
-from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, leg_of
 from gateway.robot.core.events import PowerSeen
 from gateway.robot.core.leg import Rules
+from schemas.calibration import CalibrationCommand, ServoChange
 
 TICK: Final = 10
 """Nanoseconds, in a world where a leg's period is two ticks, or four, of which a quarter is one."""
@@ -36,7 +37,7 @@ class Configuration:
     """What is in force at first."""
     fault: str | None = None
     """Why that cannot be trusted."""
-    changes: tuple[CalibrationChange, ...] = ()
+    changes: tuple[CalibrationCommand, ...] = ()
     """What may be changed of the calibration."""
     bodies: tuple[tuple[int | None, int], ...] = ()
     """What the robot may measure: (tilt in hundredths of a degree, battery in mV)."""
@@ -97,11 +98,10 @@ _TWO_LEGS = (
 _BOTH = (11, 12, 13, 21, 22, 23)
 _WAITS = (0, TICK, 5 * TICK)
 _MIRRORED = RobotCalibration(1, {11: ServoMapping(-10_00, inverted=True)}, {11: HIGH})
-_AS_DRAWN = {11: MappingChange(trim_cdeg=0, inverted=False, max_cdeg=180_00)}
 _RECALIBRATED = (
-    CalibrationChange(_AS_DRAWN, {}),
-    CalibrationChange({11: MappingChange(-10_00, inverted=True, max_cdeg=15_00)}, {11: None}),
-    CalibrationChange({11: MappingChange(90_01)}, {}),
+    CalibrationCommand(servos={"11": ServoChange(trim_deg=0.0, inverted=False, max_deg=180.0)}, landing={}),
+    CalibrationCommand(servos={"11": ServoChange(trim_deg=-10.0, inverted=True, max_deg=15.0)}, landing={"11": None}),
+    CalibrationCommand.model_construct(servos={"11": ServoChange.model_construct(trim_deg=90.01)}, landing={}),
 )
 """What it then is: as drawn, so that any angle goes; with a limit below HIGH; and impossible."""
 

@@ -4,11 +4,12 @@ from collections.abc import Collection
 from typing import TypeVar, cast
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.calibration import CalibrationChange, RobotCalibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
 from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
+from schemas.calibration import CalibrationCommand
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, Reason
 from tests.support.history import is_coalesced, spelled_out
@@ -185,7 +186,7 @@ class Steps:
     def calibrate(
         self,
         at_ms: float,
-        change: CalibrationChange,
+        change: CalibrationCommand,
         *,
         revision: int | None = None,
         accept_default: bool = False,

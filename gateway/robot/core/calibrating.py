@@ -14,7 +14,7 @@ robot's: with a wrong trim or direction, a leg would move to an angle that was n
 from typing import Any, Final, NamedTuple, Self
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.calibration import CalibrationError, RobotCalibration, changed_servos
+from gateway.model.calibration import CalibrationError, RobotCalibration, changed, changed_servos
 from gateway.robot.core.events import (
     Announce,
     Calibrate,
@@ -100,19 +100,19 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
             return [Rejected(event, *rejection)]
         before = RobotCalibration(self.in_force.revision) if event.accept_default else self.in_force
         try:
-            calibration = event.change.applied_to(before)
+            calibration = changed(before, event.change)
         except CalibrationError as error:
             return [Rejected(event, Reason.INVALID, str(error))]
         for servo_id, angle_cdeg in calibration.landing_cdeg.items():
             why_not = self._limits.why_avoided(calibration, servo_id, angle_cdeg)
             if why_not is not None:
                 return [Rejected(event, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
-        changed = changed_servos(self.in_force, calibration)
-        for servo_id in sorted(changed):
+        servos = changed_servos(self.in_force, calibration)
+        for servo_id in sorted(servos):
             if legs.servos[servo_id].will_run:
                 detail = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
                 return [Rejected(event, Reason.INVALID, detail)]
-        self._on_its_way = _OnItsWay(calibration, changed, event)
+        self._on_its_way = _OnItsWay(calibration, servos, event)
         self.closed = True
         return [SaveCalibration(event.number, calibration)]
 
@@ -147,8 +147,8 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self.closed = self.fault is not None
         if event.fault is not None:
             return [Rejected(asked, Reason.INVALID, event.fault)]
-        changed = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
-        detail = f"calibration {calibration.revision} is in force; it changes {', '.join(changed) or 'nothing'}"
+        parts = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
+        detail = f"calibration {calibration.revision} is in force; it changes {', '.join(parts) or 'nothing'}"
         if asked.accept_default:
             detail = f"the default calibration is taken as this robot's; {detail}"
         return [Announce(Kind.CALIBRATED, detail, asked.source, asked.key), Completed(asked)]

@@ -5,9 +5,10 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Final, Literal, final
 
 from gateway.model.black_box.format import ACCEPTED, COALESCED
-from gateway.model.calibration import CalibrationChange, RobotCalibration
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb, value
+from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Cause, Kind, Reason
 
 Targets = tuple[tuple[int, ServoOp], ...]
@@ -101,13 +102,13 @@ class Calibrate(Request):
     `accept_default` takes the default calibration, with `change`, as this robot's: for an unreadable calibration file.
     """
 
-    change: CalibrationChange
+    change: CalibrationCommand
     revision: int | None = None
     accept_default: bool = False
 
     @property
     def servo_ids(self) -> Iterable[int]:
-        return (*self.change.servos, *self.change.landing_cdeg)
+        return map(int, (*self.change.servos, *self.change.landing))
 
 
 # ---- events

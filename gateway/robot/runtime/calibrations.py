@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from gateway.model.calibration import CalibrationChange, RobotCalibration, report_of
+from gateway.model.calibration import RobotCalibration, report_of
 from gateway.robot.core import calibration_intake
 from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
 from gateway.robot.core.message import Reply
@@ -69,14 +69,14 @@ class Calibrations(RequestAnswers):
         command = calibration_intake.read(payload)
         if isinstance(command, Rejection):
             return partial(self.reject, source, command.reason, command.detail, reply)
-        return partial(self.change, command, calibration_intake.change_of(command), command.source or source, reply)
+        return partial(self.change, command, command.source or source, reply)
 
-    def change(self, command: CalibrationCommand, change: CalibrationChange, source: str | None, reply: Reply) -> None:
+    def change(self, command: CalibrationCommand, source: str | None, reply: Reply) -> None:
         """Let the supervisor decide. The answer follows the write, or the rejection."""
         conductor, executor = self._conductor, self._conductor.executor
         now_ns = conductor.record_alive()
         event = Calibrate(
-            change=change, revision=command.revision, accept_default=command.accept_default is not None,
+            change=command, revision=command.revision, accept_default=command.accept_default is not None,
             key=self.key, source=source, sent_ms=command.sent_ms, lease=command.lease, reply=reply,
         )  # fmt: skip
         too_old = conductor.too_old(event, now_ns, now_ns)

@@ -11,9 +11,10 @@ from gateway.model.calibration import (
     CalibrationError,
     RobotCalibration,
     calibration_of,
+    changed,
     report_of,
 )
-from gateway.robot.core.calibration_intake import change_of, read
+from gateway.robot.core.calibration_intake import read
 from gateway.robot.core.rejections import Rejection
 from schemas import calibration as wire
 from schemas.calibration import CalibrationCommand
@@ -44,7 +45,7 @@ def test_all_that_it_may_say() -> None:
     }
     assert len(json.dumps(payload)) < MAX_PAYLOAD_BYTES
     command = read_whole(payload)
-    assert len(change_of(command).servos) == len(change_of(command).landing_cdeg) == 18
+    assert len(command.servos) == len(command.landing) == 18
     assert (command.accept_default, command.revision, command.lease) == (True, 2**53, TOKEN)
     assert TOKEN not in repr(command)
 
@@ -127,7 +128,7 @@ def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: RobotCa
     out: dict[str, Any] = json.loads(report_of(calibration).model_dump_json())
     command = read_whole(out)
     assert command.revision == calibration.revision
-    assert change_of(command).applied_to(RobotCalibration()).servos == calibration.servos
+    assert changed(RobotCalibration(), command).servos == calibration.servos
     assert calibration_of(report_of(calibration)) == calibration
 
 

@@ -13,12 +13,13 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
-from gateway.model.calibration import CalibrationChange, MappingChange, RobotCalibration, ServoMapping
+from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
 from gateway.model.framing import Framing
 from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
+from schemas.calibration import CalibrationCommand, ServoChange
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController
@@ -76,19 +77,19 @@ CALIBRATIONS = st.sampled_from(
     ]
 )
 CHANGES = st.builds(
-    CalibrationChange,
-    st.dictionaries(
-        st.sampled_from([11, 12, 21, 33]),
+    CalibrationCommand.model_construct,
+    servos=st.dictionaries(
+        st.sampled_from(["11", "12", "21", "33"]),
         st.builds(
-            MappingChange,
-            st.sampled_from([None, 0, 5_00, -90_00, 90_01]),
-            st.sampled_from([None, True, False]),
-            st.sampled_from([None, 0, 0, 45_00]),
-            st.sampled_from([None, 180_00, 180_00, 90_00]),
+            ServoChange.model_construct,
+            trim_deg=st.sampled_from([None, 0.0, 5.0, -90.0, 90.01]),
+            inverted=st.sampled_from([None, True, False]),
+            min_deg=st.sampled_from([None, 0.0, 0.0, 45.0]),
+            max_deg=st.sampled_from([None, 180.0, 180.0, 90.0]),
         ),
         max_size=2,
     ),
-    st.dictionaries(st.sampled_from([11, 62]), st.sampled_from([None, 0, 50_00]), max_size=1),
+    landing=st.dictionaries(st.sampled_from(["11", "62"]), st.sampled_from([None, 0.0, 50.0]), max_size=1),
 )
 DRIVERS = st.sampled_from(["anna", "ben"])
 WHOSE = st.sampled_from(["now", "now", "now", "before", "nobody's"])
@@ -220,7 +221,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         default=st.sampled_from([False] * 9 + [True]),
         wait_ns=WAITS_NS,
     )
-    def calibrate(self, change: CalibrationChange, older: int | None, default: bool, wait_ns: int) -> None:
+    def calibrate(self, change: CalibrationCommand, older: int | None, default: bool, wait_ns: int) -> None:
         self.number += 1
         revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
         lease = self.token(self.carries)
