@@ -7,12 +7,13 @@ is known elsewhere, too: it has its own rings and threads (`zenoh_io/inbox.py`, 
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import ValidationError
 
-from gateway.model.frames import SETS, STARTS, STOP, centidegrees, servo_ids_of
+from gateway.model.frames import SETS, STARTS, STOP, servo_ids_of
 from gateway.robot.core.events import Command, Reset, Targets
+from gateway.robot.core.flat import into_dicts
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.rejections import (
     BAD_ENCODING,
@@ -23,45 +24,52 @@ from gateway.robot.core.rejections import (
     name_given_twice,
     too_large,
 )
-from schemas import command as payloads
 from schemas import keys
 from schemas.command import MAX_PAYLOAD_BYTES, SENDER, SERVO_COMMAND, LegCommand, LegsCommand, ResetCommand
 from schemas.keys import CommandKey, Target
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Reason
 
-Model = TypeVar("Model", bound=BaseModel)
-Setpoint = payloads.Move | payloads.Stop
-
-# ---- requests, from valid payloads
+# ---- readers: each raises pydantic's ValidationError
 
 _MOVES: Final = {"start": STARTS, "set": SETS}
 _IDS_OF_LEG: Final = {leg: servo_ids_of(leg) for leg in LEGS}
+_LEG_COMMAND, _LEGS_COMMAND = into_dicts(LegCommand), into_dicts(LegsCommand)
+"""Fast validators, for the setpoints of a gait."""
 
 
-def _command(sender: payloads.Sender, setpoints: Iterable[tuple[int, Setpoint]]) -> Command:
+def _read_servo(servo_id: int, payload: bytes) -> Command:
+    command = SERVO_COMMAND.validate_json(payload)
+    op = STOP if command.op == "stop" else _MOVES[command.op][round(command.angle_deg * 100)]
+    return Command(((servo_id, op),), source=command.source, sent_ms=command.sent_ms, lease=command.lease)
+
+
+def _read_leg(leg: int, payload: bytes) -> Command:
+    command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
+    targets = _targets(((leg, command),))
+    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
+
+
+def _read_legs(_: int, payload: bytes) -> Command:
+    command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
+    targets = _targets(sorted(command["legs"].items()))
+    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
+
+
+def _read_reset(_: int, payload: bytes) -> Reset:
+    command = ResetCommand.model_validate_json(payload or b"{}")
+    return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
+
+
+def _targets(legs: Iterable[tuple[int | str, dict[str, Any]]]) -> Targets:
+    """Return the operation of each servo, with angles rounded to hundredths of a degree, as in `centidegrees`."""
     targets = []
-    for servo_id, each in setpoints:
-        op = _MOVES[each.op][centidegrees(each.angle_deg)] if isinstance(each, payloads.Move) else STOP
-        targets.append((servo_id, op))
-    return Command(tuple(targets), source=sender.source, sent_ms=sender.sent_ms, lease=sender.lease)
-
-
-def _servo(servo_id: int, payload: payloads.MoveCommand | payloads.StopCommand) -> Command:
-    return _command(payload, ((servo_id, payload),))
-
-
-def _leg(leg: int, payload: LegCommand) -> Command:
-    return _command(payload, zip(_IDS_OF_LEG[leg], payload.servos, strict=True))
-
-
-def _legs(_: int, payload: LegsCommand) -> Command:
-    legs = [zip(_IDS_OF_LEG[int(leg)], each.servos, strict=True) for leg, each in sorted(payload.legs.items())]
-    return _command(payload, (setpoint for leg in legs for setpoint in leg))
-
-
-def _reset(_: int, payload: ResetCommand) -> Reset:
-    return Reset(source=payload.source, sent_ms=payload.sent_ms, lease=payload.lease, estop=payload.estop)
+    for leg, command in legs:
+        for servo_id, setpoint in zip(_IDS_OF_LEG[int(leg)], command["servos"], strict=True):
+            name = setpoint["op"]
+            op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
+            targets.append((servo_id, op))
+    return tuple(targets)
 
 
 # ---- the table
@@ -80,17 +88,15 @@ def may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shor
     return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
 
 
-class TargetRules(NamedTuple):
+class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand around less than a leg
     """One target. The number of its keys is the leg, the servo, or 0."""
 
     servos: Mapping[int, tuple[int, ...]]
     """By number: the servos that a message on the key may start, set or stop. A delete and lost messages stop them."""
     follows: Mapping[int, tuple[int, ...]]
     """By number: the servos whose older messages, on any key, are taken before a message on this key takes effect."""
-    schema: TypeAdapter[Any] | None
-    """The payloads; None: any payload is accepted."""
-    request: Callable[[int, Any], Command | Reset]
-    """Return the request in a valid payload on the key with this number."""
+    read: Callable[[int, bytes], Command | Reset] | None
+    """Reads a payload; None: any payload is accepted."""
     may_stop: bool | None
     """Whether a message may be a Stop; None: its payload decides (`may_contain_stop`).
 
@@ -98,9 +104,13 @@ class TargetRules(NamedTuple):
     if it is rejected.
     """
     most_fields: int
-    """The fields of a full payload (`parse`)."""
-    empty: bytes = b""
-    """The meaning of an empty payload, as JSON."""
+    """The fields of a full payload. Each takes a colon, and `source` may have 64 more.
+
+    A payload with more colons is rejected unread: pydantic lists every wrong field, and a payload full of them would
+    block the loop for 1.4 ms.
+    """
+    fields_around: tuple[int, int] = (0, 0)
+    """The number of fields around setpoints: once, and for each leg."""
     explicit_only: str | None = None
     """Set if the key must be named: how a rejected delete or wildcard continues. The sender may not have meant it."""
 
@@ -111,18 +121,15 @@ _SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
 """Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
 
 TARGETS: Final[dict[Target, TargetRules]] = {
-    Target.LEGS: TargetRules(
-        _ALL, _ALL, TypeAdapter(LegsCommand), _legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG)
-    ),
-    Target.LEG: TargetRules(_IDS_OF_LEG, _IDS_OF_LEG, TypeAdapter(LegCommand), _leg, None, _SENDER + 1 + _LEG),
-    Target.SERVO: TargetRules(_OWN, _OWN, SERVO_COMMAND, _servo, None, _SENDER + _SETPOINT),
-    Target.ESTOP: TargetRules(_ALL, _ALL, None, lambda *_: Command(), True, 0),  # mutants accepted (Step): unread
+    Target.LEGS: TargetRules(_ALL, _ALL, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
+    Target.LEG: TargetRules(_IDS_OF_LEG, _IDS_OF_LEG, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
+    Target.SERVO: TargetRules(_OWN, _OWN, _read_servo, None, _SENDER + _SETPOINT),
+    Target.ESTOP: TargetRules(_ALL, _ALL, None, True, 0),  # mutants accepted (Step): nothing of its payload is read
     # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
     Target.RESET: TargetRules(
-        {0: ()}, _ALL, TypeAdapter(ResetCommand), _reset, False, _SENDER + 1, b"{}",
-        f"does not reset; put {{}} on {keys.RESET}",
+        {0: ()}, _ALL, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
-}  # fmt: skip
+}
 """Every target. If a row is missing, `unit/robot/test_intake.py` fails, and no gateway starts."""
 
 
@@ -193,33 +200,22 @@ def is_json(encoding: str) -> bool:
 
 
 def _decoded(row: TargetRules, number: int, received: Received) -> Command | Reset | Rejection:
-    if row.schema is None:
-        return row.request(number, None)
+    if row.read is None:
+        return Command()
     if received.size > MAX_PAYLOAD_BYTES:
         return too_large(received.size)
     if received.encoding not in ENCODINGS and not is_json(received.encoding):
         return BAD_ENCODING
-    payload = parse(received.payload or row.empty, row.most_fields, row.schema)
-    return payload if type(payload) is Rejection else row.request(number, payload)
-
-
-def parse(payload: bytes, most_fields: int, schema: TypeAdapter[Model]) -> Model | Rejection:
-    """Return the content of a payload (JSON) with `most_fields` at most, or a Rejection. Never raises.
-
-    Each field takes a colon, and a `source` may have 64 more. A payload with more colons is rejected unread: pydantic
-    lists every wrong field, and a payload full of them would block the loop for 1.4 ms.
-    """
+    payload = received.payload
     colons = payload.count(b":")
-    if colons > most_fields + MAX_COLONS_OF_SOURCE:
+    if colons > row.most_fields + MAX_COLONS_OF_SOURCE:
         return TOO_MANY_FIELDS
     try:
-        found = schema.validate_json(payload)
+        command = row.read(number, payload)
     except ValidationError as error:
         return explain(error)
-    # A payload with no more colons than fields has no name twice. Colons of a source may be escaped, so none counts.
-    fields = found.model_dump_json(exclude={"source"}, exclude_unset=True).count(":")
-    fields += "source" in found.model_fields_set
-    return (name_given_twice(payload) if colons > fields else None) or found
+    # Each field has a colon. A payload with no more colons than fields has no name twice and is read only once.
+    return (name_given_twice(payload) if colons > _fields(row, command) else None) or command
 
 
 def named_source(payload: bytes) -> str | None:
@@ -228,3 +224,14 @@ def named_source(payload: bytes) -> str | None:
         return SENDER.validate_json(payload).source
     except ValidationError:
         return None
+
+
+def _fields(row: TargetRules, command: Command | Reset) -> int:
+    """Return the least number of fields of a payload with this content."""
+    fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
+    once, each_leg = row.fields_around
+    if type(command) is Reset:
+        fields += command.estop is not None
+    else:
+        fields += command.left + len(command.moves) + each_leg * len(command.by_leg)  # a Stop has no angle
+    return fields + once
