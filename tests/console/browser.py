@@ -311,6 +311,11 @@ class Opened:
         """The browser's own interface to this page."""
         return self.context.new_cdp_session(self.page)
 
+    def let_go_as(self, letter: str, key: str) -> None:
+        """Let go of a key that has another letter by then: AltGr is held, or another keyboard layout is chosen."""
+        released = {"type": "keyUp", "code": f"Key{key.upper()}", "key": letter}
+        self.devtools().send("Input.dispatchKeyEvent", released)
+
     def hide(self) -> None:
         """As if another tab were in front, or the phone locked."""
         self.page.evaluate(VISIBILITY % "hidden")

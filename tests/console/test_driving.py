@@ -130,6 +130,22 @@ def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(pages: V
     expect(page.said).to_have_text("Let go: legs 3 and 5 stopped.")
 
 
+@pytest.mark.parametrize(
+    "let_go",
+    [lambda page: page.let_go_as("˙", "h"), lambda page: page.page.keyboard.press("Meta")],
+    ids=["with another letter", "with Command"],
+)
+def test_the_key_is_let_go_whatever_else_is_pressed(
+    pages: Visitor, robot: Robot, let_go: Callable[[Opened], None]
+) -> None:
+    """See test_walk.py."""
+    page = pages.open()
+    since = hold(page, robot, 1, 4)
+    let_go(page)
+    robot.expect_stopped(1, 4, since=since)
+    expect(page.said).to_have_text("Let go: legs 1 and 4 stopped.")
+
+
 def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(pages: Visitor, robot: Robot) -> None:
     page = pages.open()
     page.drive(1)

@@ -2,6 +2,7 @@
 
 import re
 from collections import deque
+from collections.abc import Callable
 from functools import partial
 
 import pytest
@@ -66,6 +67,20 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     assert robot.state().mode == "active"
     sit(page)
     assert robot.state().mode == "idle"
+
+
+@pytest.mark.parametrize(
+    "let_go",
+    [lambda page: page.let_go_as("€", "e"), lambda page: page.page.keyboard.press("Meta")],
+    ids=["with another letter", "with Command"],
+)
+def test_a_key_is_let_go_whatever_else_is_pressed(visitor: Visitor, let_go: Callable[[Opened], None]) -> None:
+    """macOS reports no release of a key that is let go while Command is held."""
+    page = visitor.open()
+    page.get_lease()
+    walks(page, partial(press, "e"))
+    let_go(page)
+    expect(page["walk-known"]).to_contain_text("It stands")
 
 
 def push_stick(page: Opened) -> None:

@@ -3,6 +3,7 @@
 
 import { attribute, byId, element, enable, show, text, typesText } from "./dom.js";
 import { barred } from "./hold.js";
+import { whenReleased } from "./keys.js";
 import { JOINTS, LEGS } from "./kinematics.js";
 import { Poses } from "./targets.js";
 
@@ -165,18 +166,19 @@ export class Drive {
         if (!(event instanceof KeyboardEvent) || event.key === "Enter") this.hold.release(what);
       });
     }
+    whenReleased((code) => code === null && this.hold.release(what));
   }
 
   #keys() {
+    let held = "";
     window.addEventListener("keydown", (event) => {
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       if (event.key.toLowerCase() !== HOLD_KEY || event.repeat || modified || typesText(event.target)) return;
       if (byId("question", HTMLDialogElement).open) return;
+      held = event.code;
       this.hold.press("key");
     });
-    window.addEventListener("keyup", (event) => {
-      if (event.key.toLowerCase() === HOLD_KEY) this.hold.release("key");
-    });
+    whenReleased((code) => (code === null || code === held) && this.hold.release("key"));
   }
 
   #poseForm() {

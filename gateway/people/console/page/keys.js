@@ -15,21 +15,36 @@ const DIRECTIONS = {
 /** Part of a full push: a key cannot be pushed half. */
 const PART = 0.6;
 
+/**
+ * Call `released` with the code of each key that is let go, or null: all are. A code is the key's place: with AltGr, Option or
+ * another layout the key's letter is another one by then. macOS reports no release while Command is held, so Command counts
+ * as the release of all keys.
+ * @param {(code: string | null) => void} released
+ */
+export function whenReleased(released) {
+  for (const name of /** @type {const} */ (["keydown", "keyup"])) {
+    window.addEventListener(name, (event) => {
+      if (event.key === "Meta") released(null);
+      else if (name === "keyup") released(event.code);
+    });
+  }
+}
+
 export class Keys {
   /** @param {() => void} changed */
   constructor(changed) {
-    /** @type {Set<string>} */
-    this.down = new Set();
+    /** The letters of the keys that are held, by their codes. @type {Map<string, string>} */
+    this.down = new Map();
     window.addEventListener("keydown", (event) => {
       const key = event.key.toLowerCase();
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       const elsewhere = typesText(event.target) || event.target instanceof HTMLSelectElement;
       if (!(key in DIRECTIONS) || event.repeat || modified || elsewhere) return;
       if (byId("question", HTMLDialogElement).open) return;
-      this.down.add(key);
+      this.down.set(event.code, key);
       changed();
     });
-    window.addEventListener("keyup", (event) => this.down.delete(event.key.toLowerCase()));
+    whenReleased((code) => (code === null ? this.release() : this.down.delete(code)));
   }
 
   get x() {
@@ -51,6 +66,6 @@ export class Keys {
 
   /** @param {"x" | "y" | "turn"} of */
   #sum(of) {
-    return PART * [...this.down].reduce((all, key) => all + DIRECTIONS[key][of], 0);
+    return PART * [...this.down.values()].reduce((all, key) => all + DIRECTIONS[key][of], 0);
   }
 }
