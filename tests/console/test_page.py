@@ -54,8 +54,12 @@ def test_stop_all_stops_and_says_what_is_known_and_who_else_stopped(visitor: Vis
         page["joint-1"].focus()
         page.page.keyboard.press("Escape")
 
+    def space_with_option() -> None:
+        pressed = {"type": "keyDown", "code": "Space", "key": "\u00a0"}
+        page.devtools().send("Input.dispatchKeyEvent", pressed)
+
     with gateway.client(source="bert") as robot:
-        for press in (tap, escape):
+        for press in (tap, escape, space_with_option):
             before = robot.state().estop
             press()
             expect(page["stop-known"]).to_contain_text("6 Stops written within")

@@ -68,11 +68,13 @@ def on_end_signals(end: Callable[[], object]) -> Iterator[None]:
 REST_S: Final = 0.05
 """How soon the rest of an arrow key follows its first bytes, if they arrive apart (a slow SSH)."""
 _INCOMPLETE: Final = re.compile(rb"\x1b([\[O][0-9;<?]*)?\Z")
-_PIECES: Final = re.compile(rb"\x1b[\[O]([0-9;<?]*)([@-~]?)|(.)", re.DOTALL)
-"""A control sequence (its parameters, its last byte), or another byte."""
+_PIECES: Final = re.compile(rb"\x1b[\[O]([0-9;<?]*)([@-~]?)|(\xc2\xa0|\xe2\x80\xaf|\xe3\x80\x80|.)", re.DOTALL)
+"""A control sequence (its parameters, its last byte), or another byte, or another space than ASCII's in UTF-8."""
 _NAMES: Final = {
     b"\x1b": "escape", b"\r": "enter", b"\n": "enter", b"\x7f": "backspace", b"\b": "backspace", b"\x03": "ctrl-c",
+    b"\0": " ", b"\xc2\xa0": " ", b"\xe2\x80\xaf": " ", b"\xe3\x80\x80": " ",
 }  # fmt: skip
+"""The space bar is the emergency stop: with Ctrl, AltGr, on some layouts Shift, or an input method it gives these."""
 _ARROWS: Final = {b"A": "up", b"B": "down", b"C": "right", b"D": "left"}
 
 

@@ -1,15 +1,17 @@
 """The bytes of a terminal as keys: Escape is no part of an arrow key."""
 
+import re
 import signal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.people.commands.walk.screen import REPEATED_S, SPEEDS, Keypad
+from gateway.people.commands.walk.screen import REPEATED_S, SPEEDS, STOP_KEYS, Keypad
 from gateway.people.terminal import Keyboard, on_end_signals
 from gateway.people.walking.motion import STILL
 
+SPACES = {"alone": " ", "with Ctrl": "\0", "with AltGr": "\u00a0", "with Shift": "\u202f", "full width": "\u3000"}
 PIECES = st.binary(max_size=4) | st.sampled_from([b"\x1b", b"[", b"\x1b[", b"\x1b[1;", b"\x1bO", b" "])
 
 
@@ -17,7 +19,13 @@ PIECES = st.binary(max_size=4) | st.sampled_from([b"\x1b", b"[", b"\x1b[", b"\x1
 def test_a_space_is_always_a_key(parts: list[bytes]) -> None:
     keyboard = Keyboard()
     for part in parts:
-        assert keyboard.keys(part).count(" ") == part.count(b" ")
+        spaces = re.findall("|".join(SPACES.values()).encode(), part)
+        assert keyboard.keys(part).count(" ") == len(spaces)
+
+
+@pytest.mark.parametrize("typed", SPACES.values(), ids=SPACES)
+def test_the_space_bar_is_the_stop_key_whatever_else_is_held(typed: str) -> None:
+    assert not STOP_KEYS.isdisjoint(Keyboard().keys(typed.encode()))
 
 
 @pytest.mark.parametrize(

@@ -159,10 +159,11 @@ export class StopAll {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    const stops = event.key === "Escape" || (event.key === " " && !typesText(event.target));
+    const space = event.key === " " || event.code === "Space"; // with Option or AltGr its character is another space
+    const stops = event.key === "Escape" || (space && !typesText(event.target));
     if (!stops || event.isComposing) return;
     event.preventDefault();
-    if (event.key === " ") event.stopPropagation(); // it presses no other button
+    if (space) event.stopPropagation(); // it presses no other button
     if (!event.repeat) this.press();
   }
 
