@@ -73,17 +73,18 @@ def run(path: Path | None) -> bool:
     Return False if the power board has not confirmed a cut that the settings want. Raises GatewayError.
     """
     chosen = _choose(path)
-    off = True
+    kept = ""
     cut: SupplyCut | None = None
     try:
         cut = _cut(chosen.power)
     except Exception as error:  # no fault of the power board may prevent the Stops
-        _say(f"the servos keep their supply ({error}): switch the power off by hand")
-        off = False
+        kept = f"the servos keep their supply ({error}): switch the power off by hand"
     try:
         stop_servos(chosen, (lambda: None) if cut is None else cut.stops_written)
     finally:
-        off = off if cut is None else cut.end()
+        off = not kept if cut is None else cut.end()
+        if kept:  # after the Stops: they must not wait for a reader of stderr
+            _say(kept)
     if isinstance(chosen, Effective) and not chosen.ended_here:  # the unit's file lacks the unit's variables
         _say(*(f"{each}; used the latter" for each in effective.differences(chosen, path or CONFIGURATION)))
     return off

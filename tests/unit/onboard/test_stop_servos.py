@@ -144,6 +144,20 @@ def test_a_wrong_board_is_no_reason_to_write_no_stop(robot: Robot, capsys: pytes
     assert BY_HAND in capsys.readouterr().err
 
 
+def test_the_stops_wait_for_no_reader_of_what_is_wrong_with_the_board(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nobody_reads(*_: str) -> None:
+        assert len(robot.used) == 1
+        raise BrokenPipeError
+
+    robot.file.write_text(PLAIN + "[power]\ninterface = 3\n")
+    monkeypatch.setattr(stop, "_say", nobody_reads)
+    with pytest.raises(BrokenPipeError):
+        stop.run(robot.file)
+    assert len(robot.used) == 1
+
+
 def test_spi_fails_and_the_supply_is_taken_all_the_same(
     robot: Robot, bus: BoardBus, capsys: pytest.CaptureFixture[str]
 ) -> None:
