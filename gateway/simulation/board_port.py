@@ -360,9 +360,9 @@ def serve(options: dict[str, Any], folder: Path, record: TextIO) -> None:
 def main(arguments: Sequence[str]) -> int:
     """Simulate until the gateway ends, or SIGTERM; then remove the folder. Return exit code 0.
 
-    SIGINT and SIGHUP are ignored: they are for the gateway.
+    SIGINT, SIGQUIT and SIGHUP are ignored: they are for the gateway.
     """
-    for number in (signal.SIGINT, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     options: dict[str, Any] = json.loads(arguments[0]) if arguments else {}

@@ -114,7 +114,7 @@ def test_an_emergency_stop_stops_latches_and_is_left_by_a_reset(gateway: Gateway
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_ends_it_with_stops_as_the_last_that_is_written(
     tmp_path: Path, wire: Wire, number: signal.Signals
 ) -> None:

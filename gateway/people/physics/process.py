@@ -248,8 +248,8 @@ def _say(sentence: str) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run until the gateway ends. Ctrl-C and the end of the terminal go to the gateway."""
-    for number in (signal.SIGINT, signal.SIGHUP):
+    """Run until the gateway ends. Ctrl-C, Ctrl-\\ and the end of the terminal go to the gateway."""
+    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     options: dict[str, Any] = json.loads(arguments[0])

@@ -52,10 +52,11 @@ class ServiceEnd:
         self._owner = owner
         self._recorder = recorder
         self._event = asyncio.Event()
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        # Its terminal sends SIGQUIT at Ctrl-\, and SIGHUP when it is gone.
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
             if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
                 continue  # nohup
-            loop.add_signal_handler(number, self._event.set)  # SIGHUP: its terminal is gone
+            loop.add_signal_handler(number, self._event.set)
         for number in (signal.SIGTSTP, signal.SIGTTOU):
             signal.signal(number, signal.SIG_IGN)  # a gateway suspended by its terminal would stop no leg
         loop.set_exception_handler(self._failed)
