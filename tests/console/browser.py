@@ -48,10 +48,10 @@ Navigator.prototype.vibrate = (pattern) => window.shakes.push(pattern);
 """Counts how often the screen was to stay on, and what the phone was to do."""
 
 GAMEPAD: Final = """
-const made = (mapping, id) => ({ connected: true, mapping, id, timestamp: 1, axes: [0, 0, 0, 0],
+const made = (index, mapping, id) => ({ connected: true, index, mapping, id, timestamp: 1, axes: [0, 0, 0, 0],
                buttons: Array.from({ length: 17 }, () => ({ pressed: false, value: 0 })) });
-window.pad = made("standard", "Pad");
-window.pads = [window.pad, made("standard", "Second"), made("", "Unknown stick")];
+window.pad = made(0, "standard", "Pad");
+window.pads = [window.pad, made(1, "standard", "Second"), made(2, "", "Unknown stick")];
 window.looks = 0;
 navigator.getGamepads = () => {
   window.looks += 1;

@@ -128,9 +128,13 @@ def test_a_gamepad_out_of_reach_counts_as_let_go_and_each_ones_b_button_is_stop_
     page.page.evaluate("window.frozen = false")
     expect_no_walk_by_a_held_stick(page)
     walks(page, push_stick)
-    page.page.evaluate("pads[2].buttons[1].pressed = true")
-    expect(page["stop-known"]).to_contain_text("6 Stops written within")
-    assert robot.state().mode == "estopped"
+    for pad in (2, 0):  # the one before is out of reach by then: its button seems to be held
+        page.page.evaluate(f"pads[{pad}].buttons[1].pressed = true")
+        expect(page["stop-known"]).to_contain_text("6 Stops written within")
+        assert robot.state().mode == "estopped"
+        page["reset"].click()
+        page["question-yes"].click()
+        expect(page["stop-line"]).to_have_text("Escape or space, at any time")
 
 
 def test_a_page_that_is_loaded_anew_drives_on_and_stands_until_something_is_pressed(

@@ -39,7 +39,8 @@ export class Pad {
     this.held = false;
     /** The trigger was released, so its next pull is intended. */
     this.ready = false;
-    this.stopping = true;
+    /** The gamepads whose STOP ALL is pressed; null before the first look. @type {Set<number> | null} */
+    this.stopping = null;
     this.pressing = true;
     /** The clock of the gamepad that drives, and when this page last saw it go on. */
     this.clock = { timestamp: NaN, seenMs: 0 };
@@ -68,9 +69,9 @@ export class Pad {
 
   #look() {
     const pads = connectedPads();
-    const stops = pads.some((pad) => pad.buttons[STOP_BUTTON]?.pressed);
-    if (stops && !this.stopping) this.callbacks.stopAll();
-    this.stopping = stops;
+    const stops = pads.filter((pad) => pad.buttons[STOP_BUTTON]?.pressed).map((pad) => pad.index);
+    if (stops.some((index) => this.stopping?.has(index) === false)) this.callbacks.stopAll();
+    this.stopping = new Set(stops);
     const unusable = pads.filter((pad) => pad.mapping !== "standard").map((pad) => pad.id);
     show(byId("gamepad-unusable"), unusable.length > 0);
     text(byId("gamepad-unusable"), `No gamepad that this browser knows the buttons of: ${unusable.join(", ")}. Its second button is STOP ALL.`);
