@@ -1,4 +1,4 @@
-"""Reads a TOML file's values, or the environment's text, into the sections of the settings' table."""
+"""Reads a TOML file's values into the sections of the settings' table."""
 
 import enum
 import math
@@ -8,8 +8,10 @@ from typing import Any, Final, Literal, NamedTuple, TypeVar, cast, get_args, get
 
 from gateway.host.settings_table import (
     FOR_STOPS,
+    REMOVED,
     Allowed,
     ControllerSettings,
+    Place,
     PowerSettings,
     Section,
     SpiSettings,
@@ -18,11 +20,9 @@ from gateway.host.settings_table import (
 from gateway.text import echo, key_name
 from schemas.robot import SERVO_IDS
 
-Place = tuple[int | str, ...]
-"""Path to a value: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
 SERVOS: Final = frozenset(map(str, SERVO_IDS))
 NO_SETTING: Final = "is no setting"
-S = TypeVar("S")
+S = TypeVar("S", bound=Section)
 
 
 class SettingFault(NamedTuple):
@@ -30,12 +30,6 @@ class SettingFault(NamedTuple):
 
     place: Place
     sentence: str
-
-
-class Text(str):
-    """A value from the environment. Its text is converted to the setting's type; a file's value is not."""
-
-    __slots__ = ()
 
 
 def dotted(place: Place) -> str:
@@ -52,25 +46,18 @@ def read(kind: type[S], table: object, faults: list[SettingFault], place: Place 
     if not isinstance(table, Mapping):
         faults.append(_wrong(place, table, "an object"))
         return kind()
-    found: dict[str, Any] = {}
-    before = len(faults)
-    known = [each for each in fields(cast("Any", kind)) if not is_others(each)]
-    for each in known:
-        if each.name in table:
+    before, found, others = len(faults), dict[str, Any](), dict(table)
+    for each in fields(cast("Any", kind)):
+        if is_others(each):  # the section's last field
+            found[each.name], others = others, {}
+        elif each.name in others:
             allowed = each.metadata.get("allowed", _ANY)
-            value = _value(each.type, allowed, table[each.name], (*place, each.name), faults)
-            if value is not None:
-                found[each.name] = value
-    others = {name: value for name, value in table.items() if name not in {each.name for each in known}}
-    takes_others = next(filter(is_others, fields(cast("Any", kind))), None)
-    if takes_others is not None:
-        found[takes_others.name] = others
-    else:
-        faults += [SettingFault((*place, name), NO_SETTING) for name in others]
+            value = _value(each.type, allowed, others.pop(each.name), (*place, each.name), faults)
+            found |= {} if value is None else {each.name: value}
+    faults += [SettingFault((*place, name), REMOVED.get((*place, name), NO_SETTING)) for name in others]
     made = kind(**found)
-    sentence = made.fault() if isinstance(made, Section) and len(faults) == before else ""
-    if sentence:
-        faults.append(SettingFault(place, sentence))
+    if len(faults) == before:
+        faults += [SettingFault((*place, *below), sentence) for below, sentence in made.faults()]
     return made
 
 
@@ -92,80 +79,48 @@ class ForStops:
 
 def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[SettingFault]]:
     """Return the settings that a Stop needs, and the faults that prevent it: only in [wire], [spi] and the UART."""
-    of_spi, of_controller, of_power = list[SettingFault](), list[SettingFault](), list[SettingFault]()
-    wire = read(WireSettings, tables.get("wire", {}), of_spi, ("wire",))
-    spi = read(SpiSettings, tables.get("spi", {}), of_spi, ("spi",))
-    controller = read(ControllerSettings, tables.get("controller", {}), of_controller, ("controller",))
-    power = read(PowerSettings, tables.get("power", {}), of_power, ("power",))
-    prevent = of_spi
-    prevent += [fault for fault in of_controller if _needed(fault)]
-    return ForStops(wire, spi.of(wire), controller, None if any(map(_needed, of_power)) else power), prevent
-
-
-def _needed(fault: SettingFault) -> bool:
-    section, *name = fault.place
-    return not name or name[0] in FOR_STOPS[str(section)]
+    prevent, of_others = list[SettingFault](), list[SettingFault]()
+    wire = read(WireSettings, tables.get("wire", {}), prevent, ("wire",))
+    spi = read(SpiSettings, tables.get("spi", {}), prevent, ("spi",))
+    controller = read(ControllerSettings, tables.get("controller", {}), of_others, ("controller",))
+    power = read(PowerSettings, tables.get("power", {}), of_others, ("power",))
+    needed = [fault for fault in of_others if fault.place[1:] == () or fault.place[1] in FOR_STOPS[str(fault.place[0])]]
+    prevent += [fault for fault in needed if fault.place[0] == "controller"]
+    wrong = any(fault.place[0] == "power" for fault in needed)
+    return ForStops(wire, spi.of(wire), controller, None if wrong else power), prevent
 
 
 _ANY: Final = Allowed("")
+_NAMES: Final = {bool: "a valid boolean", int: "a valid integer", float: "a valid number", str: "a valid string"}
 
 
-def _value(kind: Any, allowed: Allowed, value: object, place: Place, faults: list[SettingFault]) -> Any:
+def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[SettingFault]) -> Any:
+    """Return the value in its setting's type; None if it is wrong, whose faults are added."""
     if is_dataclass(kind):
-        return read(cast("type[Any]", kind), value, faults, place)
-    if get_origin(kind) is tuple:
-        return _array(get_args(kind)[0], allowed, value, place, faults)
-    if get_origin(kind) is not None and get_origin(kind) is not Literal:
-        return _by_servo(get_args(kind)[1], allowed, value, place, faults)
-    fault = _wrong_type(kind, value) or _outside(kind, allowed, value)
-    if fault:
-        faults.append(_wrong(place, value, fault))
-        return None
-    converted = _converted(kind, value)
-    if sentence := allowed.fault(converted):
-        faults.append(SettingFault(place, sentence))
-    return converted
-
-
-def _array(
-    kind: Any, allowed: Allowed, value: object, place: Place, faults: list[SettingFault]
-) -> tuple[Any, ...] | None:
-    if not isinstance(value, list | tuple):
-        faults.append(_wrong(place, value, "a valid array"))
-        return None
-    before = len(faults)
-    found = tuple(_value(kind, _ANY, each, (*place, at), faults) for at, each in enumerate(value))
-    sentence = allowed.fault(found) if len(faults) == before else ""
-    if sentence:
-        faults.append(SettingFault(place, sentence))
-    return found
-
-
-def _by_servo(
-    kind: Any, allowed: Allowed, value: object, place: Place, faults: list[SettingFault]
-) -> dict[str, Any] | None:
-    if not isinstance(value, Mapping):
-        faults.append(_wrong(place, value, "an object"))
-        return None
-    for name in value.keys() - SERVOS:
+        return read(cast("type[Section]", kind), value, faults, place)
+    before, of = len(faults), get_origin(kind)
+    found: Any
+    if of is tuple and isinstance(value, list | tuple):
+        found = tuple(_value(get_args(kind)[0], _ANY, each, (*place, at), faults) for at, each in enumerate(value))
+    elif of is Mapping and isinstance(value, Mapping):
         known = "an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
-        faults.append(SettingFault(place, f"{key_name(name)} is no servo; {known}"))
-    stated = [(name, each) for name, each in value.items() if name in SERVOS]
-    found = {name: _value(kind, allowed, each, (*place, name), faults) for name, each in stated}
-    return {name: each for name, each in found.items() if each is not None}
+        faults += [SettingFault(place, f"{key_name(name)} is no servo; {known}") for name in value.keys() - SERVOS]
+        of_servos = {name: each for name, each in value.items() if name in SERVOS}
+        found = {
+            name: _value(get_args(kind)[1], allowed, each, (*place, name), faults) for name, each in of_servos.items()
+        }
+    elif wanted := _wanted(kind, allowed.limits, value):
+        faults.append(_wrong(place, value, wanted))
+        return None
+    else:
+        found = kind(value) if kind is float or isinstance(kind, enum.EnumMeta) else value
+    sentence = "" if len(faults) > before else allowed.fault(found)
+    faults += [SettingFault(place, sentence)] if sentence else []
+    return found
 
 
 def _wrong(place: Place, value: object, wanted: str) -> SettingFault:
     return SettingFault(place, f"{echo(value)} is not allowed: input should be {wanted}")
-
-
-_TRUE, _FALSE = frozenset({"true", "1", "yes", "on"}), frozenset({"false", "0", "no", "off"})
-_WANTED: Final[Mapping[type, tuple[str, str]]] = {
-    bool: ("a valid boolean", "unable to interpret input"),
-    int: ("a valid integer", "unable to parse string as an integer"),
-    float: ("a valid number", "unable to parse string as a number"),
-    str: ("a valid string", ""),
-}
 
 
 def words(kind: Any) -> tuple[str, ...]:
@@ -175,41 +130,16 @@ def words(kind: Any) -> tuple[str, ...]:
     return tuple(map(str, kind)) if isinstance(kind, enum.EnumMeta) else ()
 
 
-def _wrong_type(kind: Any, value: object) -> str:
+def _wanted(kind: Any, limits: tuple[float, float] | None, value: Any) -> str:
+    """Return what a value should be instead, or "" if it is of this kind and within the limits."""
     if choice := words(kind):
-        return "" if isinstance(value, str) and value in choice else " or ".join(f"'{word}'" for word in choice)
-    wanted, unread = _WANTED[kind]
-    if isinstance(value, Text) and kind is not str:
-        return f"{wanted}, {unread}" if _converted(kind, value) is None else ""
-    right = isinstance(value, int | float if kind is float else kind)
-    return "" if right and isinstance(value, bool) == (kind is bool) else wanted
-
-
-def _outside(kind: Any, allowed: Allowed, value: object) -> str:
-    if kind not in {int, float}:
-        return ""
-    number = _converted(kind, value)
-    if not math.isfinite(number):
+        return "" if value in choice else " or ".join(f"'{word}'" for word in choice)
+    if kind not in _NAMES:
+        return "an object" if get_origin(kind) is Mapping else "a valid array"
+    right = isinstance(value, int | float if kind is float else kind) and isinstance(value, bool) == (kind is bool)
+    if not right or kind in {bool, str}:
+        return "" if right else _NAMES[kind]
+    low, high = limits or (-math.inf, math.inf)
+    if not -math.inf < value < math.inf:
         return "a finite number"
-    low, high = allowed.limits or (-math.inf, math.inf)
-    if number < low:
-        return f"greater than or equal to {low:g}"
-    return f"less than or equal to {_plain(high)}" if number > high else ""
-
-
-def _plain(limit: float) -> str:
-    return str(int(limit)) if limit == int(limit) else str(limit)
-
-
-def _converted(kind: Any, value: Any) -> Any:
-    """Return the value in its setting's type, or None if the text is no such value."""
-    if isinstance(kind, enum.EnumMeta):
-        return kind(str(value))
-    if not isinstance(value, Text):
-        return float(value) if kind is float else value
-    if kind is bool:
-        return True if value.lower() in _TRUE else False if value.lower() in _FALSE else None
-    try:
-        return kind(value)
-    except ValueError:
-        return None
+    return f"greater than or equal to {low}" if value < low else f"less than or equal to {high}" if value > high else ""

@@ -6,12 +6,12 @@ whose loading takes longer than all Stops.
 """
 
 # ruff: noqa: E501, RUF009  (a row for each setting, however long; `_setting` returns a field)
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.framing import Framing
 from gateway.model.protocols import BUILT_IN, FRAMED, SpiProtocol
 from gateway.text import key_name
@@ -26,6 +26,10 @@ START_STAGGER_MS: Final = 15.0
 DEFAULT_LISTEN: Final = ("tcp/127.0.0.1:7447",)
 
 
+Place = tuple[int | str, ...]
+"""Path to a value: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
+
+
 class Allowed(NamedTuple):
     """A setting's meaning, and its allowed values besides its type."""
 
@@ -36,22 +40,11 @@ class Allowed(NamedTuple):
     """Returns why a value of the right type is wrong, or ""."""
 
 
-def _setting(
-    default: Any,
-    meaning: str = "",
-    limits: tuple[float, float] | None = None,
-    fault: Callable[[Any], str] = lambda _value: "",
-) -> Any:
-    return field(default=default, metadata={"allowed": Allowed(meaning, limits, fault)})
-
-
-def _table(meaning: str, limits: tuple[float, float] | None = None) -> Any:
-    return field(default_factory=dict, metadata={"allowed": Allowed(meaning, limits)})
-
-
-def _others() -> Any:
-    """Return a field for all other keys of the section."""
-    return field(default_factory=dict, metadata={"others": True})
+def _setting(default: Any, meaning: str = "", limits: tuple[float, float] | None = None, **fault: Any) -> Any:
+    allowed = {"allowed": Allowed(meaning, limits, **fault)}
+    return (
+        field(default_factory=dict, metadata=allowed) if default is dict else field(default=default, metadata=allowed)
+    )
 
 
 def _is_device(example: str) -> Callable[[str], str]:
@@ -97,9 +90,9 @@ def _names(names: tuple[str, ...]) -> str:
 class Section:
     """One table of the file."""
 
-    def fault(self) -> str:
-        """Return why values that are valid alone do not fit together, or ""."""
-        return ""
+    def faults(self) -> Iterable[tuple[Place, str]]:
+        """Return the places, below the section, and sentences of values that are valid alone but not together."""
+        return ()
 
 
 # fmt: off
@@ -117,7 +110,7 @@ class WireSettings(Section):
     """The controller's protocol."""
 
     name: str = _setting(str(FRAMED), "what the controller speaks ([protocol.md](protocol.md)): `hexapod-1.0`, `elkapod-2025` or a [plug-in](protocol.md#bring-your-own-wire), with its options as further keys. `spi.framing` and `spi.frame_gap_us` are for `hexapod-1.0`; a plug-in uses no `[spi]`")
-    options: Mapping[str, object] = _others()
+    options: Mapping[str, object] = field(default_factory=dict, metadata={"others": True})
 
     @property
     def built_in(self) -> SpiProtocol | None:
@@ -153,17 +146,17 @@ class WireSettings(Section):
             return self.built_in.capabilities
         try:
             return self.plugin.capabilities
-        except ValueError:  # `fault` reports it
+        except ValueError:  # `faults` reports it
             return Capabilities()
 
-    def fault(self) -> str:
-        if self.built_in is not None:
-            return f"{', '.join(map(key_name, self.options))} is no setting of {self.name}" if self.options else ""
-        try:
-            _ = self.plugin
-        except ValueError as error:
-            return str(error)
-        return ""
+    def faults(self) -> Iterable[tuple[Place, str]]:
+        if self.built_in is not None and self.options:
+            yield (), f"{', '.join(map(key_name, self.options))} is no setting of {self.name}"
+        elif self.built_in is None:
+            try:
+                _ = self.plugin
+            except ValueError as error:
+                yield (), str(error)
 
 
 @dataclass(frozen=True)
@@ -220,10 +213,9 @@ class ServoLimits(Section):
     # The slowest is 0.01°/s, the resolution of frames.
     max_speed_deg_s: float = _setting(0.0, "highest speed of a Set (Behaviour *Speed*); 0: any", (0, 1000))
 
-    def fault(self) -> str:
-        if self.min_deg <= self.max_deg:
-            return ""
-        return f"min_deg is {self.min_deg:g} and max_deg {self.max_deg:g}; min_deg must not be larger"
+    def faults(self) -> Iterable[tuple[Place, str]]:
+        if self.min_deg > self.max_deg:
+            yield (), f"min_deg is {self.min_deg:g} and max_deg {self.max_deg:g}; min_deg must not be larger"
 
 
 @dataclass(frozen=True)
@@ -236,7 +228,7 @@ class LimitSettings(Section):
     start_stagger_ms: float = _setting(-1.0, "least pause between starting two legs; below `watchdog.timeout_ms`; 0: off", (0, 2000))
     # A third of a usual servo's own speed.
     takeover_deg_s: float = _setting(180.0, "highest speed after a change of source or soon after a Stop (Behaviour *Take-over and first frame*); 0: off", (0, 1000))
-    servos: Mapping[str, ServoLimits] = _table("")
+    servos: Mapping[str, ServoLimits] = _setting(dict)
 
 
 @dataclass(frozen=True)
@@ -246,7 +238,7 @@ class WatchdogSettings(Section):
     timeout_ms: float = _setting(250.0, "silence that stops a leg; cannot be switched off", (20, 10_000))
     scope: Literal["leg", "robot"] = _setting("leg", "what one silent leg stops")
     landing_ms: float = _setting(0.0, "time to the landing pose before a silent robot stops; 0: a silent leg stops at once", (0, 5000))
-    landing: Mapping[str, float] = _table("the landing pose, such as `11 = 90.0`; a servo without one holds its angle", (0, 180))
+    landing: Mapping[str, float] = _setting(dict, "the landing pose, such as `11 = 90.0`; a servo without one holds its angle", (0, 180))
 
 
 @dataclass(frozen=True)
@@ -289,7 +281,7 @@ class SafetySettings(Section):
     """Rules that need what the robot measures; 0: never."""
 
     min_battery_v: float = _setting(0.0, "lowest battery voltage for starts (Behaviour *Measurements*); 0: any", (0, 100))
-    max_tilt_deg: float = _setting(0.0, "tilt (10 at least) that stops or lands the robot; 0: any", (0, 90), _beyond_walking)
+    max_tilt_deg: float = _setting(0.0, "tilt (10 at least) that stops or lands the robot; 0: any", (0, 90), fault=_beyond_walking)
 
 
 @dataclass(frozen=True)
@@ -308,12 +300,34 @@ class PowerSettings(Section):
         return self.servos or SERVO_IDS
 
 
-FOR_STOPS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "wire": ("name",),
-        "spi": ("framing", "device", "speed_hz", "frame_gap_us"),
-        "controller": ("uart",),
-        "power": ("interface", "channel"),
-    }
-)
+FOR_STOPS: Final[Mapping[str, tuple[str, ...]]] = {
+    "wire": ("name",),
+    "spi": ("framing", "device", "speed_hz", "frame_gap_us"),
+    "controller": ("uart",),
+    "power": ("interface", "channel"),
+}
 """The settings that a Stop needs. A fault elsewhere in a file must not prevent Stops."""
+
+_IN_STATE: Final = "was removed; name its folder with state.path, the folder for all kept state"
+REMOVED: Final[Mapping[Place, str]] = {
+    ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
+    ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    ("spi", "protocol"): "was removed; write its value as name in [wire]",
+    ("spi", "batch"): "was removed; lists of transfers are written, and single ones where the kernel takes no lists",
+    ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
+    ("spi", "avoid_deg"): "was removed; it follows from the framing",
+    ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
+    ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
+    ("telemetry", "state_hz"): "was removed; the state is published ten times a second",
+    ("telemetry", "rate_hz"): "was removed; telemetry is published ten times a second",
+    ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
+    ("log",): "was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
+    ("watchdog", "repeats"): f"was removed; a Stop is repeated {STOP_REPEATS} times",
+    ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated every {STOP_REPEAT_MS:g} ms",
+    ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
+    ("power", "cut_on"): "was removed: a Stop cuts the power of the servos that it stops",
+    ("power", "bitrate"): "was removed: the board's bus runs at 1 Mbit/s",
+    ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
+    ("power", "settle_ms"): "was removed: a stopped servo may draw current for 300 ms",
+}
+"""Removed settings and sections, each with the sentence that names its replacement."""

@@ -6,11 +6,13 @@ They come from a TOML file; environment variables (`HEXAPOD_SPI__DEVICE`) overri
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self, get_origin
+from typing import Any, Final, Self, get_args, get_origin
 
 from gateway import nesting
 from gateway.errors import ConfigError
@@ -19,22 +21,24 @@ from gateway.host.settings_reader import (
     NO_SETTING,
     SERVOS,
     ForStops,
-    Place,
     SettingFault,
-    Text,
     dotted,
+    is_others,
     read,
     read_for_stops,
 )
 from gateway.host.settings_table import (
     FOR_STOPS,
+    REMOVED,
     START_STAGGER_MS,
     ButtonSettings,
     ControllerSettings,
     LeaseSettings,
     LimitSettings,
+    Place,
     PowerSettings,
     SafetySettings,
+    Section,
     ServoLimits,
     SpiSettings,
     StateSettings,
@@ -43,7 +47,7 @@ from gateway.host.settings_table import (
     WireSettings,
     ZenohSettings,
 )
-from gateway.model.frames import PROTOCOL_VERSION, STOP_REPEAT_MS, STOP_REPEATS
+from gateway.model.frames import PROTOCOL_VERSION
 from gateway.model.framing import Framing
 from gateway.own_command import CONNECT_VARIABLE
 from gateway.text import echo, key_name
@@ -52,7 +56,7 @@ ENV_PREFIX: Final = "HEXAPOD_"
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Section):
     """All settings of one service."""
 
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
@@ -106,40 +110,45 @@ class Settings:
         """Return settings from a TOML file's tables. Raises ConfigError with one line for each fault."""
         faults: list[SettingFault] = []
         found = read(cls, tables, faults)
-        faults = faults or list(found.faults())
-        if faults:
-            raise ConfigError("\n".join(f"{dotted(fault.place)}: {fault.sentence}" for fault in faults))
+        _raise([f"{dotted(fault.place)}: {fault.sentence}" for fault in faults])
         return found
 
-    def faults(self) -> Iterable[SettingFault]:
-        """Yield the faults between settings that are valid alone but not together."""
+    def faults(self) -> Iterable[tuple[Place, str]]:
         wire = self.wire.name
         if self.spi.too_fast:
-            yield SettingFault(("spi",), self.spi.too_fast)
+            yield ("spi",), self.spi.too_fast
         if self.starts_whole and self.power.interface:
-            yield SettingFault(("power", "interface"), f"{wire} starts all servos at once, which no power board does")
+            yield ("power", "interface"), f"{wire} starts all servos at once, which no power board does"
         if self.starts_whole and self.limits.start_stagger_ms:
-            yield SettingFault(("limits", "start_stagger_ms"), f"{wire} starts all servos at once, so leave it at 0")
+            yield _STAGGER, f"{wire} starts all servos at once, so leave it at 0"
         if self.limits.start_stagger_ms >= self.watchdog.timeout_ms:
-            sentence = f"a leg's start may not wait for as long as watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
-            yield SettingFault(("limits", "start_stagger_ms"), sentence)
+            longest = f"watchdog.timeout_ms, {self.watchdog.timeout_ms:g}"
+            yield _STAGGER, f"a leg's start may not wait for as long as {longest}"
         # A plug-in has no way to pass measurements on, so a limit on them would never stop anything.
         measured = self.wire.built_in is not None and self.wire.capabilities.measures
         for each in fields(self.safety):
             if getattr(self.safety, each.name) and not measured:
-                yield SettingFault(("safety", each.name), f"{wire} has nothing that measures it; leave it at 0")
+                yield ("safety", each.name), f"{wire} has nothing that measures it; leave it at 0"
         for servo, angle_deg in self.watchdog.landing.items():
             limits = self.limits.servos.get(servo, ServoLimits())
             if not limits.min_deg <= angle_deg <= limits.max_deg:
                 allowed = f"limits.servos.{servo} allows {limits.min_deg:g} to {limits.max_deg:g}"
-                yield SettingFault(("watchdog", "landing", servo), f"{angle_deg:g} is not allowed: {allowed}")
+                yield ("watchdog", "landing", servo), f"{angle_deg:g} is not allowed: {allowed}"
+
+
+_STAGGER: Final = ("limits", "start_stagger_ms")
+
+
+def _raise(lines: Sequence[str]) -> None:
+    if lines:
+        raise ConfigError("\n".join(lines))
 
 
 class FramingNotSetError(ConfigError):
     """spi.framing is not set. The text lists all other faults, too."""
 
 
-Variables = Mapping[Place, tuple[str, Any]]
+Variables = Mapping[tuple[str, ...], tuple[str, Any]]
 """Environment variables and their values, by the setting that they set."""
 
 
@@ -152,21 +161,22 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     """
     lines: list[str] = []
     tables: dict[str, Any] = {}
-    try:
-        tables = _without_emptied(_read(path))
+    try:  # empty removed sections, which an earlier installed file still contains, are no fault
+        tables = {name: table for name, table in _read(path).items() if table != {} or (name,) not in REMOVED}
     except ConfigError as error:
         lines.append(str(error))
     unread = bool(lines)
     variables, misnamed = _environment()
-    in_file, merged = _faults(tables), _merged(tables, variables)
+    in_file, merged, faults = list[SettingFault](), _merged(tables, variables), list[SettingFault]()
+    read(Settings, tables, in_file)
+    found = read(Settings, merged, faults)
     lines += [_line(path, fault) for fault in in_file]
     lines += [f"{key_name(variable)}: {fault.sentence}" for variable, fault in misnamed]
-    lines += [_line(path, fault, variables) for fault in _faults(merged) if fault not in in_file]
+    lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
     if not (simulated or unread):
         _require_framing(path, merged, lines)
-    if lines:
-        raise ConfigError("\n".join(lines))
-    return read(Settings, merged, [])
+    _raise(lines)
+    return found
 
 
 def load_for_stops(path: Path | None = None) -> ForStops:
@@ -179,34 +189,23 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     found, faults = read_for_stops(merged)
     wrong = [(variable, fault) for variable, fault in misnamed if fault.place[0] == "spi"]
     lines = [f"{key_name(variable)}: {fault.sentence}" for variable, fault in wrong if not _harmless(fault)]
-    lines += [_line(path, _said(fault), variables) for fault in faults if not _harmless(fault)]
+    lines += [_line(path, fault, variables) for fault in faults if not _harmless(fault)]
     _require_framing(path, merged, lines)
-    if lines:
-        raise ConfigError("\n".join(lines))
+    _raise(lines)
     return found
-
-
-def _faults(tables: Mapping[str, Any]) -> list[SettingFault]:
-    faults: list[SettingFault] = []
-    found = read(Settings, tables, faults)
-    faults = faults or list(found.faults())
-    return list(map(_said, faults))
-
-
-def _said(fault: SettingFault) -> SettingFault:
-    """Return the fault; if the setting was removed, its sentence names the replacement."""
-    return fault._replace(sentence=_REMOVED.get(fault.place, NO_SETTING)) if fault.sentence == NO_SETTING else fault
 
 
 def _harmless(fault: SettingFault) -> bool:
     """Return whether the fault is a removed setting that no Stop needs."""
-    return fault.place in _REMOVED and fault.place != _PROTOCOL
+    return fault.place in REMOVED and fault.place != ("spi", "protocol")
 
 
 def _line(path: Path | None, fault: SettingFault, variables: Variables = MappingProxyType({})) -> str:
-    named = _variables_at(fault.place, variables)
-    where = " and ".join(named) or f"{path or CONFIGURATION}: {dotted(fault.place)}"
-    return f"{where}: {fault.sentence}"
+    """Return the fault after its variables, which set its value, a part of it, or a table that contains it; else after
+    its place in the file."""
+    place = fault.place
+    named = [variable for at, (variable, _) in variables.items() if place[: len(at)] == at or at[: len(place)] == place]
+    return f"{' and '.join(named) or f'{path or CONFIGURATION}: {dotted(place)}'}: {fault.sentence}"
 
 
 _WHICH_FRAMING: Final = (
@@ -247,37 +246,6 @@ def _read(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"{found}: {error}") from error
 
 
-_PROTOCOL: Final = ("spi", "protocol")
-_IN_STATE: Final = "was removed; name its folder with state.path, the folder for all kept state"
-_REMOVED: Final[Mapping[Place, str]] = {
-    ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
-    ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
-    _PROTOCOL: "was removed; write its value as name in [wire]",
-    ("spi", "batch"): "was removed; lists of transfers are written, and single ones where the kernel takes no lists",
-    ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
-    ("spi", "avoid_deg"): "was removed; it follows from the framing",
-    ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
-    ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
-    ("telemetry", "state_hz"): "was removed; the state is published ten times a second",
-    ("telemetry", "rate_hz"): "was removed; telemetry is published ten times a second",
-    ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
-    ("log",): "was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
-    ("watchdog", "repeats"): f"was removed; a Stop is repeated {STOP_REPEATS} times",
-    ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated every {STOP_REPEAT_MS:g} ms",
-    ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
-    ("power", "cut_on"): "was removed: a Stop cuts the power of the servos that it stops",
-    ("power", "bitrate"): "was removed: the board's bus runs at 1 Mbit/s",
-    ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
-    ("power", "settle_ms"): "was removed: a stopped servo may draw current for 300 ms",
-}
-"""Removed settings and sections, each with the sentence that names its replacement."""
-
-
-def _without_emptied(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables without empty removed sections, whose names an earlier installed file still contains."""
-    return {name: table for name, table in tables.items() if table != {} or (name,) not in _REMOVED}
-
-
 # ---- the environment
 
 
@@ -286,65 +254,70 @@ def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
 
     A variable that names no setting is a fault. CONNECT_VARIABLE is for client commands and is skipped.
     """
-    found: dict[Place, tuple[str, Any]] = {}
+    found: dict[tuple[str, ...], tuple[str, Any]] = {}
     faults: list[tuple[str, SettingFault]] = []
     for variable, text in sorted(os.environ.items()):
         if not variable.upper().startswith(ENV_PREFIX) or variable == CONNECT_VARIABLE:
             continue
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
-        kind = None if variable != variable.upper() else _kind(place)
+        kind = _kind(place) if variable == variable.upper() else None
         if kind is None:
-            why = _REMOVED.get(place) or _REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
+            why = REMOVED.get(place) or REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
             faults.append((variable, SettingFault(place, why)))
             continue
         try:
-            found[place] = variable, json.loads(text) if get_origin(kind) is tuple else Text(text)
+            found[place] = variable, _typed(kind, text)
         except (ValueError, RecursionError):
             example = """write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
             faults.append((variable, SettingFault(place, f"{echo(text)} is not allowed: {example}")))
     return found, faults
 
 
+def _kind(place: Place) -> Any:
+    """Return the type of the setting at this place, or None if there is none."""
+    kind: Any = Settings
+    for name in place:
+        if get_origin(kind) is Mapping:
+            kind = get_args(kind)[1] if name in SERVOS else None
+        else:
+            of_section = fields(kind) if is_dataclass(kind) else ()
+            kind = next((each.type for each in of_section if each.name == name and not is_others(each)), None)
+    return None if is_dataclass(kind) or get_origin(kind) is Mapping else kind
+
+
+_BOOLEANS: Final = {
+    **dict.fromkeys(("true", "1", "yes", "on"), True),
+    **dict.fromkeys(("false", "0", "no", "off"), False),
+}
+
+
+def _typed(kind: Any, text: str) -> Any:
+    """Return a variable's text as a file would have the value; unchanged if it is none of this type.
+
+    Raises ValueError or RecursionError if a list is no JSON.
+    """
+    if get_origin(kind) is tuple:
+        return json.loads(text)
+    if kind is bool:
+        return _BOOLEANS.get(text.lower(), text)
+    with suppress(ValueError):
+        return kind(text) if kind in {int, float} else text
+    return text
+
+
 def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
-    merged = dict(tables)
-    for place, (_, value) in variables.items():
-        merged = _put(merged, place, value)
+    merged = deepcopy(dict(tables))
+    for (*path, last), (_, value) in variables.items():
+        table = merged
+        for name in path:
+            if not isinstance(table.get(name), dict):
+                table[name] = {}
+            table = table[name]
+        table[last] = value
     return merged
 
 
-def _put(table: Mapping[str, Any], place: Place, value: Any) -> dict[str, Any]:
-    name, *rest = place
-    below = table.get(str(name))
-    return {
-        **table,
-        str(name): _put(below if isinstance(below, Mapping) else {}, tuple(rest), value) if rest else value,
-    }
-
-
-def _kind(place: tuple[str, ...]) -> Any:
-    match place:
-        case ("limits", "servos", servo, name) if servo in SERVOS:
-            return _kinds(ServoLimits).get(name)
-        case ("watchdog", "landing", servo) if servo in SERVOS:
-            return float
-        case (section, name):
-            kind = _kinds(_kinds(Settings).get(section, type)).get(name)
-            return None if get_origin(kind) is Mapping else kind
-        case _:
-            return None
-
-
-def _kinds(section: type) -> dict[str, Any]:
-    return {each.name: each.type for each in fields(section)} if is_dataclass(section) else {}
-
-
-_NAMES: Final = f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are {', '.join(_kinds(Settings))}"
-
-
-def _variables_at(place: Place, variables: Variables) -> list[str]:
-    """Return the variables that set the value at `place`, a part of it, or a table that contains it."""
-    return [
-        variable
-        for set_place, (variable, _) in variables.items()
-        if place[: len(set_place)] == set_place or set_place[: len(place)] == place
-    ]
+_NAMES: Final = (
+    f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are "
+    f"{', '.join(each.name for each in fields(Settings))}"
+)
