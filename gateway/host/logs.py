@@ -18,7 +18,6 @@ import signal
 import sys
 import threading
 import time
-import traceback
 from datetime import UTC, datetime
 from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
@@ -45,10 +44,11 @@ class LogWriter(QueueHandler):
     def __init__(self, descriptor: int, formatter: logging.Formatter | None = None) -> None:
         super().__init__(SimpleQueue())
         self.descriptor = descriptor
+        self.lines: Final = formatter or logging.Formatter()
         self.dropped = 0
         """Lines not written, because the queue was full or writing failed."""
         self._full = False
-        self._writing = _Writing(self, formatter or logging.Formatter())
+        self._writing = _Writing(self)
         self._writing.start()
 
     def handle(self, record: logging.LogRecord) -> bool:
@@ -76,53 +76,46 @@ class LogWriter(QueueHandler):
 
     def stop(self, timeout_s: float) -> None:
         """Write the queued lines and end the thread. Give up after `timeout_s`."""
-        self._writing.stop_within(timeout_s)
+        self.queue.put_nowait(None)
+        if (thread := self._writing._thread) is not None:
+            thread.join(timeout_s)
 
 
 class _Writing(QueueListener):
     """The thread of a LogWriter. It holds no handler's lock while it writes, since `logging.shutdown` takes these."""
 
-    def __init__(self, log_writer: LogWriter, formatter: logging.Formatter) -> None:
+    def __init__(self, log_writer: LogWriter) -> None:
         super().__init__(log_writer.queue)
         self._log_writer = log_writer
-        self._formatter = formatter
         self._dropped_logged = 0
-
-    def stop_within(self, timeout_s: float) -> None:
-        self.enqueue_sentinel()
-        if self._thread is not None:
-            self._thread.join(timeout_s)
 
     def _monitor(self) -> None:
         prefer_thread(PAGE_PRIORITY)
         super()._monitor()  # type: ignore[misc]  # missing in typeshed
 
     def handle(self, record: logging.LogRecord) -> None:
-        written = self._write(record)
-        dropped = self._log_writer.dropped
-        if written and dropped != self._dropped_logged and self._log_writer.queue.qsize() <= MAX_LINES_WAITING // 2:
-            self._write(_left_out(dropped - self._dropped_logged))
-            self._dropped_logged = dropped
-
-    def _write(self, record: logging.LogRecord) -> bool:
+        log_writer = self._log_writer
+        text = record.msg
         try:
-            text = record.msg if record.name is _TEXT else f"{self._formatter.format(record)}\n"
-            data = text.encode(errors="backslashreplace")
-            # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
-            while data:
-                try:
-                    data = data[os.write(self._log_writer.descriptor, data) :]
-                except BlockingIOError:  # another program has made the shared terminal non-blocking
-                    select.select([], [self._log_writer.descriptor], [])
+            if record.name is not _TEXT:
+                text = f"{log_writer.lines.format(record)}\n"
+            self._write(text.encode(errors="backslashreplace"))
+            missing = log_writer.dropped - self._dropped_logged
+            if missing and self.queue.qsize() <= MAX_LINES_WAITING // 2:
+                self._dropped_logged += missing
+                why = f"{missing} lines were dropped here, since they were not read in time"
+                record = logging.LogRecord(__name__, logging.WARNING, __file__, 0, why, None, None)
+                self._write(f"{log_writer.lines.format(record)}\n".encode())
         except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: skip the line
-            self._log_writer.dropped += 1
-            return False
-        return True
+            log_writer.dropped += 1
 
-
-def _left_out(lines: int) -> logging.LogRecord:
-    detail = f"{lines} lines were dropped here, since they were not read in time"
-    return logging.LogRecord(__name__, logging.WARNING, __file__, 0, detail, None, None)
+    def _write(self, data: bytes) -> None:
+        # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
+        while data:
+            try:
+                data = data[os.write(self._log_writer.descriptor, data) :]
+            except BlockingIOError:  # another program has made the shared terminal non-blocking
+                select.select([], [self._log_writer.descriptor], [])
 
 
 class _Line(threading.local):
@@ -210,13 +203,12 @@ def keep_stacks() -> None:
 
 def _formatter(descriptor: int) -> logging.Formatter:
     found = os.fstat(descriptor)
-    if os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}":  # systemd.exec(5)
-        return _LinesForJournal(colours=False)
-    return _LinesForPeople(colours=True) if os.isatty(descriptor) else _JsonLines()
+    journal = os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"  # systemd.exec(5)
+    return _LinesForPeople(journal=journal) if journal or os.isatty(descriptor) else _JsonLines()
 
 
 class _JsonLines(logging.Formatter):
-    """One JSON line for each record, of printable characters only."""
+    """One JSON line for each record, of printable characters only. Tracebacks show no values of variables."""
 
     def format(self, record: logging.LogRecord) -> str:
         line: dict[str, object] = {
@@ -226,53 +218,39 @@ class _JsonLines(logging.Formatter):
             "timestamp": _time(record),
             "message": record.getMessage(),
         }
-        if record.exc_info is not None:
-            line["exception"] = _exceptions(record.exc_info[1])
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
         return visible_json(line)
 
 
 class _LinesForPeople(logging.Formatter):
-    """Text for a terminal, escaped: a client's text can neither control the terminal nor fake log lines."""
+    """Text, escaped: a client's text can neither control the terminal nor fake log lines.
 
-    def __init__(self, *, colours: bool) -> None:
+    In the journal, which adds the time, each line follows its syslog priority, for `journalctl -p warning`.
+    """
+
+    def __init__(self, *, journal: bool) -> None:
         super().__init__()
-        self._colours = colours
+        self._journal = journal
 
     def format(self, record: logging.LogRecord) -> str:
-        parts = self._head(record)
-        for name, value in sorted(_fields(record).items()):
-            text = repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else visible(str(value))
-            parts.append(f"{self._paint(_CYAN, name)}={self._paint(_MAGENTA, text)}")
-        fault = "" if record.exc_info is None else self.formatException(record.exc_info)
-        return "\n".join([" ".join(parts), *map(visible, fault.splitlines())])
-
-    def _head(self, record: logging.LogRecord) -> list[str]:
-        level = self._paint(_COLOURS.get(record.levelno, _RED), f"{record.levelname.lower():9}")
-        message = self._paint(_BOLD, f"{visible(record.getMessage()):30}")
-        return [self._paint(_DIM, _time(record)), f"[{level}]", message, f"[{self._paint(_BLUE, record.name)}]"]
-
-    def _paint(self, colour: str, text: str) -> str:
-        return f"\x1b[{colour}m{text}\x1b[0m" if self._colours else text
+        priority, head = "", f"{_time(record)} [{record.levelname.lower():8}] "
+        if self._journal:
+            priority, head = f"<{_PRIORITIES[max(level for level in _PRIORITIES if level <= record.levelno)]}>", ""
+        fields = "".join(f" {name}={_quoted(value)}" for name, value in sorted(_fields(record).items()))
+        fault = self.formatException(record.exc_info).splitlines() if record.exc_info else []
+        lines = [f"{head}{visible(record.getMessage())}{fields}", *map(visible, fault)]
+        return "\n".join(priority + line for line in lines)
 
 
-class _LinesForJournal(_LinesForPeople):
-    """The message, each line after its syslog priority for `journalctl -p warning`. The journal adds the time."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        levels = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
-        priority = next((number for level, number in levels if record.levelno >= level), 7)
-        return "\n".join(f"<{priority}>{line}" for line in super().format(record).split("\n"))
-
-    def _head(self, record: logging.LogRecord) -> list[str]:
-        return [visible(record.getMessage())]
-
-
-_BOLD, _DIM, _RED, _BLUE, _CYAN, _MAGENTA = "1", "2", "31;1", "34;1", "36", "35"
-_COLOURS: Final = {logging.DEBUG: "32;1", logging.INFO: "32;1", logging.WARNING: "33;1"}
+_PRIORITIES: Final = {logging.NOTSET: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 _BARE: Final = re.compile(r"[\w./:@+-]+")
 """A value that needs no quotes."""
-_MOST_CAUSES: Final = 10
 _OF_EACH_RECORD: Final = {*vars(logging.makeLogRecord({})), "taskName"}
+
+
+def _quoted(value: object) -> str:
+    return repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else visible(str(value))
 
 
 def _fields(record: logging.LogRecord) -> dict[str, object]:
@@ -282,14 +260,3 @@ def _fields(record: logging.LogRecord) -> dict[str, object]:
 def _time(record: logging.LogRecord) -> str:
     """Return the time of the log call; the line may be written much later."""
     return datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
-
-
-def _exceptions(error: BaseException | None) -> list[dict[str, object]]:
-    """Return an exception and its causes, without local variables, which may contain passwords."""
-    found: list[dict[str, object]] = []
-    while error is not None and len(found) < _MOST_CAUSES:
-        trace = traceback.extract_tb(error.__traceback__)
-        frames = [{"filename": each.filename, "lineno": each.lineno, "name": each.name} for each in trace]
-        found.append({"exc_type": type(error).__name__, "exc_value": str(error), "frames": frames})
-        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
-    return found

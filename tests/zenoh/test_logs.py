@@ -82,21 +82,17 @@ def test_each_line_is_json_with_time_level_and_message(lines: list[dict[str, Any
 
 
 def test_a_traceback_is_one_line_without_anyones_variables(lines: list[dict[str, Any]]) -> None:
-    (fault,) = lines[4]["exception"]
-    assert (fault["exc_type"], fault["exc_value"]) == ("ValueError", "broken")
+    assert lines[4]["exception"].endswith("\nValueError: broken")
     assert "hunter2" not in json.dumps(lines)
 
 
 def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_it() -> None:
     written = spoken_on_a_terminal()
-    assert "\x1b[" in written, "colours"
     assert "hexapod-gateway 1 takes commands" in written
     assert "ValueError: broken" in written
     with pytest.raises(json.JSONDecodeError):
         json.loads(written.splitlines()[0])
-    assert "\x1b[2J" not in written
-    assert "\x1b]0;" not in written
-    assert not set("\x07\x9b\u2028") & set(written)
+    assert not set(HOSTILE) & set(written)
     assert r"hostile \x1b[2J\nsecond line" in written
 
 
