@@ -15,8 +15,8 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection
+from contextlib import suppress
 from typing import Any, Final
 
 import zenoh
@@ -49,8 +49,8 @@ class ConnectionLimiter:
         self._revoked = revoked
         self._session = session
         self._count = count
-        self._since: dict[str, int] = {}
-        self._visits = 0
+        self._sessions: list[str] = []
+        """The Zenoh ids, in the order of their arrival."""
         self._warnings = Allowance(1 / SAY_AGAIN_S, 1)
         # A ring for one event is enough: each event has all links read.
         self._listener = session.info.declare_link_events_listener(RingChannel(1), history=True)
@@ -73,15 +73,17 @@ class ConnectionLimiter:
 
     def _check_links(self) -> None:
         links = self._session.info.links()
-        self._since = {str(link.zid): self._arrival(str(link.zid)) for link in links}
-        self._count(len(self._since))
+        present = dict.fromkeys(str(link.zid) for link in links)
+        known = [zid for zid in self._sessions if zid in present]
+        self._sessions = [*dict.fromkeys([*known, *present])]
+        self._count(len(self._sessions))
         shut_out = [link for link in links if link.auth_identifier in self._revoked]
         visitors = [
             link
             for link in links
             if (name := link.auth_identifier) and name not in self._revoked and not is_operator(name)
         ]
-        surplus = sorted(visitors, key=lambda link: self._since[str(link.zid)])[VISITORS:]
+        surplus = sorted(visitors, key=lambda link: self._sessions.index(str(link.zid)))[VISITORS:]
         if not surplus and not shut_out:
             return
         with suppress(OSError):  # no descriptor is left to list them
@@ -99,10 +101,6 @@ class ConnectionLimiter:
                 VISITORS,
             )
 
-    def _arrival(self, zid: str) -> int:
-        self._visits += 1
-        return self._since.get(zid, self._visits)
-
 
 def is_operator(identity: str) -> bool:
     """Return whether this common name may stop the robot: `operator-07`, `button-07`."""
@@ -116,25 +114,20 @@ def shut_down(addresses: Collection[Any]) -> None:
     them.
     """
     for number in map(int, os.listdir("/proc/self/fd")):
-        # A duplicate, since Zenoh may close the descriptor meanwhile and its number be reused. Without a descriptor for
-        # the duplicate, no new client can connect either.
-        with suppress(OSError), _duplicate(number) as connection:
-            if _peer(connection) in addresses:
-                connection.shutdown(socket.SHUT_RDWR)
-
-
-@contextmanager
-def _duplicate(number: int) -> Iterator[socket.socket]:
-    if not stat.S_ISSOCK(os.fstat(number).st_mode):
-        raise OSError(f"{number} is no socket")
-    copy = os.dup(number)
-    try:
-        connection = socket.socket(fileno=copy)
-    except OSError:
-        os.close(copy)
-        raise
-    with connection:
-        yield connection
+        with suppress(OSError):
+            if not stat.S_ISSOCK(os.fstat(number).st_mode):
+                continue
+            # A duplicate, since Zenoh may close the descriptor meanwhile and its number be reused. Without a descriptor
+            # for the duplicate, no new client can connect either.
+            copy = os.dup(number)
+            try:
+                connection = socket.socket(fileno=copy)
+            except OSError:
+                os.close(copy)
+                raise
+            with connection:
+                if _peer(connection) in addresses:
+                    connection.shutdown(socket.SHUT_RDWR)
 
 
 def _peer(connection: socket.socket) -> Any:

@@ -88,17 +88,15 @@ class LateAddresses:
         logger.warning("does not listen on %s yet, and keeps trying: %s", endpoint, fault.strerror)
         self.missing += (endpoint,)
 
-    def check(self) -> bool:
-        """Check the missing endpoints. Return whether they have changed. Waits for name servers."""
+    def check(self) -> None:
+        """Check the missing endpoints, and report a change. Waits for name servers."""
         still = tuple(each for each in self.missing if not self._is_there(each))
         for each in set(self.missing) - set(still):
             logger.info("listens on %s, too", each)
         self.missing = still
-        if still == self._seen:
-            return False
-        self._seen = still
-        self._report(still)
-        return True
+        if still != self._seen:
+            self._seen = still
+            self._report(still)
 
     def _is_there(self, endpoint: str) -> bool:
         fault = bind_fault(endpoint)

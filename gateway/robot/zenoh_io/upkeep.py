@@ -51,8 +51,9 @@ class Upkeep:
         self._wall_clock = wall_clock
         self._begun_s = time.monotonic()
         self._clock_due_s = self._begun_s
-        self._reached: bool | None = None if self._dials else True
+        self._reached: bool | None = None
         self._fault: str | None = None
+        self._shown = "takes commands"
         self.first_expiry = first_expiry(config)
         """The first expiry of the certificates loaded at the start. A renewed one is used from the next start on."""
         self._closed = threading.Event()
@@ -82,22 +83,26 @@ class Upkeep:
                     return
 
     def _check(self, now_s: float) -> None:
-        changed = self._check_links(now_s) | self._late.check()
+        self._check_links(now_s)
+        self._late.check()
         if now_s >= self._clock_due_s:
             self._clock_due_s = now_s + CLOCK_S
-            changed |= self._check_expiry()
-        if changed:
-            unreached = "" if self._reached is not False else f"; {', '.join(self._dials)} is not reached"
-            missing = "" if not self._late.missing else f"; does not listen on {', '.join(self._late.missing)} yet"
-            self._status(f"takes commands{missing}{unreached}{f'; {self._fault}' if self._fault else ''}")
+            fault, self._fault = self._fault, self._expiry_fault()
+            if self._fault and self._fault != fault:  # once a day, from WARN_DAYS before the expiry
+                logger.warning(self._fault)
+        missing = f"; does not listen on {', '.join(self._late.missing)} yet" if self._late.missing else ""
+        unreached = f"; {', '.join(self._dials)} is not reached" if self._reached is False else ""
+        status = f"takes commands{missing}{unreached}{f'; {self._fault}' if self._fault else ''}"
+        if status != self._shown:
+            self._shown = status
+            self._status(status)
 
-    def _check_links(self, now_s: float) -> bool:
-        """Return whether the dialled endpoints have become reachable or unreachable."""
+    def _check_links(self, now_s: float) -> None:
         if not self._dials:
-            return False
+            return
         reached = any(_ports([str(link.dst)]) & self._dialled_ports for link in self._session.info.links())
         if reached is self._reached or (not reached and now_s - self._begun_s < GRACE_S):
-            return False
+            return
         self._reached = reached
         where = ", ".join(self._dials)
         if reached:
@@ -108,25 +113,10 @@ class Upkeep:
                 "keeps trying; `sudo hexapod-gateway check` finds the cause",
                 where,
             )
-        return True
-
-    def _check_expiry(self) -> bool:
-        """Warn of expiry: once a day, from WARN_DAYS before it. Return whether the warning has changed."""
-        fault = self._expiry_fault()
-        if fault == self._fault:
-            return False
-        self._fault = fault
-        if fault is not None:
-            logger.warning(fault)
-        return True
 
     def _expiry_fault(self) -> str | None:
-        first = self.first_expiry
-        if first is None:
-            return None
-        now = self._wall_clock()
-        soon = certs.expires_soon(first.file.name, first.end, now)
-        if soon is None:
+        first, now = self.first_expiry, self._wall_clock()
+        if first is None or (soon := certs.expires_soon(first.file.name, first.end, now)) is None:
             return None
         result = "then nobody can connect" if now < first.end else "nobody can connect (is this clock right?)"
         return f"{soon}: {result}; {self._remedy(first)}"
