@@ -101,7 +101,7 @@ class _Writing(QueueListener):
                 text = f"{log_writer.lines.format(record)}\n"
             self._write(text.encode(errors="backslashreplace"))
             missing = log_writer.dropped - self._dropped_logged
-            if missing and self.queue.qsize() <= MAX_LINES_WAITING // 2:
+            if missing and log_writer.queue.qsize() <= MAX_LINES_WAITING // 2:
                 self._dropped_logged += missing
                 why = f"{missing} lines were dropped here, since they were not read in time"
                 record = logging.LogRecord(__name__, logging.WARNING, __file__, 0, why, None, None)

@@ -72,6 +72,7 @@ def check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
         raise IllegalTransferError(f"[{data.hex(' ')}] is no frame of the protocol")
     for at in range(2, len(data), 4):
         servo_id, op, whole_deg, hundredths = data[at : at + 4]
-        if op != _STOP and avoid_from_cdeg <= whole_deg * 100 + hundredths < avoid_to_cdeg:
-            angle = f"servo {servo_id} to {whole_deg + hundredths / 100:g} degrees"
+        angle_cdeg = whole_deg * 100 + hundredths
+        if op != _STOP and avoid_from_cdeg <= angle_cdeg < avoid_to_cdeg:
+            angle = f"servo {servo_id} to {angle_cdeg / 100:g} degrees"
             raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent in this framing")
