@@ -13,13 +13,11 @@
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
-    ALL,
-    OUTPUTS,
     SET_SUPPLY,
     TWO_BOARDS,
     BoardError,
@@ -54,7 +52,9 @@ LASTS_NS: Final = 1000 * NS_PER_MS
 
 _OFF_PRESSED: Final = "somebody pressed the power board's off button"
 _GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does so in 1 s"
-_SIXES: Final = (0o77, 0o77 << 6, 0o77 << 12)
+_AT_ONCE: Final = 6
+"""Outputs that go on at a time."""
+_NONE: Final = frozenset[int]()
 NOTHING: Final = -1
 """Smaller than every mask's number."""
 
@@ -97,17 +97,15 @@ class PowerBoard:
     def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
         """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)
-        self._bit = {servo: 1 << place for place, servo in enumerate(outputs)}
         self._news: deque[News | Confirmed] = deque()
         # The wanted state. Nothing is sent before the first `want` or `cut`.
         self._begun = self._cut = False
         self._changes = 0
-        self._wanted = 0
-        self._lost = 0
-        self._unknown = 0
+        self._wanted = self._lost = _NONE
+        self._unknown = _NONE
         """Lost to a silence: perhaps still powered, for landing. Only the owner's wish puts them off in a mask."""
         # The sent state. A restarted board powers nothing, which is mask 0, too.
-        self._sent = 0
+        self._sent = _NONE
         self._number = self._on_number = 0
         """The number of the newest mask, and of the newest one that switches an output on."""
         self._sent_ns: int | None = None
@@ -124,8 +122,9 @@ class PowerBoard:
         # The answered state.
         self.alive = False
         self._answered_ns: int | None = None
-        self._shown = 0
+        self._shown = _NONE
         self._fed: dict[int, int] = {}
+        """When each servo was confirmed to be powered since it was last wanted."""
         self._milliamperes: dict[int, int] = {}
         self._rails: dict[int, tuple[int, ...]] = {}
         self._questions = BoardQuestions()
@@ -140,18 +139,17 @@ class PowerBoard:
 
         `number` numbers this change, for `status`.
         """
-        mask = self._mask(servos)
         self._begun, self._changes = True, number
-        self._lost &= mask
-        self._unknown &= mask
-        if self._cut and mask:
+        self._lost &= servos
+        self._unknown &= servos
+        if self._cut and servos:
             return
         self._cut = False
-        if mask & ~self._wanted:
+        if servos - self._wanted:
             self._on_until_ns = now_ns + REPEAT_FOR_NS
-        self._wanted = mask
+        self._wanted = servos
         if self._errors.due_ns is None:
-            self._lost |= mask & self._errors.mask
+            self._lost |= servos & self._blocked
         self._settle(now_ns)
 
     def cut(self, now_ns: int) -> None:
@@ -160,17 +158,16 @@ class PowerBoard:
         A mask leaves at once even if all is off, so that the board confirms the emergency stop.
         """
         self._begun = self._cut = True
-        self._wanted = self._unknown = 0
+        self._wanted = self._unknown = _NONE
         self._unconfirmed = False
         self._settle(now_ns)
-        self._anew(ALL, now_ns)
+        self._anew(self._servos, now_ns)
 
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int, now_ns: int) -> None:
         """Have `news` return a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
-        mask = self._mask(servos)
-        self._anew(mask & self._off.mask & ~self._off.unconfirmed, now_ns)
+        self._anew(servos & self._off.servos - self._off.unconfirmed, now_ns)
         self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of masks that were given up
-        self._off.wait(mask, asked_ns, token, self._number)
+        self._off.wait(servos, asked_ns, token, self._number)
 
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it powers blocked servos once they are wanted again."""
@@ -209,14 +206,14 @@ class PowerBoard:
         """The board's present state."""
         return Status(
             self.alive,
-            self._named(self._shown),
+            self._shown,
             self.confirmed,
-            self._named(self._lost),
+            self._lost,
             {self._servos[place]: why for place, why in self._errors.blocked.items()},
-            self._named(sum(1 << place for place in self._fed)),
+            frozenset(self._fed),
             self._changes,
             self._answered_ns,
-            {self._servos[place]: ma for place, ma in self._milliamperes.items()},
+            dict(self._milliamperes),
             dict(self._rails),
         )
 
@@ -233,7 +230,7 @@ class PowerBoard:
         """Take a frame from the bus. Malformed frames, and frames of no concern, change nothing."""
         foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
         if foreign is not None:
-            self._meddled(foreign, now_ns)
+            self._meddled(self._named(foreign), now_ns)
         self._questions.asked_by_another(frame, now_ns)
         answer = read(frame)
         if answer is None:
@@ -245,9 +242,9 @@ class PowerBoard:
         self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
-                self._answered_mask(mask, now_ns)
+                self._answered_mask(self._named(mask), now_ns)
             case Currents(first, ma):
-                self._milliamperes.update(zip(range(first - 1, first + 2), ma, strict=True))
+                self._milliamperes.update(zip(self._servos[first - 1 : first + 2], ma, strict=True))
             case Rails(question, values):
                 self._rails[question] = values
                 self._questions.answered_about_rails(CanFrame(question), now_ns)
@@ -274,7 +271,7 @@ class PowerBoard:
         if late and not self._unconfirmed and not starts:
             self._unconfirmed = True
             self._news.append(
-                News(Kind.POWER_UNCONFIRMED, "the power board has not confirmed that these are off", self._named(late))
+                News(Kind.POWER_UNCONFIRMED, "the power board has not confirmed that these are off", late)
             )
         self._news += ended
 
@@ -296,7 +293,7 @@ class PowerBoard:
             if not self.confirmed or self._on_number == self._number:
                 frames += self._questions.due_after(self._number, now_ns)
         # An output whose error is deleted before the board has a mask without it would come on again.
-        without = self._off.have_reached(self._errors.mask, self._questions.reached)
+        without = self._off.have_reached(self._blocked, self._questions.reached)
         error_frame = self._errors.next_frame(now_ns, without=without)
         frames += [] if error_frame is None else [error_frame]
         if now_ns >= self._questions.due_ns:
@@ -305,27 +302,28 @@ class PowerBoard:
 
     # ---- how
 
-    def _mask(self, servos: frozenset[int]) -> int:
-        return sum(self._bit[servo] for servo in servos)
-
     def _named(self, mask: int) -> frozenset[int]:
-        return frozenset(servo for servo, bit in self._bit.items() if mask & bit)
+        return frozenset(servo for place, servo in enumerate(self._servos) if mask >> place & 1)
 
     @property
-    def _target(self) -> int:
-        return self._wanted & ~self._lost & ~self._errors.mask
+    def _blocked(self) -> frozenset[int]:
+        return self._named(self._errors.mask)
+
+    @property
+    def _target(self) -> frozenset[int]:
+        return self._wanted - self._lost - self._blocked
 
     def _settle(self, now_ns: int) -> None:
         """Apply a changed target: outputs that left it go off at once."""
         target = self._target
         self._off.feed(target)
-        self._anew(ALL & ~target & ~self._unknown & ~self._off.mask, now_ns)
-        self._fed = {place: at_ns for place, at_ns in self._fed.items() if target >> place & 1}
+        self._anew({*self._servos} - target - self._unknown - self._off.servos, now_ns)
+        self._fed = {servo: at_ns for servo, at_ns in self._fed.items() if servo in target}
 
-    def _anew(self, mask: int, now_ns: int) -> None:
-        """Have these outputs confirmed off, by a mask that is sent next."""
-        self._off.take(mask, self._number + 1, now_ns)
-        if mask:
+    def _anew(self, servos: Collection[int], now_ns: int) -> None:
+        """Have these servos confirmed off, by a mask that is sent next."""
+        self._off.take(servos, self._number + 1, now_ns)
+        if servos:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
 
@@ -338,84 +336,85 @@ class PowerBoard:
             # A repeat waits for the board's rest, since only the first mask has pins to switch.
             repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
             due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
-        target = self._target if self.alive else 0
         if self._next_on:
             due_ns.append(self._rest_ns)
-        elif any(target >> place & 1 and place not in self._fed for place in range(OUTPUTS)):
+        elif self.alive and self._target - self._fed.keys():
             repeat_ns = max(sent_ns + REPEAT_ON_NS, self._rest_ns)
             due_ns += [repeat_ns] if repeat_ns < self._on_until_ns else []
         return min(due_ns, default=None)
 
     @property
-    def _next_on(self) -> int:
+    def _next_on(self) -> frozenset[int]:
         waits = not self.alive or (self._off.unconfirmed and not self._unconfirmed)
-        on = 0 if waits else self._target & ~self._sent
-        return next((on & six for six in _SIXES if on & six), 0)
+        on = _NONE if waits else self._target - self._sent
+        parts = (on.intersection(self._servos[at : at + _AT_ONCE]) for at in range(0, len(self._servos), _AT_ONCE))
+        return next(filter(None, parts), _NONE)
 
     def _send(self, now_ns: int) -> CanFrame:  # mutants accepted (Add_Sub, Step): any numbers that grow; slack
         """Return the mask to send now, and count it as sent."""
         before = self._sent
-        self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else 0)
+        self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else _NONE)
         self._number += 1
-        if self._sent & ~before:
+        if self._sent - before:
             self._on_number = self._number
         self._sent_ns = now_ns
         self._leave_ns = None
-        steps = 1 + (self._sent & ~self._shown).bit_count()
+        steps = 1 + len(self._sent - self._shown)
         self._rest_ns = max(self._rest_ns, now_ns + steps * STEP_NS + REST_NS)
-        return set_supply(self._sent)
+        return set_supply(sum(1 << place for place, servo in enumerate(self._servos) if servo in self._sent))
 
-    def _answered_mask(self, mask: int, now_ns: int) -> None:  # mutants accepted (Gt_GtE, Lt_LtE): equal times
-        """Take an answer 6B: the outputs that the board powers, after the masks that have reached it."""
-        self._shown = mask
+    # mutants accepted (Gt_GtE, Lt_LtE): equal times
+    def _answered_mask(self, shown: frozenset[int], now_ns: int) -> None:
+        """Take an answer 6B: the servos that the board powers, after the masks that have reached it."""
+        self._shown = shown
         self._answer_ns = now_ns
         # A mask that was on its way when this answer left will get its own answer.
         if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
         reached = NOTHING if self._errors.two_boards else self._questions.reached
-        on_again, ended = self._off.answered(mask, reached, now_ns)
+        on_again, ended = self._off.answered(shown, reached, now_ns)
         self._news += ended
         self._anew(on_again, now_ns)
-        gone = [
-            place for place, at_ns in self._fed.items() if not mask >> place & 1 and at_ns < self._questions.reached_ns
-        ]
+        gone = {
+            servo for servo, at_ns in self._fed.items() if servo not in shown and at_ns < self._questions.reached_ns
+        }
         if gone:
-            self._lose(sum(1 << place for place in gone), "the power board has switched these off by itself", now_ns)
-        on = mask & self._target & self._sent if reached >= self._on_number else 0
-        for place in range(OUTPUTS):
-            if on >> place & 1 and place not in self._fed:
-                self._fed[place] = now_ns
-                self._milliamperes.pop(place, None)  # measured before the output was on
+            self._lose(frozenset(gone), "the power board has switched these off by itself", now_ns)
+        if reached >= self._on_number:
+            for servo in shown & self._target & self._sent - self._fed.keys():
+                self._fed[servo] = now_ns
+                self._milliamperes.pop(servo, None)  # measured before the output was on
         if self.confirmed:
             self._unconfirmed = False
 
-    def _lose(self, mask: int, why: str, now_ns: int, *, report: bool = True) -> None:
-        """Record outputs that went off by another cause. They stay off until they are wanted again."""
-        self._lost |= mask & self._wanted
+    def _lose(self, servos: frozenset[int], why: str, now_ns: int, *, report: bool = True) -> None:
+        """Record servos that went off by another cause. They stay off until they are wanted again."""
+        self._lost |= servos & self._wanted
         self._settle(now_ns)
         if report:
-            self._news.append(News(Kind.POWER_FAULT, why, self._named(mask)))
+            self._news.append(News(Kind.POWER_FAULT, why, servos))
 
     def _failed(self, error: BoardError, now_ns: int) -> None:
         """Take an answer 65: the board has blocked servos or converters until the error is deleted."""
         why, mask, new = self._errors.shown(error, now_ns)
         begins = self._begins(f"{why} {error.mask}", now_ns)
         if mask or (new and begins):
-            self._lose(mask, why, now_ns, report=new and begins)
+            self._lose(self._named(mask), why, now_ns, report=new and begins)
 
-    def _meddled(self, mask: int, now_ns: int) -> None:  # mutants accepted (Forget, Step): else a repeat follows
-        """Answer another node's mask with ours, without the outputs that it cut, even those still waiting for on."""
-        taken = self._target & ~mask
+    # mutants accepted (Forget, Step): else a repeat follows
+    def _meddled(self, theirs: frozenset[int], now_ns: int) -> None:
+        """Answer another node's mask with ours, without the servos that it cut, even those still waiting for on."""
+        taken = self._target - theirs
         self._lost |= taken
         self._settle(now_ns)
         if self._begun:
-            self._anew(mask & ~self._target & ~self._unknown, now_ns)
+            self._anew(theirs - self._target - self._unknown, now_ns)
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             # Unlike our own masks, answers to another node wait: it may flood the bus.
             self._leave_ns = max(now_ns, (self._sent_ns or 0) + REST_NS)
         why = "another program switches servos through the power board"
         if self._begins(why, now_ns):
-            self._news.append(News(Kind.POWER_FAULT, why, self._named(taken)))
+            self._news.append(News(Kind.POWER_FAULT, why, taken))
 
     def _begins(self, state: str, now_ns: int) -> bool:
         """Return whether to report a state seen now: it is new, had ended, or there was a reset since."""
@@ -429,8 +428,8 @@ class PowerBoard:
         target = self._target
         self._unknown |= target
         self._lost |= target
-        self._sent = 0
+        self._sent = _NONE
         self._fed.clear()
         self._milliamperes.clear()
         self._settle(now_ns)
-        self._news.append(News(Kind.POWER_UNCONFIRMED, why, self._named(target)))
+        self._news.append(News(Kind.POWER_UNCONFIRMED, why, target))

@@ -1,15 +1,14 @@
-"""The power board's outputs that have to be off: which are confirmed, and which requests wait for that. Pure.
+"""The servos whose supply has to be off: which are confirmed, and which requests wait for that. Pure.
 
-Masks have numbers. An output is confirmed off by an answer 6B that shows it off, given after the mask that cut it (or a
+Masks have numbers. A servo is confirmed off by an answer 6B that shows it off, given after the mask that cut it (or a
 later mask) had reached the board (questions.py).
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import OUTPUTS
 
 
 class Confirmed(NamedTuple):
@@ -21,10 +20,10 @@ class Confirmed(NamedTuple):
 
 
 class _Wait(NamedTuple):
-    """A request that waits until the outputs of `mask` are confirmed off, by mask number `number` or later."""
+    """A request that waits until these servos are confirmed off, by mask number `number` or later."""
 
     token: int
-    mask: int
+    servos: frozenset[int]
     asked_ns: int
     number: int
 
@@ -39,7 +38,7 @@ class _Off:
 
 
 class OutputsOff:
-    """The outputs of one board. In masks, bit n - 1 is output n."""
+    """The servos of one board."""
 
     def __init__(self, confirm_ns: int) -> None:
         """An off not confirmed within `confirm_ns` is late."""
@@ -48,64 +47,55 @@ class OutputsOff:
         self._waits: list[_Wait] = []
 
     @property
-    def mask(self) -> int:
-        """The outputs that have to be off."""
-        return sum(1 << place for place in self._offs)
+    def servos(self) -> frozenset[int]:
+        """The servos that have to be off."""
+        return frozenset(self._offs)
 
     @property
-    def unconfirmed(self) -> int:
-        """The outputs that have to be off and are not confirmed."""
-        return sum(1 << place for place, off in self._offs.items() if not off.confirmed)
+    def unconfirmed(self) -> frozenset[int]:
+        """The servos that have to be off and are not confirmed."""
+        return frozenset(servo for servo, off in self._offs.items() if not off.confirmed)
 
-    def take(self, mask: int, number: int, now_ns: int) -> None:
-        """Record that these outputs have to be off, confirmed by the mask with this number or a later one."""
-        for place in _places(mask):
-            off = self._offs.get(place)
-            since_ns = now_ns if off is None or off.confirmed else off.since_ns
-            self._offs[place] = _Off(number, since_ns)
+    def take(self, servos: Collection[int], number: int, now_ns: int) -> None:
+        """Record that these servos have to be off, confirmed by the mask with this number or a later one."""
+        for servo in servos:
+            off = self._offs.get(servo)
+            self._offs[servo] = _Off(number, now_ns if off is None or off.confirmed else off.since_ns)
 
-    def feed(self, mask: int) -> None:
-        """Record that these outputs have to be on."""
-        for place in _places(mask):
-            self._offs.pop(place, None)
+    def feed(self, servos: Collection[int]) -> None:
+        """Record that these servos have to be on."""
+        for servo in servos:
+            self._offs.pop(servo, None)
 
-    def have_reached(self, mask: int, reached: int) -> bool:
-        """Return whether the board has all masks that cut these outputs. `reached` is the newest mask that it has."""
-        return all(self._offs[place].number <= reached for place in _places(mask & self.mask))
+    def have_reached(self, servos: Collection[int], reached: int) -> bool:
+        """Return whether the board has all masks that cut these servos. `reached` is the newest mask that it has."""
+        return self._newest(servos, reached) <= reached
 
-    def wait(self, mask: int, asked_ns: int, token: int, newest: int) -> None:
-        """Wait for these outputs. A `Confirmed` follows, `confirm_ns` after `asked_ns` at the latest.
+    def wait(self, servos: frozenset[int], asked_ns: int, token: int, newest: int) -> None:
+        """Wait for these servos. A `Confirmed` follows, `confirm_ns` after `asked_ns` at the latest.
 
         `newest` is the number of the newest mask.
         """
-        number = max((self._offs[place].number for place in _places(mask & self.mask)), default=newest)
-        self._waits.append(_Wait(token, mask, asked_ns, number))
+        self._waits.append(_Wait(token, servos, asked_ns, self._newest(servos, newest)))
 
-    def answered(self, shown: int, reached: int, now_ns: int) -> tuple[int, list[Confirmed]]:
-        """Take a 6B that shows the outputs `shown` as on, after the masks up to `reached`.
+    def _newest(self, servos: Collection[int], default: int) -> int:
+        return max((off.number for servo, off in self._offs.items() if servo in servos), default=default)
 
-        Return the outputs that are on again after they were confirmed off, and the answers to waiting requests.
+    def answered(self, shown: frozenset[int], reached: int, now_ns: int) -> tuple[set[int], list[Confirmed]]:
+        """Take a 6B that shows the servos `shown` as on, after the masks up to `reached`.
+
+        Return the servos that are on again after they were confirmed off, and the answers to waiting requests.
         """
-        on_again = shown & self.mask & ~self.unconfirmed
-        for place in _places(self.mask & ~shown):
-            off = self._offs[place]
-            off.confirmed = off.confirmed or off.number <= reached
-        ended = [wait for wait in self._waits if not shown & wait.mask and wait.number <= reached]
-        return on_again, [
-            Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS) for wait in self._end(ended)
-        ]
+        on_again = {servo for servo, off in self._offs.items() if servo in shown and off.confirmed}
+        for servo, off in self._offs.items():
+            off.confirmed = off.confirmed or (servo not in shown and off.number <= reached)
+        ended = [wait for wait in self._waits if wait.number <= reached and shown.isdisjoint(wait.servos)]
+        self._waits = [wait for wait in self._waits if wait not in ended]
+        return on_again, [Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS) for wait in ended]
 
-    def late(self, now_ns: int) -> tuple[int, list[Confirmed]]:
-        """Return the outputs that were not confirmed in time, and the answers to requests that waited too long."""
-        late = [place for place in _places(self.unconfirmed) if now_ns - self._offs[place].since_ns >= self._confirm_ns]
+    def late(self, now_ns: int) -> tuple[frozenset[int], list[Confirmed]]:
+        """Return the servos that were not confirmed in time, and the answers to requests that waited too long."""
+        late = frozenset(each for each in self.unconfirmed if now_ns - self._offs[each].since_ns >= self._confirm_ns)
         ended = [wait for wait in self._waits if now_ns - wait.asked_ns >= self._confirm_ns]
-        return sum(1 << place for place in late), [Confirmed(wait.token, False, None) for wait in self._end(ended)]
-
-    def _end(self, waits: list[_Wait]) -> list[_Wait]:
-        for wait in waits:
-            self._waits.remove(wait)
-        return waits
-
-
-def _places(mask: int) -> Iterator[int]:
-    return (place for place in range(OUTPUTS) if mask >> place & 1)
+        self._waits = [wait for wait in self._waits if wait not in ended]
+        return late, [Confirmed(wait.token, False, None) for wait in ended]

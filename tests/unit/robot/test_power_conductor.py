@@ -181,7 +181,7 @@ async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_p
         await keep(robot, 0.1, LEG_3, leg("set", 90, 90, 90))
     assert [ack.reason for ack in answers] == [Reason.NO_POWER]
     assert [event.reason for event in robot.events(Kind.COMMAND_REJECTED)][:1] == [Reason.NO_POWER]
-    assert not robot.line.board._wanted >> 9 & 0b111, "it is not to be fed any more"
+    assert not robot.line.board._wanted & {41, 42, 43}, "it is not to be fed any more"
 
 
 def _cleared(robot: FedRobot) -> None:

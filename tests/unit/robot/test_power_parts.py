@@ -267,7 +267,8 @@ def test_none_is_deleted_while_the_board_may_feed_what_it_blocks(errors: BoardEr
 
 
 CONFIRM_MS: Final = 150
-ONE, TOP = 1, 1 << 17
+NONE: Final = frozenset[int]()
+ONE, TWO, TOP = frozenset({11}), frozenset({12}), frozenset({63})
 BOTH: Final = ONE | TOP
 
 
@@ -282,19 +283,19 @@ def ns(ms: float) -> int:
 
 def test_what_is_to_be_on_is_no_longer_off(offs: OutputsOff) -> None:
     offs.take(BOTH, 1, ns(0))
-    offs.feed(ONE | 2)
-    assert (offs.mask, offs.unconfirmed) == (TOP, TOP)
+    offs.feed(ONE | TWO)
+    assert (offs.servos, offs.unconfirmed) == (TOP, TOP)
 
 
 def test_what_was_confirmed_off_and_is_on_again_is_returned(offs: OutputsOff) -> None:
     offs.take(BOTH, 1, ns(0))
     offs.answered(TOP, 1, ns(1))
-    assert offs.answered(BOTH | 2, 1, ns(2))[0] == ONE, "not what was never confirmed, nor what may be on"
+    assert offs.answered(BOTH | TWO, 1, ns(2))[0] == ONE, "not what was never confirmed, nor what may be on"
 
 
 def test_each_that_is_not_confirmed_in_time_is_late(offs: OutputsOff) -> None:
     offs.take(BOTH, 1, ns(0))
-    offs.take(2, 1, ns(1))
+    offs.take(TWO, 1, ns(1))
     assert offs.late(ns(CONFIRM_MS))[0] == BOTH
 
 
@@ -303,17 +304,17 @@ def test_who_waits_hears_of_the_confirmation_once(offs: OutputsOff) -> None:
     offs.take(TOP, 5, ns(0))
     offs.wait(ONE, ns(-1), 31, newest=9)
     offs.wait(BOTH, ns(-2), 32, newest=9)
-    assert offs.answered(0, 3, ns(6))[1] == []
+    assert offs.answered(NONE, 3, ns(6))[1] == []
     assert offs.answered(TOP, 5, ns(7))[1] == [Confirmed(31, True, 8.0)], "the other output is still on"
-    assert offs.answered(0, 5, ns(8))[1] == [Confirmed(32, True, 10.0)]
-    assert offs.answered(0, 6, ns(9))[1] == []
+    assert offs.answered(NONE, 5, ns(8))[1] == [Confirmed(32, True, 10.0)]
+    assert offs.answered(NONE, 6, ns(9))[1] == []
     assert offs.late(ns(1000))[1] == []
 
 
 def test_a_wait_for_what_is_not_off_is_for_the_newest_mask(offs: OutputsOff) -> None:
     offs.wait(ONE, ns(0), 31, newest=9)
-    assert offs.answered(0, 8, ns(1))[1] == []
-    assert offs.answered(0, 9, ns(2))[1] == [Confirmed(31, True, 2.0)]
+    assert offs.answered(NONE, 8, ns(1))[1] == []
+    assert offs.answered(NONE, 9, ns(2))[1] == [Confirmed(31, True, 2.0)]
 
 
 def test_who_waits_hears_in_time_that_it_is_not_confirmed(offs: OutputsOff) -> None:
@@ -333,9 +334,6 @@ def test_whether_the_masks_that_took_some_have_reached_the_board(offs: OutputsOf
 
 
 # ---- What currents say about Stops
-
-
-NONE: frozenset[int] = frozenset()
 
 
 class Robot:
