@@ -65,18 +65,14 @@ def load(path: Path) -> tuple[RobotCalibration, str | None]:
     earlier: list[Path] = []
     with suppress(OSError):
         earlier = previous(path)
+    newest = 1 + _number(path, earlier[0]) if earlier else 0
     try:
-        found = read(path)
+        found, fault = read(path), f"{path}: is missing, but {earlier[0].name} is in its folder" if earlier else None
     except ConfigError as error:
-        fault = str(error)
-    else:
-        if found is not None:  # an earlier file that was put back by hand gets a newer revision
-            newest = 1 + _number(path, earlier[0]) if earlier else 0
-            return replace(found, revision=max(found.revision, newest)), None
-        if not earlier:
-            return RobotCalibration(), None
-        fault = f"{path}: is missing, but {earlier[0].name} is in its folder"
-    return RobotCalibration(1 + _number(path, earlier[0]) if earlier else 0), fault
+        found, fault = None, str(error)
+    if found is None:
+        return RobotCalibration(newest), fault
+    return replace(found, revision=max(found.revision, newest)), None  # an earlier file may have been put back by hand
 
 
 def read(path: Path) -> RobotCalibration | None:
@@ -119,17 +115,15 @@ def _keep_previous(path: Path) -> None:
     """Hard-link the current file under its revision. A complete file exists at any time."""
     try:
         before = read(path)
+        name = None if before is None else str(before.revision)
     except ConfigError:
         name = "broken"
-    else:
-        if before is None:
-            return
-        name = str(before.revision)
-    copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
-    copy.unlink(missing_ok=True)
-    os.link(path, copy)
-    for old in previous(path)[EARLIER_KEPT:]:
-        old.unlink()
+    if name is not None:
+        copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
+        copy.unlink(missing_ok=True)
+        os.link(path, copy)
+        for old in previous(path)[EARLIER_KEPT:]:
+            old.unlink()
 
 
 # ---- as text

@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Final
 
 NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
@@ -30,16 +31,16 @@ class SystemdNotifier:
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)  # the loop must not wait for systemd to read
-        self.ping_period_s: Final = _ping_period_s(environment) if path else None
+        timeout_us, for_whom = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
+        ours = bool(path) and timeout_us.isdecimal() and for_whom in {"", str(os.getpid())}
+        self._timeout_us = int(timeout_us) if ours else 0
+        """systemd's watchdog period; 0: there is no watchdog."""
+        self.ping_period_s: Final = self._timeout_us / 1e6 / PINGS_PER_TIMEOUT if self._timeout_us else None
         """How often to call `alive`: a quarter of systemd's watchdog period. None: there is no watchdog."""
 
     def ready(self, status: str) -> None:
         """Report that commands are accepted from now on. Resets systemd's watchdog to the unit's period."""
-        period = (
-            ""
-            if self.ping_period_s is None
-            else f"\nWATCHDOG_USEC={round(self.ping_period_s * PINGS_PER_TIMEOUT * 1e6)}"
-        )
+        period = f"\nWATCHDOG_USEC={self._timeout_us}" if self._timeout_us else ""
         self._send(f"READY=1\nSTATUS={status}{period}")
 
     def status(self, status: str) -> None:
@@ -59,14 +60,14 @@ class SystemdNotifier:
         if not anew:
             self._send("STOPPING=1")
             self._end_unless_alive()
-        elif self.ping_period_s is not None:
+        elif self._timeout_us:
             self._send(f"RELOADING=1\nSTATUS=starts anew\nWATCHDOG_USEC={round(ANEW_S * 1e6)}\nWATCHDOG=1")
             signal.setitimer(signal.ITIMER_REAL, ANEW_S)  # a new program in this process keeps the timer
 
     def _end_unless_alive(self) -> None:
         """Have the kernel end this process unless this is called again in time, even if all threads hang."""
-        if self.ping_period_s is not None:
-            signal.setitimer(signal.ITIMER_REAL, self.ping_period_s * PINGS_PER_TIMEOUT * HANGS_AFTER)
+        if self._timeout_us:
+            signal.setitimer(signal.ITIMER_REAL, self._timeout_us / 1e6 * HANGS_AFTER)
 
     def close(self) -> None:
         """Close the socket; nothing more is sent."""
@@ -75,17 +76,6 @@ class SystemdNotifier:
             self._socket = None
 
     def _send(self, text: str) -> None:
-        if self._socket is None:
-            return
-        try:
-            self._socket.sendto(text.encode(), self._address)
-        except OSError:
-            return  # systemd acts by itself when notifications stop
-
-
-def _ping_period_s(environment: Mapping[str, str]) -> float | None:
-    for_whom = environment.get("WATCHDOG_PID", "")
-    timeout_us = environment.get("WATCHDOG_USEC", "")
-    if not timeout_us.isdecimal() or int(timeout_us) == 0 or (for_whom and for_whom != str(os.getpid())):
-        return None
-    return int(timeout_us) / 1e6 / PINGS_PER_TIMEOUT
+        if self._socket is not None:
+            with suppress(OSError):  # systemd acts by itself when notifications stop
+                self._socket.sendto(text.encode(), self._address)

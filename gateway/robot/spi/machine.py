@@ -41,10 +41,7 @@ def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
 
 def spi_device(device: str, root: Path = ROOT_DIR) -> Path | None:
     """Return such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0."""
-    try:
-        return (root / "sys/class/spidev" / Path(device).name / "device").resolve(strict=True)
-    except (OSError, RuntimeError):
-        return None
+    return _resolved(root / "sys/class/spidev" / Path(device).name / "device")
 
 
 def _controller(device: str, root: Path) -> Path | None:
@@ -56,15 +53,17 @@ def _controller(device: str, root: Path) -> Path | None:
 def node_of(device: str, root: Path = ROOT_DIR) -> Path | None:
     """Return the device tree's node of the SPI controller, or None."""
     controller = _controller(device, root)
-    try:
-        return None if controller is None else (controller / "of_node").resolve(strict=True)
-    except (OSError, RuntimeError):
-        return None
+    return None if controller is None else _resolved(controller / "of_node")
 
 
 def bound_driver(device: Path) -> str | None:
     """Return the driver that is bound to a device of /sys, or None."""
+    driver = _resolved(device / "driver")
+    return None if driver is None else driver.name
+
+
+def _resolved(path: Path) -> Path | None:
     try:
-        return (device / "driver").resolve(strict=True).name
+        return path.resolve(strict=True)
     except (OSError, RuntimeError):
         return None

@@ -12,7 +12,7 @@ with questions has its own thread, which waits for a wakeup without polling (`qu
 import asyncio
 import logging
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
@@ -153,12 +153,14 @@ class Inbox:
             ("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
             ("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
         ]
-        self._question_rings: list[QuestionRing] = []
+        self._sorted: list[QuestionRing] = []
         self._asked: dict[str, WokenRing] = {}
         for key, read in readers.items():
             ring = self._queryable(session, key, QUESTIONS_DEPTH if key in tokens else READER_DEPTH)
-            self._asked[key] = WokenRing(self._sorted(ring, tokens.get(key)))
-            waits.append((f"{key}-get", self._asked[key], self._note_for(key, read)))
+            if key in tokens:
+                self._sorted.append(QuestionRing(ring, tokens[key], time.monotonic_ns))
+            self._asked[key] = WokenRing(self._sorted[-1] if key in tokens else ring)
+            waits.append((f"{key}-get", self._asked[key], partial(self._note_question, key, read)))
         self._receivers = [
             *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
             *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
@@ -217,7 +219,7 @@ class Inbox:
             receiver.thread.join()
         for answers in (self._replies, self._estop_replies):
             answers.close()
-        for ring in self._question_rings:
+        for ring in self._sorted:
             ring.close()
 
     def _subscriber(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Sample]:
@@ -230,16 +232,10 @@ class Inbox:
         self._declared.append(queryable)
         return queryable.handler
 
-    def _sorted(self, ring: Handler[zenoh.Query], knows: TokenCheck | None) -> Handler[zenoh.Query] | QuestionRing:
-        if knows is None:
-            return ring
-        self._question_rings.append(QuestionRing(ring, knows, time.monotonic_ns))
-        return self._question_rings[-1]
-
     # ---- on the receiver threads
 
-    def _note_for(self, key: str, read: Reader) -> Callable[[zenoh.Query, int], OwnersTask]:
-        return lambda query, received_ns: read(query, received_ns, self._replies.to(query, key))
+    def _note_question(self, key: str, read: Reader, query: zenoh.Query, received_ns: int) -> OwnersTask:
+        return read(query, received_ns, self._replies.to(query, key))
 
     def _estop(self, item: _Item, received_ns: int) -> OwnersTask:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
@@ -308,19 +304,16 @@ class Inbox:
             self._missed, self._early, self._lost_some = {}, {}, True
             self._poll_later(POLL_AFTER_FLOOD)
         elif taken != woken or self._early:
-            counts = (self._missed, woken, self._early, taken)
-            left = {
-                key: self._missed.get(key, 0) + woken.get(key, 0) - self._early.get(key, 0) - taken.get(key, 0)
-                for count in counts
-                for key in count
-            }
+            left = Counter(self._missed)
+            left.update(woken)
+            left.subtract(self._early)
+            left.subtract(taken)
             missed_more = any(count > self._missed.get(key, 0) for key, count in left.items())
-            self._missed = {key: count for key, count in left.items() if count > 0}
+            self._missed = +left
             if not self._early:
                 self._early_until_s = self._loop.time() + _EARLY_S
             # A surplus expires: otherwise a message counted twice would hide a later one forever.
-            late = self._loop.time() > self._early_until_s
-            self._early = {} if late else {key: -count for key, count in left.items() if count < 0}
+            self._early = {} if self._loop.time() > self._early_until_s else -left
             if missed_more:
                 self._poll_later(0)
 

@@ -20,6 +20,7 @@ are processed, and those of the older ones that may be Stops.
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 from gateway.robot.core.intake import follows, servos_of
@@ -53,24 +54,21 @@ def put_depth(leg_rate_hz: float, timeout_ms: float) -> int:
     return min(max(held_back + RING_DEPTH, LEAST_PUT_DEPTH), MAX_PUT_DEPTH)
 
 
+@dataclass(eq=False, slots=True)
 class Ring(Generic[Item]):
     """The messages of one key and kind (`put` and `delete`, or `get`), in their order of arrival."""
 
-    __slots__ = ("before", "depth", "follows", "key", "others", "place", "receive", "servos")
-
-    def __init__(self, key: str, receive: Receive[Item], depth: int) -> None:
-        self.key = key
-        self.place: int
-        """The position of its commands in an instant."""
-        self.servos = servos_of(COMMAND_KEYS[key])
-        """The servos that its messages may stop. A ring of resets has none and contains no Stop."""
-        self.follows = follows(COMMAND_KEYS[key])
-        self.receive = receive
-        self.depth = depth
-        self.others: frozenset[Ring[Item]] = frozenset()
-        """The rings to read again after a Stop from this one, since they may contain an older message."""
-        self.before: frozenset[Ring[Item]] = frozenset()
-        """Those of `others` whose commands apply earlier. They are read again after every message from this ring."""
+    key: str
+    receive: Receive[Item]
+    depth: int
+    place: int = 0
+    """The position of its commands in an instant."""
+    servos: frozenset[int] = frozenset()
+    """The servos that its messages may stop. A ring of resets has none and contains no Stop."""
+    others: "frozenset[Ring[Item]]" = frozenset()
+    """The rings to read again after a Stop from this one, since they may contain an older message."""
+    before: "frozenset[Ring[Item]]" = frozenset()
+    """Those of `others` whose commands apply earlier. They are read again after every message from this ring."""
 
     def rest(self, *first: Item) -> list[Item]:
         """Return `first` and the messages after it, up to the ring's depth. Further ones wait for the next read."""
@@ -96,7 +94,10 @@ class Rings(Generic[Item, Message]):
         self._all = [ring for key in COMMAND_KEYS if key in self._of for ring in self._of[key]]
         for place, ring in enumerate(self._all):
             ring.place = place
-            ring.others = frozenset(each for each in self._all if each is not ring and ring.follows & each.servos)
+            ring.servos = servos_of(COMMAND_KEYS[ring.key])
+        for place, ring in enumerate(self._all):
+            behind = follows(COMMAND_KEYS[ring.key])
+            ring.others = frozenset(each for each in self._all if each is not ring and behind & each.servos)
             ring.before = ring.others.intersection(self._all[:place])
         self.instant_open = False
         """Whether the next `read` belongs to the same instant as the last."""
@@ -139,12 +140,8 @@ class Rings(Generic[Item, Message]):
                 break
         self.instant_open = bool(due) and stops
         if taken[1:]:
-            taken.sort(key=_place)
-        found: list[tuple[str, Message | None]] = []
-        for ring, items in taken:
-            for item in items:
-                found += [(ring.key, item)]
-        return found
+            taken.sort(key=lambda each: each[0].place)
+        return [(ring.key, item) for ring, items in taken for item in items]
 
     def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
         """Return the newest messages, after the older Stops, or after None if some may have been lost."""
@@ -161,7 +158,3 @@ class Rings(Generic[Item, Message]):
                 stops.pop(words, None)  # only the last of equal Stops, so that a flood of Stops takes no time
                 stops[words] = older
         return [*stops.values(), *newest]
-
-
-def _place(taken: tuple[Ring[Item], Sequence[Message | None]]) -> int:
-    return taken[0].place
