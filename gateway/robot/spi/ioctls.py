@@ -6,15 +6,10 @@ which cannot open a device by its path. The names are spidev's; the calls are th
 
 import fcntl
 import os
-import struct
 from typing import Any, Final
 
 _READ_MODE: Final = 2 << 30 | 1 << 16 | ord("k") << 8 | 1
 """SPI_IOC_RD_MODE."""
-_WRITE_BITS: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 3
-"""SPI_IOC_WR_BITS_PER_WORD."""
-_WRITE_SPEED: Final = 1 << 30 | 4 << 16 | ord("k") << 8 | 4
-"""SPI_IOC_WR_MAX_SPEED_HZ."""
 _CLOSED: Final = -1
 
 USED: Final = "the gateway makes the kernel's calls itself: the Python package spidev is missing, or too old"
@@ -60,12 +55,3 @@ class SpiDev:
         fd, self._fd = self._fd, _CLOSED
         if fd != _CLOSED:
             os.close(fd)
-
-    def _set_bits(self, bits: int) -> None:
-        fcntl.ioctl(self._fd, _WRITE_BITS, struct.pack("B", bits))
-
-    def _set_speed(self, speed_hz: int) -> None:
-        fcntl.ioctl(self._fd, _WRITE_SPEED, struct.pack("=I", speed_hz))
-
-    bits_per_word = property(None, _set_bits)
-    max_speed_hz = property(None, _set_speed)

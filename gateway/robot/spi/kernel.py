@@ -32,10 +32,10 @@ _WRITE_MODE: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 1
 """SPI_IOC_WR_MODE."""
 _READ_MODE: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 5
 """SPI_IOC_RD_MODE32."""
-_READ_BITS: Final = 2 << 30 | 1 << 16 | ord("k") << 8 | 3
-"""SPI_IOC_RD_BITS_PER_WORD."""
-_READ_SPEED: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 4
-"""SPI_IOC_RD_MAX_SPEED_HZ."""
+_WRITE_BITS: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 3
+"""SPI_IOC_WR_BITS_PER_WORD."""
+_WRITE_SPEED: Final = 1 << 30 | 4 << 16 | ord("k") << 8 | 4
+"""SPI_IOC_WR_MAX_SPEED_HZ."""
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
@@ -77,8 +77,8 @@ class KernelDevice(SpiDevice, DuplexDevice):
             # This clears all flags: a flag of another program, such as "no chip select", outlives that program, and
             # spidev's own `mode` changes two bits only.
             fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
-            self._spi.bits_per_word = _BITS
-            self._spi.max_speed_hz = speed_hz
+            fcntl.ioctl(self._spi, _WRITE_BITS, bytes((_BITS,)))
+            fcntl.ioctl(self._spi, _WRITE_SPEED, struct.pack("=I", speed_hz))
             # The mode may differ from the flags: some kernels add SPI_CS_HIGH if chip select is a GPIO.
             self._mode = self._read(_READ_MODE)
         except Exception as error:
@@ -147,11 +147,9 @@ class KernelDevice(SpiDevice, DuplexDevice):
                 return None
         except OSError:  # the device is going away, and the next transfer will report it
             return None
-        found = f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
         with suppress(OSError):
             fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
-            found += f", {self._read(_READ_SPEED)} Hz and {self._read(_READ_BITS)} bits"
-        return found
+        return f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
 
     def _read(self, request: int) -> int:
         value = bytearray(request >> 16 & 0x3FFF)
