@@ -80,7 +80,8 @@ class PowerLine:
         """Released if the sender has work. Releasing a lock does not give up the interpreter's lock."""
         self._wake.acquire()
         self._bus: can.BusABC | None = None
-        self._received_from: can.BusABC | None = None
+        self._receiving = threading.Lock()
+        """Held by the receiver while it uses the interface."""
         self._closing = self._cuts = False
         self._retry_ns = 0
         self.status = Status()
@@ -221,9 +222,7 @@ class PowerLine:
 
     def _release(self, bus: "can.BusABC") -> None:
         """Close the interface once neither thread uses it, since its descriptor may then become another file's."""
-        while self._received_from is bus:
-            time.sleep(POLL_S / 10)
-        with suppress(Exception):
+        with self._receiving, suppress(Exception):
             bus.shutdown()
 
     # ---- the receiver
@@ -231,15 +230,11 @@ class PowerLine:
     def _receive(self) -> None:
         realtime.prefer_thread(realtime.RECEIVER_PRIORITY)
         while not self._closing:
-            frames: list[CanFrame] = []
-            bus = self._received_from = self._bus
-            try:
-                if bus is None:
-                    time.sleep(POLL_S)
-                elif bus is self._bus:  # unchanged, so the sender does not close it now
-                    frames = self._frames(bus)
-            finally:
-                self._received_from = None
+            with self._receiving:
+                bus = self._bus
+                frames = [] if bus is None else self._frames(bus)
+            if bus is None:
+                time.sleep(POLL_S)
             self._take(frames)
             if len(frames) >= AT_ONCE:
                 time.sleep(PAUSE_S)
