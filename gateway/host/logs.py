@@ -1,4 +1,4 @@
-"""The service's logging: text on a terminal and in the journal, else JSON lines. Callers never block.
+"""The service's logging, as lines of text. Callers never block.
 
 A background thread writes, since a reader of stdout or stderr may stop reading (a full pipe, a paused terminal, a stuck
 journal); on the loop, this would delay every Stop.
@@ -25,7 +25,7 @@ from typing import Final
 
 from gateway.host.directories import runtime_directory
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
-from gateway.text import visible, visible_json
+from gateway.text import visible
 
 _TEXT: Final = "text"
 """Name of a record that comes from no logger."""
@@ -163,7 +163,7 @@ def set_up() -> None:
 
     Two background threads write to stdout and stderr from now on.
     """
-    out, err = LogWriter(1), LogWriter(2, _formatter(2))
+    out, err = LogWriter(1), LogWriter(2, _Lines(2))
     _log_writers[:] = [out, err]
     sys.stdout, sys.stderr = LogStream(out), LogStream(err)
     atexit.register(close)
@@ -201,46 +201,27 @@ def keep_stacks() -> None:
             logging.getLogger(__name__).warning("the stacks of a hang cannot be kept: %s", error)
 
 
-def _formatter(descriptor: int) -> logging.Formatter:
-    found = os.fstat(descriptor)
-    journal = os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"  # systemd.exec(5)
-    return _LinesForPeople(journal=journal) if journal or os.isatty(descriptor) else _JsonLines()
-
-
-class _JsonLines(logging.Formatter):
-    """One JSON line for each record, of printable characters only. Tracebacks show no values of variables."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        line: dict[str, object] = {
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            **_fields(record),
-            "timestamp": _time(record),
-            "message": record.getMessage(),
-        }
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return visible_json(line)
-
-
-class _LinesForPeople(logging.Formatter):
+class _Lines(logging.Formatter):
     """Text, escaped: a client's text can neither control the terminal nor fake log lines.
 
     In the journal, which adds the time, each line follows its syslog priority, for `journalctl -p warning`.
     """
 
-    def __init__(self, *, journal: bool) -> None:
+    def __init__(self, descriptor: int) -> None:
         super().__init__()
-        self._journal = journal
+        found = os.fstat(descriptor)
+        self._journal = os.environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"  # systemd.exec(5)
 
     def format(self, record: logging.LogRecord) -> str:
-        priority, head = "", f"{_time(record)} [{record.levelname.lower():8}] "
-        if self._journal:
-            priority, head = f"<{_PRIORITIES[max(level for level in _PRIORITIES if level <= record.levelno)]}>", ""
-        fields = "".join(f" {name}={_quoted(value)}" for name, value in sorted(_fields(record).items()))
+        priority = f"<{_PRIORITIES[max(level for level in _PRIORITIES if level <= record.levelno)]}>"
+        # The time of the call; the line may be written much later.
+        made = datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
+        found = sorted((name, value) for name, value in vars(record).items() if name not in _OF_EACH_RECORD)
+        fields = "".join(f" {name}={_quoted(value)}" for name, value in found if value is not None)
+        head = "" if self._journal else f"{made} [{record.levelname.lower():8}] "
         fault = self.formatException(record.exc_info).splitlines() if record.exc_info else []
         lines = [f"{head}{visible(record.getMessage())}{fields}", *map(visible, fault)]
-        return "\n".join(priority + line for line in lines)
+        return "\n".join(f"{priority if self._journal else ''}{line}" for line in lines)
 
 
 _PRIORITIES: Final = {logging.NOTSET: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
@@ -251,12 +232,3 @@ _OF_EACH_RECORD: Final = {*vars(logging.makeLogRecord({})), "taskName"}
 
 def _quoted(value: object) -> str:
     return repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else visible(str(value))
-
-
-def _fields(record: logging.LogRecord) -> dict[str, object]:
-    return {name: value for name, value in vars(record).items() if name not in _OF_EACH_RECORD and value is not None}
-
-
-def _time(record: logging.LogRecord) -> str:
-    """Return the time of the log call; the line may be written much later."""
-    return datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")

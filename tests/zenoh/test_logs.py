@@ -1,14 +1,10 @@
 """What the log looks like on a terminal, and to a machine."""
 
-import json
 import os
 import pty
 import subprocess
 import sys
 from datetime import datetime, timedelta
-from typing import Any
-
-import pytest
 
 SPEAKER = """
 import logging, sys, threading, warnings
@@ -61,37 +57,25 @@ def read(terminal: int) -> bytes:
         return b""
 
 
-@pytest.fixture(scope="module")
-def lines() -> list[dict[str, Any]]:
-    """SPEAKER's lines to a pipe, where the format is chosen for it."""
-    return [json.loads(line) for line in spoken("-X", "dev")]
-
-
-def test_each_line_is_json_with_time_level_and_message(lines: list[dict[str, Any]]) -> None:
-    assert [(line["level"], line["message"]) for line in lines] == [
-        ("debug", "detail"),
-        ("info", "hexapod-gateway 1 takes commands"),
-        ("warning", "leg 7 does not exist"),
-        ("warning", "hostile \x1b[2J\nsecond line"),
-        ("error", "something failed"),
-        ("error", "told too"),
+def test_each_line_has_its_time_and_level_and_none_is_anyones_words() -> None:
+    lines = spoken("-X", "dev")
+    assert [line.partition(" ")[2] for line in lines if line.startswith("20")] == [
+        "[debug   ] detail",
+        "[info    ] hexapod-gateway 1 takes commands kind=started",
+        "[warning ] leg 7 does not exist key=hexapod/leg/7/cmd kind=command_rejected reason=invalid source='lap top'",
+        r"[warning ] hostile \x1b[2J\nsecond line source='\x1b]0;title\x07\u2028\x9b'",
+        "[error   ] something failed",
+        "[error   ] told too",
     ]
-    for line in lines:
-        assert datetime.fromisoformat(line["timestamp"]).utcoffset() == timedelta(0)
-    assert [line["logger"] for line in lines] == ["gateway.test"] * 5 + ["other.library"]
-
-
-def test_a_traceback_is_one_line_without_anyones_variables(lines: list[dict[str, Any]]) -> None:
-    assert lines[4]["exception"].endswith("\nValueError: broken")
-    assert "hunter2" not in json.dumps(lines)
+    assert datetime.fromisoformat(lines[0].partition(" ")[0]).utcoffset() == timedelta(0)
+    assert lines[-2] == "ValueError: broken"
+    assert "hunter2" not in str(lines), "a traceback shows no values"
 
 
 def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_it() -> None:
     written = spoken_on_a_terminal()
     assert "hexapod-gateway 1 takes commands" in written
     assert "ValueError: broken" in written
-    with pytest.raises(json.JSONDecodeError):
-        json.loads(written.splitlines()[0])
     assert not set(HOSTILE) & set(written)
     assert r"hostile \x1b[2J\nsecond line" in written
 
@@ -109,4 +93,4 @@ def test_lines_for_the_journal_begin_with_their_priority() -> None:
     detailed = spoken("-X", "dev", program=program)
     assert {line[:3] for line in detailed} == {"<7>", "<6>", "<4>", "<3>"}, "each line of a traceback, too"
     other = spoken(program="import os\nos.environ['JOURNAL_STREAM'] = '1:1'\n" + SPEAKER)
-    assert all(line.startswith("{") for line in other)
+    assert not any(line.startswith("<") for line in other)
