@@ -10,7 +10,6 @@ ignored. So two transfers do the work of fourteen zeros. In every state, a contr
 or ignores them (`tests/unit/robot/test_bus_failing.py` tries each).
 """
 
-import heapq
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Final
@@ -66,21 +65,17 @@ def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
     """
     if awaited == NOTHING:
         return stops[0]
-    units = {**{stop: (stop[:1], stop) for stop in stops}, ZERO: (ZERO,)}
-    ways: list[tuple[int, int, Awaited, bytes]] = [(0, 0, awaited, b"")]
-    seen: set[Awaited] = set()
-    number = 0
-    while ways:
-        transfers, _, reached, first = heapq.heappop(ways)
-        if reached == NOTHING:
-            return first
-        if reached in seen:
-            continue
-        seen.add(reached)
-        for unit, parts in units.items():
-            if transfers + len(parts) <= _MOST_TRANSFERS:
-                number += 1  # of two equally short ways, prefer the one found first
-                heapq.heappush(ways, (transfers + len(parts), number, after(reached, parts), first or unit))
+    before: dict[Awaited, bytes] = {}
+    now = {awaited: b""}
+    """What the controller may await after so many transfers, each with the first Stop or zero of the way there."""
+    for _ in range(_MOST_TRANSFERS):
+        ways = [(after(each, (stop[:1], stop)), first or stop) for each, first in before.items() for stop in stops]
+        ways += [(after(each, (ZERO,)), first or ZERO) for each, first in now.items()]
+        before, now = now, {}
+        for reached, first in ways:
+            now.setdefault(reached, first)
+        if NOTHING in now:
+            return now[NOTHING]
     return ZERO
 
 
