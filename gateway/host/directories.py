@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Final
 
 CONFIGURATION: Final = Path("/etc/hexapod-gateway/gateway.toml")
-"""The default settings file."""
 SERVICE_STATE: Final = Path("/var/lib/hexapod-gateway")
 """The service's state directory (deploy/systemd), for commands that systemd did not start."""
 SERVICE_RUNTIME: Final = Path("/run/hexapod-gateway")

@@ -20,7 +20,6 @@ from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
 
 SIMULATED: Final = "sim"
-"""The interface of a simulated power board."""
 START_STAGGER_MS: Final = 15.0
 """A servo draws most current in its first milliseconds. Six legs start within 75 ms, well within a usual watchdog."""
 DEFAULT_LISTEN: Final = ("tcp/127.0.0.1:7447",)
@@ -98,8 +97,6 @@ class Section:
 # fmt: off
 @dataclass(frozen=True)
 class ZenohSettings(Section):
-    """The gateway's Zenoh endpoints."""
-
     listen: tuple[str, ...] = _setting(DEFAULT_LISTEN, "endpoints on which clients reach the gateway")
     config: str = _setting("", "a Zenoh JSON5 file for TLS, access control, namespace, and what the gateway dials")
     allow_insecure: bool = _setting(False, "listen beyond loopback without certificates or passwords")
@@ -107,8 +104,6 @@ class ZenohSettings(Section):
 
 @dataclass(frozen=True)
 class WireSettings(Section):
-    """The controller's protocol."""
-
     name: str = _setting(str(FRAMED), "what the controller speaks ([protocol.md](protocol.md)): `hexapod-1.0`, `elkapod-2025` or a [plug-in](protocol.md#bring-your-own-wire), with its options as further keys. `spi.framing` and `spi.frame_gap_us` are for `hexapod-1.0`; a plug-in uses no `[spi]`")
     options: Mapping[str, object] = field(default_factory=dict, metadata={"others": True})
 
@@ -270,8 +265,6 @@ class StateSettings(Section):
 
 @dataclass(frozen=True)
 class TelemetrySettings(Section):
-    """Whether frames are published, and the metrics page."""
-
     frames: bool = _setting(False, "publish `hexapod/frame`")
     metrics: str = _setting("", '`"127.0.0.1:9464"`: Prometheus [metrics](recordings.md#metrics) over HTTP; `""`: none', fault=_host_and_port)
 

@@ -33,7 +33,6 @@ class Worker:
 
     @property
     def waiting(self) -> int:
-        """The number of queued functions."""
         return self._waiting.qsize()
 
     def close(self, timeout_s: float | None = None) -> None:

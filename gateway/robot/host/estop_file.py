@@ -26,14 +26,11 @@ _UNHEARD_OF: Final = 10**9
 
 
 class KeptEstop(NamedTuple):
-    """The latest emergency stop."""
-
     number: int
     """Its number; 0: there was none."""
     engaged: bool = False
     source: str | None = None
     time: datetime | None = None
-    """When it was engaged."""
     fault: str | None = None
     """Why it is not known, and so counts as engaged."""
 

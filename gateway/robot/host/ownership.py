@@ -56,7 +56,6 @@ class OwnersTimer:
 
     @property
     def armed(self) -> bool:
-        """Whether a callback is pending."""
         return self._due_s < math.inf
 
     def set(self, due_s: float) -> None:  # mutants accepted (GtE_Gt): equal times
@@ -75,7 +74,6 @@ class OwnersTimer:
             self._loop.call_soon_threadsafe(self._place_as_owner)
 
     def set_in(self, delay_s: float) -> None:
-        """Call back `delay_s` from now."""
         self.set(self._loop.time() + delay_s)
 
     def cancel(self) -> None:

@@ -8,7 +8,6 @@ from contextlib import suppress
 from typing import Final
 
 NOTIFY_SOCKET: Final = "NOTIFY_SOCKET"
-"""The variable with systemd's socket."""
 PINGS_PER_TIMEOUT = 4
 """More than one, so that a late or lost ping does not kill a working service."""
 
@@ -70,7 +69,6 @@ class SystemdNotifier:
             signal.setitimer(signal.ITIMER_REAL, self._timeout_us / 1e6 * HANGS_AFTER)
 
     def close(self) -> None:
-        """Close the socket; nothing more is sent."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

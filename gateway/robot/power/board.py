@@ -203,7 +203,6 @@ class PowerBoard:
 
     @property
     def status(self) -> Status:
-        """The board's present state."""
         return Status(
             self.alive,
             self._shown,

@@ -15,8 +15,6 @@ CLEAR_TRIES: Final = 40
 
 
 class BoardErrors:
-    """The errors of one board."""
-
     def __init__(self) -> None:  # mutants accepted (Forget, Step): `delete` sets both
         self._errors: dict[int, BoardError] = {}
         """The errors by code, each with all outputs that it was shown with."""
@@ -39,7 +37,6 @@ class BoardErrors:
 
     @property
     def mask(self) -> int:
-        """The blocked outputs."""
         mask = 0
         for error in self._errors.values():  # thousands of times a second in a flood
             mask |= explained(error)[1]

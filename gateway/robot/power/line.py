@@ -106,10 +106,9 @@ class PowerLine:
             if thread.is_alive():
                 thread.join(max(0, end_ns - time.monotonic_ns()) / NS_PER_S)
 
-    # ---- requests: they never wait
+    # ---- requests of PowerBoard, carried out as soon as possible: they never wait
 
     def want(self, servos: frozenset[int], number: int) -> None:
-        """PowerBoard.want, as soon as possible."""
         self._request(partial(self._board.want, servos, number, self._clock()))
 
     def cut(self) -> None:
@@ -118,11 +117,9 @@ class PowerLine:
         self._request(partial(self._board.cut, self._clock()))
 
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
-        """PowerBoard.when_off, as soon as possible."""
         self._request(partial(self._board.when_off, servos, asked_ns, token, self._clock()))
 
     def clear_errors(self) -> None:
-        """PowerBoard.clear_errors, as soon as possible."""
         self._request(partial(self._board.clear_errors, self._clock()))
 
     def news(self) -> list[News | Confirmed]:

@@ -38,8 +38,6 @@ class _Off:
 
 
 class OutputsOff:
-    """The servos of one board."""
-
     def __init__(self, confirm_ns: int) -> None:
         """An off not confirmed within `confirm_ns` is late."""
         self._confirm_ns = confirm_ns

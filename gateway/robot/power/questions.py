@@ -56,7 +56,6 @@ class BoardQuestions:
         self.due_ns = now_ns
 
     def not_sent(self, question: CanFrame) -> None:
-        """Record that this question was not sent."""
         self._asked.pop(question, None)
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:  # mutants accepted (Add_Sub): each is asked as often
@@ -90,7 +89,6 @@ class BoardQuestions:
         return now_ns - asked_ns >= (LOST_NS if self.reached_ns > asked_ns else FORGOTTEN_NS)
 
     def answered(self, now_ns: int) -> None:
-        """Record an answer of the board."""
         self._answered_ns = now_ns
         self._unanswered = 0
 
@@ -106,7 +104,6 @@ class BoardQuestions:
 
     # mutants accepted (Step): less than what has reached the board
     def answered_about_rails(self, question: CanFrame, now_ns: int) -> None:
-        """Take an answer to this question about rails."""
         others, ours = self._foreign_unanswered(question, now_ns), question in self._asked
         if others:
             self._foreign[question] = (others - 1, self._foreign[question][1])

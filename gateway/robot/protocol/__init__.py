@@ -32,8 +32,6 @@ class Sent:
 
 @dataclass(slots=True)
 class BatchReport:
-    """The result of writing a batch."""
-
     sent: list[Sent] = field(default_factory=list)
     fault: SpiError | None = None
     """The first failure."""

@@ -82,7 +82,6 @@ class Commanded:
         return self.ready
 
     def frame(self) -> bytes:
-        """Return the next frame."""
         whole = self._fed_singly or len(self._to_start) == len(SERVO_IDS)
         self._carried = set(self._to_start) if whole else set()
         return elkapod.frame(self._angles_cdeg)
@@ -192,7 +191,6 @@ class SignsOfLife:
         """Why the controller counts as restarted, or "". Then continue with `anew`."""
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Take the bytes that the UART has received."""
         self._beats.take(data, now_ns)
         if self._beats.missing:
             self.restarted = "two of its heartbeats are missing"

@@ -30,7 +30,6 @@ class Latency:
     max_us: float | None = None
 
     def record(self, latency_ns: int) -> None:
-        """Count one latency, in nanoseconds."""
         latency_us = latency_ns / 1000
         self.recent_us.append(latency_us)
         self.buckets[bisect_left(BOUNDS_US, latency_us)] += 1

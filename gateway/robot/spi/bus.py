@@ -257,7 +257,6 @@ class Bus(Wire):
         return self._zeros >= PREAMBLE_ZEROS
 
     def close(self) -> None:
-        """Release the device, if it is open. Never raises."""
         if self._device is not None:
             with suppress(SpiError):
                 self._device.close()
@@ -269,7 +268,6 @@ class Bus(Wire):
 
     # mutants accepted (Step): nobody gives 1
     def _zeros_ahead(self, now_ns: int, *, stops: bool, preamble: bool) -> int:
-        """Return how many zeros have to precede the frames."""
         wanted = preamble or self._suspect or self._awaited is not NOTHING
         if not wanted:
             if now_ns - self.ended_ns >= IDLE_NS:

@@ -139,7 +139,6 @@ class CyclicBus(Wire):
 
     @property
     def answered_ns(self) -> int | None:
-        """When the controller's last well-formed answer was received."""
         return self._signs.answered_ns
 
     def silent(self, now_ns: int) -> ControllerSilentError | None:

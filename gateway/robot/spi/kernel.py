@@ -157,7 +157,6 @@ class KernelDevice(SpiDevice, DuplexDevice):
         return int.from_bytes(value, sys.byteorder)
 
     def close(self) -> None:
-        """Release the device."""
         self._listener = None
         with suppress(Exception):
             self._spi.close()

@@ -31,8 +31,6 @@ _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) 
 
 
 class PluginBus(Bus):
-    """The bus of a plug-in."""
-
     def __init__(self, wire: WireSettings, *, exclusive: bool = True) -> None:
         """`exclusive` is False for `stop-servos`. Raises ConfigError if the plug-in cannot be loaded."""
         try:
@@ -43,8 +41,6 @@ class PluginBus(Bus):
 
 
 class PluginDevice(SpiDevice):
-    """An opened plug-in."""
-
     def __init__(self, name: str, wire: ServoWire, *, exclusive: bool) -> None:
         """Open the plug-in. Raises SpiError if it raises OSError, else RuntimeError: a bug of the plug-in."""
         self._name = name

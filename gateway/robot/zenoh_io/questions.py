@@ -125,7 +125,6 @@ class WokenRing:
             self._wakes.put(True)
 
     def close(self) -> None:
-        """Let `recv` end."""
         self._wakes.put(False)
 
     def recv(self) -> zenoh.Query:

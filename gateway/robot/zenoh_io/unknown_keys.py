@@ -24,8 +24,6 @@ MAX_COMPARED: Final = 30
 
 
 class UnknownKey(NamedTuple):
-    """A message on a key that nothing reads."""
-
     key: str
     source: str | None
     detail: str
