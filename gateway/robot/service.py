@@ -13,7 +13,7 @@ from typing import Any
 
 import zenoh
 
-from gateway import __version__
+from gateway import __version__, certs
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
@@ -51,7 +51,6 @@ from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.late_addresses import LateAddresses
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
-from gateway.robot.zenoh_io.proofs import checker_of
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.robot.zenoh_io.revoked import list_common_names, revocation_state
 from gateway.robot.zenoh_io.rings import put_depth
@@ -201,9 +200,8 @@ class _Service:
             logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")
         elif self.shut_out is not None:
             logger.info("there is no list of revoked certificates")
-        self.checker = checker_of(self.config, revoked)
-        fault = None if self.checker is None else self.checker.clock_fault(wall_clock())
-        if fault is not None:
+        self.checker = None if self.shut_out is None else certs.proof.ProofChecker(self.shut_out.cas, revoked)
+        if self.checker is not None and (fault := self.checker.clock_fault(wall_clock())):
             logger.warning(fault)
 
     async def run(self, on_ready: Callable[[zenoh.Config], None]) -> ServiceEnd:

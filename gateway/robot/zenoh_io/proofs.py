@@ -7,21 +7,16 @@ At most `CHECKS_PER_S` run a second, since `cryptography` holds the interpreter'
 import datetime as dt
 import secrets
 from collections.abc import Callable
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
-
-import zenoh
+from typing import TYPE_CHECKING, Final
 
 from gateway import certs
 from gateway.allowance import Allowance
 from gateway.nonces import Nonces
-from gateway.zenoh_config import get
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
     from gateway.certs.authority import Holder
     from gateway.certs.proof import ProofChecker
-    from gateway.certs.revocation import RevocationList
 
 CHECKS_PER_S: Final = 20
 """They hold the interpreter's lock for 6 ms a second. A person or program needs one check for each lease."""
@@ -79,9 +74,3 @@ class Proofs:
     def holder(self, proof: Proof | None) -> "Holder | None":
         """Return the holder of the certificate of an accepted proof, or None if no proof is needed."""
         return None if self._checker is None or proof is None else certs.proof.holder(proof)
-
-
-def checker_of(config: zenoh.Config, revoked: "RevocationList | None" = None) -> "ProofChecker | None":
-    """Return a checker with the Zenoh file's CA, or None without a CA. Raises ConfigError if the CA cannot be read."""
-    ca: Any = get(config, "transport/link/tls/root_ca_certificate")
-    return certs.proof.ProofChecker(certs.files.read_certificates(Path(ca)), revoked) if isinstance(ca, str) else None
