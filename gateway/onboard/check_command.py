@@ -40,8 +40,8 @@ def check(
 ) -> None:
     """Show what is missing on this machine to run the service, line by line, with the command that fixes it.
 
-    With --zenoh-config or --connect it shows whether this laptop reaches the gateway, and what it may do there. If a
-    simulated gateway runs here (`make run`), it checks that gateway. With --config it checks this machine in any case.
+    With --zenoh-config or --connect it shows whether this laptop reaches the gateway, and what it may do there. With
+    --config it checks this machine in any case.
 
     Without --move, --stops and --wire it changes nothing: no byte reaches the servos, and a running gateway is not
     disturbed. As root it checks with the rights of the service's user.
@@ -69,10 +69,10 @@ def check(
         if move:
             sys.exit(move_servo(connection, agreed=yes))
         sys.exit(prove_stops(connection, StopsOptions(leg, yes, only or (), late, restart, unplug, config, as_json)))
-    from gateway.onboard.check import check, check_laptop
+    from gateway.onboard.check import check, laptop, report
 
     if config is not None and zenoh_config is not None:
         raise ConfigError("--config checks the service, --zenoh-config a laptop: name one of them")
     if config is None and (connect is not None or zenoh_config is not None):  # HEXAPOD_CONNECT hides no named file
-        sys.exit(check_laptop(connect, zenoh_config, timeout, as_json=as_json))
+        sys.exit(report(laptop.checks(connect, zenoh_config, timeout), "reach the gateway", as_json=as_json))
     sys.exit(check(config, as_json=as_json))

@@ -185,10 +185,9 @@ FAULTS = (
     ),
     Fault(
         "a device that does not exist",
-        "sed -i '1i spi.device = \"/dev/spidev9.9\"' $toml",
+        "sed -i '1i spi.device = \"/dev/spidev9.9\"' $toml; systemctl restart $service || true",
         "/dev/spidev9.9: No such file or directory → set spi.device; this machine has /dev/spidev0.0",
-        by_hand="sed -i 's/spidev9.9/spidev0.0/' $toml",
-        then="cp /root/gateway.toml $toml",
+        by_hand=_AGAIN,
     ),
     # the configuration
     Fault("a configuration that is no TOML", "echo '[' >>$toml", "→ fix it there", by_hand=_AGAIN),

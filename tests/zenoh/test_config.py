@@ -123,7 +123,7 @@ def test_access_rules_without_the_configuration_are_named_and_stop_no_stop(tmp_p
         with pytest.raises(DisconnectedError, match=r"config is not: the access rules are of an older") as raised:
             client.state(0.5)
         assert not isinstance(raised.value, UnansweredError), "a gateway has answered"
-        _, (finding,) = why.allowed(client, Identity.of(client_config(gateway.endpoint)))
+        (finding,) = why.allowed(client, Identity.of(client_config(gateway.endpoint)))
         assert finding.stage == "gateway"
         assert finding.fix == "on the robot, `sudo hexapod-gateway check` names their file"
         assert client.stop().accepted

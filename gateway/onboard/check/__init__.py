@@ -12,34 +12,28 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
-from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from pydantic import ValidationError
-
-from gateway import own_command
-from gateway.errors import ConfigError, GatewayError
+from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
 from gateway.onboard import whole
-from gateway.onboard.check import installation, laptop, security, table, wire
+from gateway.onboard.check import installation, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
-from gateway.people.client.blocking import Client
 from gateway.people.terminal import clear_line, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
 
 _LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
 """Loaded before the change of user: the service's user may not be able to read this Python's folder."""
-_DRIVE: Final = "reach the gateway"
 
 
 def check(config: Path | None, *, as_json: bool = False) -> int:
     """Check this machine, and print each line at once. Return the exit code: 0, or 1 after a failure.
 
-    As root, check with the rights of the service's user. If a gateway with a simulated controller runs and `config` is
-    None, check that gateway. Raises ConfigError if this user may not read the configuration, and FramingNotSetError.
+    As root, check with the rights of the service's user. Raises ConfigError if this user may not read the
+    configuration, and FramingNotSetError.
     """
     robot = CheckedRobot()
     show_line("reading the files of the installed release …")
@@ -47,16 +41,7 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     seen = list(results(robot, *installation.AS_ROOT)) if installed else []  # root sees it all
     clear_line()
     _go_on_as_the_service(robot)
-    if config is None and (endpoint := _simulated()):
-        simulated = "is simulated; for a real robot, end its gateway and check again"
-        steps = chain(laptop.checks(endpoint, None, 1.0), [Result("controller", Verdict.OK, simulated)], seen)
-        return _report(steps, _DRIVE, as_json=as_json)
-    return _report(run(config, robot, seen), "run the service", as_json=as_json)
-
-
-def check_laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, as_json: bool = False) -> int:
-    """Check whether this laptop reaches the robot, and what it may do there. Return the exit code as `check`."""
-    return _report(laptop.checks(connect, zenoh_config, timeout_s), _DRIVE, as_json=as_json)
+    return report(run(config, robot, seen), "run the service", as_json=as_json)
 
 
 def _go_on_as_the_service(robot: CheckedRobot) -> None:
@@ -77,17 +62,17 @@ def _go_on_as_the_service(robot: CheckedRobot) -> None:
         os.setuid(user.pw_uid)
 
 
-def _report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
-    """Print each different line, and a summary. Return the exit code."""
-    lines = dict[str, Result]()
+def report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
+    """Print each line at once, and what the machine `can` do. Return the exit code: 1 after a failure."""
+    lines = list[Result]()
     for result in found:
-        if result.sentence not in lines and not as_json:
-            table.show(result.verdict, result.name, result.sentence, result.fix)
-        lines.setdefault(result.sentence, result)
-    count = Counter(each.verdict for each in lines.values())
+        lines.append(result)
+        if not as_json:
+            table.show(*result)
+    count = Counter(each.verdict for each in lines)
     passed = not count[Verdict.FAILURE]
     end = f"{'can' if passed else 'cannot'} {can}: {count[Verdict.FAILURE]} failures, {count[Verdict.WARNING]} warnings"
-    checks = {"checks": [each._asdict() for each in lines.values()]} if as_json else None
+    checks = {"checks": [each._asdict() for each in lines]} if as_json else None
     return table.conclude(f"This machine {end}.", well=passed, as_json=checks)
 
 
@@ -96,10 +81,9 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
 
     While the service runs and `config` is None, check its device with the settings in use. Raises FramingNotSetError.
     """
-    path = config or CONFIGURATION
+    path, faults = config or CONFIGURATION, list[str]()
     used = effective.running() if config is None else None
     in_unit = used is not None and "HEXAPOD_SPI__FRAMING" in robot.unit.get("Environment", "").upper()
-    faults = list[str]()
     try:
         robot.settings = settings_file.load(config, simulated=in_unit)
     except ConfigError as error:
@@ -109,7 +93,7 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         if security.DENIED in faults[0] and os.geteuid() not in (0, robot.service and robot.service[0]):
             unread = f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check"
             raise ConfigError(unread) from None
-    yield from results(robot, installation.python, installation.rights)
+    yield from results(robot, installation.python)
     yield from seen
     for fault in faults:
         later = "fix it there, and check again: device, ports and certificates are checked after that"
@@ -118,24 +102,10 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
     if not faults:
         where = str(path) if path.exists() else f"the defaults, since there is no {path}"
         yield Result("configuration", Verdict.OK, where)
-        if used is not None:  # the wire is looked at with the service's settings, a device that is gone with the file's
-            if robot.settings.device != used.spi.device and used.wire.built_in is not None:
-                yield from (each for each in results(robot, wire.spi_bus) if each.verdict is Verdict.FAILURE)
+        if used is not None:
             uart = replace(robot.settings.controller, uart=used.controller.uart)
             robot.settings = replace(robot.settings, wire=used.wire, spi=used.spi, controller=uart)
             fix = "state in the file what the controller needs; take the variable out (systemctl cat hexapod-gateway)"
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(robot, *wire.PROBES, *security.PROBES, wire.power)
     yield from results(robot, installation.unit, installation.machine)
-
-
-def _simulated() -> str:
-    """Return the endpoint at which a gateway with a simulated controller answers, as `make run` starts it; "": none."""
-    with suppress(GatewayError, ValidationError):
-        zenoh = settings_file.load(None, simulated=True).zenoh
-        if (endpoint := None if zenoh.config else own_command.plain(zenoh.listen)) is not None:
-            with Client(endpoint, source="hexapod-gateway check", timeout_s=1.0) as client:
-                if client.state().simulated:
-                    own_command.reach_by(connect=endpoint)
-                    return endpoint
-    return ""

@@ -64,7 +64,7 @@ class CheckStep(NamedTuple):
         except Exception as error:  # of a plug-in, which is somebody else's code
             result, detail = "FAIL", f"{type(error).__name__}: {error}"
         if not quiet:
-            show(result, self.name, detail)
+            show(self.name, result, detail)
         return {"step": self.name, "result": result, "detail": detail, "figures": figures}
 
 

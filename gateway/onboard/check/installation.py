@@ -69,7 +69,7 @@ def rights(robot: CheckedRobot) -> Iterator[Result | None]:
 
 
 def machine(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Processor, supply and Wi-Fi, and the priority that the kernel granted the running service."""
+    """Processor, supply and Wi-Fi."""
     cpu = "/sys/devices/system/cpu/cpu0/cpufreq/scaling_"
     # Drivers that choose the clock in hardware give this name to a governor that does raise it.
     slow = robot.text(f"{cpu}governor") == "powersave" and not robot.text(f"{cpu}driver").endswith("pstate")
@@ -90,13 +90,6 @@ def machine(robot: CheckedRobot) -> Iterator[Result | None]:
                 warning(not asked[_DISABLED_BYTE], f"{wifi} saves power: commands arrive late and in bursts, which "
                         f"stops legs", f"printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee {_NM} && "
                         "sudo systemctl restart NetworkManager"))
-    with suppress(OSError):
-        threads = [int(each.name) for each in Path(f"/proc/{robot.unit.get('MainPID', 0)}/task").iterdir()]
-        priority = max(os.sched_getparam(each).sched_priority for each in threads)
-        yield first("real-time",
-            warning(not priority, f"the running service was granted none: {_LATE}",
-                    f"its unit sets LimitRTPRIO ({_INSTALL}); a kernel with CONFIG_RT_GROUP_SCHED may reject it"),
-            well(f"priority {priority} is granted to the service that runs"))
 
 
 # ---- release and unit

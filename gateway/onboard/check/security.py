@@ -2,12 +2,9 @@
 
 import datetime as dt
 import errno
-import ipaddress
 import json
 import logging
 import os
-import socket
-import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +16,7 @@ from gateway import certs
 from gateway.certs import access, revocation
 from gateway.endpoints import host_and_port
 from gateway.errors import ConfigError
+from gateway.host import effective
 from gateway.host.directories import state_to_read
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.robot.zenoh_io import exposure
@@ -38,11 +36,11 @@ logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_
 
 
 # fmt: off
-def _configuration(robot: CheckedRobot) -> zenoh.Config | None:
-    """Return the service's Zenoh configuration; None if it cannot be used, which the line `Zenoh` reports."""
+def _configuration(robot: CheckedRobot) -> zenoh.Config:
+    """Return the service's Zenoh configuration; an empty one if it cannot be used, which the line `Zenoh` reports."""
     with suppress(ConfigError):
         return service_config(robot.settings.zenoh)
-    return None
+    return zenoh.Config()
 
 
 def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterator[Result | None]:
@@ -51,10 +49,6 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
     Of these, one is for listening, and one for dialling a router: mostly they are the same.
     """
     config, now = _configuration(robot), now or dt.datetime.now(dt.UTC)
-    if config is None:
-        return
-    if not certificate_files(config):
-        yield first("certificates", well("none are in use"))
     for each in map(certs.folder.describe, certificate_files(config)):
         soon = certs.expires_soon(str(each.path), each.not_after, now)
         renew = f"{certs.how_to_renew(each.path.name, each.role, each.name)}, then: {RESTART}"
@@ -78,7 +72,7 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
 
 def revoked(robot: CheckedRobot) -> Iterator[Result | None]:
     """Each revocation list that the service reads at its start but cannot use; without one, the list in force."""
-    ca, known, unusable = get(_configuration(robot) or zenoh.Config(), _CA), list[revocation.RevocationList](), False
+    ca, known, unusable = get(_configuration(robot), _CA), list[revocation.RevocationList](), False
     folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
     for path in (folder / revocation.REVOCATION_FILE for folder in folders if folder is not None and ca is not None):
         try:
@@ -127,44 +121,20 @@ def network(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def port(robot: CheckedRobot, endpoint: str, setting: str = "zenoh.listen") -> Result | None:
     """Return whether the service can listen on `endpoint`, or a gateway does already."""
-    number, fault = host_and_port(endpoint)[1], bind_fault(endpoint)
-    if fault is None:
-        free = "is free" if number.isdecimal() else "was not tried: it names no port"
-        return first("port", well(f"{endpoint} {free}"))
-    kind = socket.SOCK_DGRAM if endpoint.startswith(("udp/", "quic/")) else socket.SOCK_STREAM
-    taken, users = fault.errno == errno.EADDRINUSE, {uid for _, uid in listening(int(number), kind)}
-    ours = robot.gateway_runs or (robot.service is not None and robot.service[0] in users)
+    fault = bind_fault(endpoint)
+    taken, why = fault is not None and fault.errno == errno.EADDRINUSE, fault and fault.strerror
+    ours = taken and (robot.gateway_runs or effective.running() is not None)
+    free = "is free" if host_and_port(endpoint)[1].isdecimal() else "was not tried: it names no port"
     return first("port",
-        well(f"{endpoint} is in use by the running gateway") if taken and ours else None,
+        well(f"{endpoint} is in use by the running gateway") if ours else None,
         failure(taken, f"{endpoint} is taken by another program",
                 f"find that program (ss -ltnp), or set another {setting}"),
-        warning(is_late(fault), f"{endpoint} is not there yet ({fault.strerror}): the service keeps trying, and "
-                "listens on the others", f"see the addresses of this machine (ip address), or set another {setting}"),
-        failure(fault, f"{endpoint} cannot be listened on: {fault.strerror}",
-                f"set another {setting}: an address of this machine (ip address), a port from 1024 to 65535"))
+        warning(fault and is_late(fault), f"{endpoint} is not there yet ({why}): the service keeps trying, and listens "
+                "on the others", f"see the addresses of this machine (ip address), or set another {setting}"),
+        failure(fault, f"{endpoint} cannot be listened on: {why}",
+                f"set another {setting}: an address of this machine (ip address), a port from 1024 to 65535"),
+        well(f"{endpoint} {free}"))
 
 
 # fmt: on
 PROBES: Final = (certificates, revoked, network)
-
-
-# ---- who listens
-
-_LISTENS: Final = {"0A", "07"}  # TCP_LISTEN; a UDP socket that is bound
-
-
-def listening(port: int, kind: socket.SocketKind) -> Iterator[tuple[str, int]]:
-    """Yield the address and the user id of each socket of this machine that listens on `port`."""
-    for file in ("tcp", "tcp6") if kind is socket.SOCK_STREAM else ("udp", "udp6"):
-        with suppress(OSError):
-            for line in Path("/proc/net", file).read_text().splitlines()[1:]:
-                _, local, _, state, _, _, _, uid, *_ = line.split()
-                address, _, number = local.rpartition(":")
-                if state in _LISTENS and int(number, 16) == port:
-                    yield _shown(address), int(uid)
-
-
-def _shown(address: str) -> str:
-    """Convert an address from the kernel's form: words of 32 bits in hex, in this machine's byte order."""
-    words = [int(address[place : place + 8], 16).to_bytes(4, sys.byteorder) for place in range(0, len(address), 8)]
-    return str(ipaddress.ip_address(b"".join(words)))

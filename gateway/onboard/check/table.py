@@ -130,7 +130,7 @@ def results(robot: CheckedRobot, *probes: Probes) -> Iterator[Result]:
             yield Result(read.__name__, Verdict.WARNING, f"cannot be read: {error}", "sudo hexapod-gateway check")
 
 
-def show(word: str, name: str, sentence: str, fix: str = "") -> None:
+def show(name: str, word: str, sentence: str, fix: str = "") -> None:
     """Print `word  name  sentence → fix` in columns, in colour on a terminal. Never wrapped."""
     line = Text().append(f"{word:8}", _STYLES.get(word, _BAD)).append(f" {name:14} ", "bold").append(visible(sentence))
     Console(highlight=False, soft_wrap=True).print(line.append(f" → {visible(fix)}", "cyan") if fix else line)

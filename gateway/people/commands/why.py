@@ -12,7 +12,6 @@ from gateway.people.client.diagnosis import Finding, Stage
 from gateway.people.client.requests import Identity
 from gateway.zenoh_config import client_config
 from schemas import keys
-from schemas.telemetry import GatewayState
 
 _DIAGNOSIS_S: Final = 1.0
 """How long a failed command may look for the reason."""
@@ -37,28 +36,25 @@ def unanswered(client: Client | None, connect: str | None, zenoh_config: Path | 
         identity = Identity.of(client_config(connect, zenoh_config))
     except ConfigError as error:
         return str(error).splitlines()
-    return [f"no gateway answered: {allowed(client, identity)[1][-1]}"]
+    return [f"no gateway answered: {allowed(client, identity)[-1]}"]
 
 
-def allowed(client: Client, identity: Identity) -> tuple[GatewayState | None, list[Finding]]:
-    """Return the state (None without an answer), and the findings about role and gateway, after 1 s at most."""
+def allowed(client: Client, identity: Identity) -> list[Finding]:
+    """Return the findings about role and gateway, after 1 s at most."""
     role = "" if identity.certificate is None else diagnosis.role(identity.certificate)
     try:
         state = client.state(_ANSWER_S)
     except ZenohError as error:
         if isinstance(error, DisconnectedError) and not isinstance(error, UnansweredError):
             sentence, _, fix = str(error).partition("; ")
-            return None, [Finding(Stage.GATEWAY, sentence, fix)]
-        return None, [_nobody(role, ended=_ended(client))]
+            return [Finding(Stage.GATEWAY, sentence, fix)]
+        return [_nobody(role, ended=_ended(client))]
     watching = Finding(Stage.ROLE, "you may watch" + (f", as {role}" if role else ""))
     if not _may_command(client):
         fix = "ask the robot's owner for a certificate: hexapod-gateway certs issue NAME --role operator --dir DIR"
-        return state, [
-            watching,
-            Finding(Stage.ROLE, f"you may not command, as {role or 'nobody in particular'}", fix),
-        ]
+        return [watching, Finding(Stage.ROLE, f"you may not command, as {role or 'nobody in particular'}", fix)]
     commanding = Finding(Stage.ROLE, "you may command" + (f", as {role}" if role else ""))
-    return state, [commanding, Finding(Stage.GATEWAY, f"answers, and is {state.mode}")]
+    return [commanding, Finding(Stage.GATEWAY, f"answers, and is {state.mode}")]
 
 
 def _ended(client: Client) -> bool:

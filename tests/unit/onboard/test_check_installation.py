@@ -10,19 +10,15 @@ import pytest
 
 from gateway import certs
 from gateway.onboard import whole
-from gateway.onboard.check import laptop, wire
+from gateway.onboard.check import wire
 from gateway.onboard.check.installation import AS_ROOT, unit
 from gateway.onboard.check.move import output
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
 from gateway.onboard.whole import Whole
-from gateway.people.client.requests import Identity
 from gateway.robot.settings import Settings
-from schemas.telemetry import RevocationsReport, ServoTelemetry, Telemetry
-from tests.support.certs_folder import NOW, make_folder
+from schemas.telemetry import ServoTelemetry, Telemetry
 from tests.support.machine_tree import MachineTree
 from tests.support.slcan_adapter import Adapter
-
-__all__ = ["make_folder"]  # a fixture
 
 UP = {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
 UP |= {"ExecStopPost": "{ path=/run/program ; argv[]=/run/program stop-servos }"}
@@ -157,23 +153,6 @@ def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
     robot = Installed(tmp_path)
     plant(robot)
     assert found(robot) == []
-
-
-# ---- certificates
-
-
-@pytest.mark.parametrize(("number", "verdict"), [(None, Verdict.WARNING), (1, Verdict.WARNING), (2, Verdict.OK)])
-def test_a_laptop_beside_the_ca_sees_that_the_robot_has_an_older_list(
-    folder: Path, number: int | None, verdict: Verdict
-) -> None:
-    identity = Identity(folder / "anna.pem", ca=folder / "ca.pem")
-    certs.folder.revoke(folder, "operator-40", now=NOW)
-    certs.folder.revoke(folder, "operator-41", now=NOW)
-    report = None if number is None else RevocationsReport(number=number, date=NOW)
-    (line,) = laptop.shut_out(report, identity)
-    assert line.verdict is verdict
-    assert ("names no list" if number is None else f"list {number} of") in line.sentence
-    assert ("certs revoke --dir" in line.fix) is (verdict is Verdict.WARNING)
 
 
 BYTES = b"\x7e\xaa\n"
