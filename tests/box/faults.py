@@ -56,7 +56,7 @@ FAULTS = (
         "sed -i /^ExecStopPost.*stop-servos/d $unit; systemctl daemon-reload",
         f"/usr/lib/systemd/system/{NAME}.service is not this release's",
     ),
-    Fault("a drop-in without Stops", "drop_in ExecStopPost=", "empties ExecStopPost="),
+    Fault("a drop-in without Stops", "drop_in ExecStopPost=", "depend on: ExecStopPost"),
     Fault("a state directory of root's", "chown -R root:root $state", "may not read and write /var/lib"),
     # the package
     Fault(

@@ -48,7 +48,7 @@ def test_run_stop_servos_and_check_with_each_spidev_and_with_none(
         assert {(each.mode, each.bits_per_word, each.speed_hz) for each in opening} == {(0, 8, 2_500_000)}
         settings = spi_testbed.settings
         beside = ended(spi_testbed, "check", gateway.config, env)
-        assert "is held by a running gateway" in line(beside, "SPI device")
+        assert "is the running gateway's" in line(beside, "SPI device")
         assert line(beside, "port").startswith("ok")
         assert "is in use by the running gateway" in line(beside, "port")
         assert spi_testbed.settings == settings

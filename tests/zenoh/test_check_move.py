@@ -96,7 +96,7 @@ def test_one_servo_is_started_moved_and_stopped(
     assert until_stopped(heard, expected[0].servo_id) == expected
     assert "will go to " in end.stderr
     assert "is stopped." in end.stderr
-    assert ("do it once more with a servo of leg 6" in end.stdout) is leg_1
+    assert ("try a servo of leg 6" in end.stdout) is leg_1
     assert client.state().mode is Mode.IDLE
 
 

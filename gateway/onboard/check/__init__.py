@@ -21,7 +21,7 @@ from gateway.host.directories import CONFIGURATION
 from gateway.onboard import whole
 from gateway.onboard.check import installation, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
-from gateway.people.terminal import clear_line, show_line
+from gateway.people.terminal import clear_line, hint, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
 
@@ -35,7 +35,7 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     As root, check with the rights of the service's user. Raises ConfigError if this user may not read the
     configuration, and FramingNotSetError.
     """
-    robot = CheckedRobot()
+    robot = CheckedRobot(unit=table.shown(table.SERVICE))
     show_line("reading the files of the installed release …")
     installed = whole.CURRENT.is_dir() or robot.unit.get("LoadState") == "loaded"
     seen = list(results(robot, *installation.AS_ROOT)) if installed else []  # root sees it all
@@ -56,10 +56,12 @@ def _go_on_as_the_service(robot: CheckedRobot) -> None:
         sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
     user = pwd.getpwuid(robot.service[0])
     groups = {each.gr_gid for each in grp.getgrall() if each.gr_name in installation.GROUPS}
-    with suppress(PermissionError):  # without CAP_SETUID or CAP_SETGID: the line of the user reports it
+    try:
         os.setgroups(sorted(groups | set(os.getgrouplist(user.pw_name, user.pw_gid))))
         os.setgid(user.pw_gid)
         os.setuid(user.pw_uid)
+    except PermissionError:
+        hint(f"All this is checked as root, which may not become {user.pw_name}: give the container SETUID and SETGID.")
 
 
 def report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
@@ -93,7 +95,6 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
         if security.DENIED in faults[0] and os.geteuid() not in (0, robot.service and robot.service[0]):
             unread = f"{path} is not for you to read, as it may name keys: sudo hexapod-gateway check"
             raise ConfigError(unread) from None
-    yield from results(robot, installation.python)
     yield from seen
     for fault in faults:
         later = "fix it there, and check again: device, ports and certificates are checked after that"

@@ -8,15 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
-from gateway.errors import GatewayError, UnansweredError
+from gateway.errors import GatewayError
 from gateway.model.calibration import RobotCalibration, calibration_of
 from gateway.model.frames import Frame, FrameError, decode
 from gateway.onboard.check.table import show
 from gateway.people.client.blocking import Client
-from gateway.people.client.subscriptions import reports, subscribed
 from gateway.people.commands.moving import ServoMotion
 from schemas import keys
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Mode, Reason
+from schemas.telemetry import Ack, Cause, Event, FrameRecord, Kind, Mode, Reason
 
 _POLL_S: Final = 0.01
 _SETPOINT_S: Final = 0.02
@@ -82,17 +81,16 @@ class StopsOptions(NamedTuple):
 
 
 class WrittenFrame(NamedTuple):
-    """A frame that the gateway wrote. `moves`: it starts or sets a servo."""
+    """A frame that the gateway wrote, and when and why."""
 
     at_ns: int
     frame: Frame
     cause: str
-    moves: bool
 
 
 @dataclass
 class Bench:
-    """The means of a step: commands for one servo, and the frames and events received since `receives` began.
+    """The means of a step: commands for one servo, and the frames and events received since `forget`.
 
     A command fails the step unless it is accepted, or rejected for the expected `reason`.
     """
@@ -108,6 +106,26 @@ class Bench:
     """The number of this program's own emergency stop."""
     frames: list[WrittenFrame] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+
+    def listen(self) -> None:
+        """Receive frames and events. A first Stop shows whether frames come, and how fast answers do."""
+        self._subscribers = self.client.on_frame(self._take_frame), self.client.on_event(self.events.append)
+        self.client.state()  # its reply shows that the gateway knows the subscriptions, which were declared before
+        begun_s = time.monotonic()
+        self.demand(self.client.stop(), "a Stop")
+        self.answer_ms = ms_since(begun_s)
+        self.frames_published = bool(self.wait(lambda: self.frames, 1.0))
+        self.calibration = calibration_of(self.client.calibration())
+
+    def _take_frame(self, record: FrameRecord) -> None:
+        with suppress(FrameError, ValueError):
+            frame = decode(bytes.fromhex(record.bytes))
+            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause)))
+
+    def forget(self) -> None:
+        """Forget the frames and events received before now."""
+        self.frames.clear()
+        self.events.clear()
 
     def ask(self, op: str, angle_deg: float, reason: Reason | None = None) -> None:
         """Start or set (`op`) the servo, acknowledged. Raises FailedError."""
@@ -138,7 +156,10 @@ class Bench:
 
     @contextmanager
     def streaming(self, lead_s: float = STREAM_S) -> Iterator[None]:
-        """Start the leg, and publish setpoints at 50 Hz during the `with`, also if they are rejected."""
+        """Start the leg, and publish setpoints at 50 Hz during the `with`, also if they are rejected.
+
+        The `with` begins after `lead_s`, without what was received before.
+        """
         self.start()
         ended = threading.Event()
 
@@ -151,6 +172,7 @@ class Bench:
         thread.start()
         try:
             time.sleep(lead_s)
+            self.forget()
             yield
         finally:
             ended.set()
@@ -167,45 +189,27 @@ class Bench:
         """Wait until no servo runs, for a second longer than the watchdog. Return whether none does."""
         return self.wait(lambda: not self.running(), self.client.state().watchdog.stops_after_ms / 1000 + 1)
 
-    def wait_for_event(self, kind: Kind, since: int, timeout_s: float) -> object:
-        """Wait for an event of this kind after the first `since` events. Return whether it came."""
-        return self.wait(lambda: any(each.kind == kind for each in self.events[since:]), timeout_s)
+    def wait_for_event(self, kind: Kind, timeout_s: float) -> object:
+        """Wait for an event of this kind. Return whether it came."""
+        return self.wait(lambda: any(each.kind == kind for each in self.events), timeout_s)
 
-    def caused(self, cause: Cause, since: int, *, moves: bool) -> list[WrittenFrame]:
-        """Return the leg's frames after the first `since` frames that were written for this cause."""
-        found = (each for each in self.frames[since:] if each.cause == cause and each.moves is moves)
+    def caused(self, cause: Cause, *, stops: bool) -> list[WrittenFrame]:
+        """Return the leg's frames that were written for this cause, its Stops or its motions."""
+        found = (each for each in self.frames if each.cause == cause and each.frame.is_stop is stops)
         return [each for each in found if each.frame.leg == self.motion.leg]
 
-    def running(self, state: GatewayState | None = None) -> list[int]:
-        """Return the ids of all servos that run, as the gateway reports."""
-        return [servo.id for leg in (state or self.client.state()).legs for servo in leg.servos if servo.running]
+    def running(self) -> dict[int, float | None]:
+        """Return the angles (degrees) of all servos that run, by id, as the gateway reports."""
+        servos = (servo for leg in self.client.state().legs for servo in leg.servos)
+        return {servo.id: servo.angle_deg for servo in servos if servo.running}
 
     def demand_no_motion(self, when: str, since: int | None = None) -> None:
         """Raise FailedError if a servo runs, or a frame since the mark (None: from now) starts or sets one."""
         since = len(self.frames) if since is None else since
         time.sleep(_QUIET_S)
-        moving = [seen.frame.to_bytes().hex() for seen in self.frames[since:] if seen.moves]
+        moving = [each.frame.to_bytes().hex() for each in self.frames[since:] if not each.frame.is_stop]
         demand(not moving, f"{when}, {len(moving)} frames moved a servo: {moving[:1]}")
-        demand(not (running := self.running()), f"{when}, servos run: {running}")
-
-    @contextmanager
-    def receives(self) -> Iterator[None]:
-        """Keep frames and events during the `with`. A first Stop shows whether frames come, and how fast answers."""
-        taken = {keys.FRAME: reports(FrameRecord, self._take_frame), keys.EVENT: reports(Event, self.events.append)}
-        with subscribed(self.client.session, taken):
-            self.client.state()  # its reply shows that it knows the subscriptions, which were declared before
-            begun_s = time.monotonic()
-            self.demand(self.client.stop(), "a Stop")
-            self.answer_ms = ms_since(begun_s)
-            self.frames_published = bool(self.wait(lambda: self.frames, 1.0))
-            with suppress(UnansweredError):  # a gateway that knows of no calibration
-                self.calibration = calibration_of(self.client.calibration())
-            yield
-
-    def _take_frame(self, record: FrameRecord) -> None:
-        with suppress(FrameError, ValueError):
-            frame = decode(bytes.fromhex(record.bytes))
-            self.frames.append(WrittenFrame(record.monotonic_ns, frame, str(record.cause), not frame.is_stop))
+        demand(not (running := self.running()), f"{when}, servos run: {[*running]}")
 
 
 def ms_since(begun_s: float) -> float:

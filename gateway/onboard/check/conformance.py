@@ -4,7 +4,7 @@ The plug-in is called as the gateway would call it, without a gateway, on the el
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing, nullcontext, suppress
 from pathlib import Path
 from typing import Final
@@ -12,14 +12,14 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.settings_table import WireSettings
-from gateway.onboard.check.bench import CheckStep, Skipped, demand, ms_since
+from gateway.onboard.check.bench import CheckStep, FailedError, Skipped, demand, ms_since
 from gateway.onboard.check.table import conclude
 from gateway.people.commands.moving import NOTHING_MOVED
 from gateway.people.terminal import ask
 from gateway.robot import settings as settings_file
 from gateway.robot.spi.bus import STALLED_NS
 from gateway.wire import ServoWire
-from schemas.robot import LEGS, SERVO_IDS
+from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 _MIDDLE_DEG, _BY_DEG = 90.0, 5.0
 _ROUNDS: Final = 20
@@ -36,19 +36,11 @@ Changes = Sequence[tuple[int, float | None]]
 class Tried:
     """A plug-in under test, and the longest duration of its calls."""
 
-    def __init__(self, wire: WireSettings, unplug: bool) -> None:
-        """Raises ConfigError if the plug-in rejects its options."""
-        self._settings, self.unplug = wire, unplug
-        self.wire = self.another()
+    def __init__(self, another: Callable[[], ServoWire], unplug: bool) -> None:
+        self.another, self.unplug = another, unplug
+        self.wire = another()
         self.longest_ms = {True: 0.0, False: 0.0}
         """The longest `apply` with Stops (True) and with motions (False)."""
-
-    def another(self) -> ServoWire:
-        """Make another instance, as `stop-servos` does. Raises ConfigError."""
-        try:
-            return WireSettings(self._settings.name, self._settings.options).plugin
-        except ValueError as error:
-            raise ConfigError(f"wire: {error}") from error
 
     def apply(self, *calls: Changes, wire: ServoWire | None = None) -> None:
         """Call `apply` with each of these. Raises FailedError if it returns a value or stalls."""
@@ -62,8 +54,8 @@ class Tried:
 
     def move(self, *angles_deg: float, hold_s: float = 0.0) -> None:
         """Move the servos that start together, each leg or the whole robot, one group after the other."""
-        whole = self.wire.capabilities.whole_robot
-        for servos in [SERVO_IDS] if whole else [tuple(10 * leg + joint for joint in (1, 2, 3)) for leg in LEGS]:
+        legs = [tuple(10 * leg + joint for joint in JOINTS) for leg in LEGS]
+        for servos in [SERVO_IDS] if self.wire.capabilities.whole_robot else legs:
             for angle_deg in angles_deg:
                 self.apply([(servo_id, angle_deg) for servo_id in servos])
                 time.sleep(hold_s)
@@ -76,7 +68,10 @@ def conformance(config: Path | None, *, agreed: bool, unplug: bool) -> int:
         raise ConfigError(f"--wire is for plug-ins, and {wire.name} is built in: --move and --stops try it")
     if effective.running() is not None:
         raise ConfigError("a gateway runs, and has the wire: end it first (sudo systemctl stop hexapod-gateway)")
-    tried = Tried(wire, unplug)
+    try:
+        tried = Tried(lambda: WireSettings(wire.name, wire.options).plugin, unplug)
+    except ValueError as error:
+        raise ConfigError(f"wire: {error}") from error
     question = f"All servos go to {_MIDDLE_DEG:g}° and move by {_BY_DEG:g}°. Are all legs free? yes or no: "
     if not agreed and ask(question) != "yes":
         raise ConfigError(NOTHING_MOVED)
@@ -128,14 +123,13 @@ def _unplugged(tried: Tried) -> None:
         raise Skipped("add --unplug to prove that an absent board is reported")
     ask("Unplug the board, or switch its power off, then press Enter: ")
     end_s = time.monotonic() + _UNPLUGGED_S
-    while True:
-        try:
+    try:
+        while time.monotonic() <= end_s:
             tried.apply(_STOPS)
-        except OSError as error:
-            ask(f"The plug-in reports: {error}. Plug the board in again, then press Enter: ")
-            break
-        demand(time.monotonic() <= end_s, "apply raises no OSError, so an absent board looks like a stopped one")
-        time.sleep(0.1)
+            time.sleep(0.1)
+        raise FailedError("apply raises no OSError, so an absent board looks like a stopped one")
+    except OSError as error:
+        ask(f"The plug-in reports: {error}. Plug the board in again, then press Enter: ")
     _reopen(tried)
 
 

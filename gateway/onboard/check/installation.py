@@ -6,14 +6,11 @@
 import array
 import fcntl
 import grp
-import importlib.metadata
 import os
-import platform
 import re
 import shlex
 import socket
 import stat
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -47,25 +44,10 @@ _CANNOT_START: Final = "the service cannot start, nor stop the servos after its 
 _NO_STOP: Final = "nothing stops the servos if the gateway dies"
 _NOT_KEPT: Final = "no calibration, emergency stop or list is kept"
 _NM: Final = "/etc/NetworkManager/conf.d/hexapod-wifi.conf"
-_LATE: Final = "on a busy machine a Stop may be late"
 
 
 # fmt: off
 # ---- the machine
-
-
-def python(_: CheckedRobot) -> Iterator[Result | None]:
-    zenoh = importlib.metadata.version("eclipse-zenoh")
-    yield first("Python", well(f"{platform.python_version()} with eclipse-zenoh {zenoh}, {sys.executable}"))
-
-
-def rights(robot: CheckedRobot) -> Iterator[Result | None]:
-    if robot.service is not None:
-        own, whom = os.geteuid() == robot.service[0], "you" if os.geteuid() else "root, who cannot become another"
-        yield first("user",
-            warning(not own, f"all this is checked as {whom}; the service runs as {SERVICE}",
-                    "sudo hexapod-gateway check; in a container, give it SETUID and SETGID"),
-            well(f"all this is checked as {SERVICE}, the service's user"))
 
 
 def machine(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -74,7 +56,7 @@ def machine(robot: CheckedRobot) -> Iterator[Result | None]:
     # Drivers that choose the clock in hardware give this name to a governor that does raise it.
     slow = robot.text(f"{cpu}governor") == "powersave" and not robot.text(f"{cpu}driver").endswith("pstate")
     yield first("processor",
-        warning(slow, f"its governor is powersave, which keeps it at its lowest clock: {_LATE}",
+        warning(slow, "its governor is powersave, which keeps it at its lowest clock: a Stop may be late",
                 "echo 'w /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor - - - - performance' | sudo tee "
                 "/etc/tmpfiles.d/hexapod-governor.conf && sudo systemd-tmpfiles --create hexapod-governor.conf"))
     for hwmon in (f"/sys/class/hwmon/{each.name}" for each in robot.path("/sys/class/hwmon").glob("hwmon*")):
@@ -87,9 +69,9 @@ def machine(robot: CheckedRobot) -> Iterator[Result | None]:
         with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
             fcntl.ioctl(any_socket, _ASK_POWER_SAVE, asked)
             yield first("Wi-Fi",
-                warning(not asked[_DISABLED_BYTE], f"{wifi} saves power: commands arrive late and in bursts, which "
-                        f"stops legs", f"printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee {_NM} && "
-                        "sudo systemctl restart NetworkManager"))
+                warning(not asked[_DISABLED_BYTE], f"{wifi} saves power, so commands come in bursts, and legs stop",
+                        f"printf '[connection]\\nwifi.powersave = 2\\n' | sudo tee {_NM} && sudo systemctl restart "
+                        "NetworkManager"))
 
 
 # ---- release and unit
@@ -104,10 +86,11 @@ def _named(paths: Iterable[Path | str]) -> tuple[str, str]:
 
 def release(robot: CheckedRobot) -> Iterator[Result | None]:
     """The package's files, the installed release, the one that `current` links to, and the one that is loaded."""
-    (changed, _), (added, every), (closed, each) = map(_named, whole.compare() if robot.package else whole.Whole())
+    package = whole.version()
+    (changed, _), (added, every), (closed, each) = map(_named, whole.compare() if package else whole.Whole())
     yield first("package",
         failure(changed, f"not as installed: {changed}. The service, or its Stops after a crash, may fail",
-                whole.how_to_repeat(robot.package)))
+                whole.how_to_repeat(package)))
     yield first("package",
         warning(added, f"in the release, and not installed with it: {added}. Python may load it", f"sudo rm {every}"))
     yield first("package",
@@ -117,7 +100,7 @@ def release(robot: CheckedRobot) -> Iterator[Result | None]:
     if link.is_dir():
         loaded = re.search(rf"{whole.LIBRARY}/([^/\s]+)/", robot.text(f"/proc/{process}/maps"))
         current = link.resolve().name.removesuffix(".kept")
-        runs, package = loaded[1].removesuffix(".kept") if loaded else current, robot.package or current
+        runs, package = loaded[1].removesuffix(".kept") if loaded else current, package or current
         former = next((each for each in _FORMER if robot.path(each).exists()), "")
         yield first("release",
             warning(package != current, f"{package} is installed, but {current} runs until no servo runs",
@@ -135,9 +118,9 @@ def unit_files(robot: CheckedRobot) -> Iterator[Result | None]:
     other = next((each for each in others if os.path.lexists(robot.path(each))), "")  # a masked unit is a link there
     wanted, aside = robot.text(source), f"sudo mv {other} {other}.off && " if other else ""
     yield first("unit file",
-        failure(wanted and (other or robot.text(place) != wanted), f"{other or place} is not this release's unit "
-                "(changes belong into a drop-in: systemctl edit)", f"stop the robot, then: {aside}sudo install -m 644 "
-                f"{source} {place} && {_RELOAD} && sudo systemctl enable {SERVICE} && {RESTART}"))
+        failure(wanted and (other or robot.text(place) != wanted), f"{other or place} is not this release's unit",
+                f"stop the robot (changes belong into a drop-in), then: {aside}sudo install -m 644 {source} {place} && "
+                f"{_RELOAD} && sudo systemctl enable {SERVICE} && {RESTART}"))
     folders = (robot.path(f"{each}.d") for each in others)
     there = {f"/{path.relative_to(robot.root)}" for folder in folders for path in folder.glob("*.conf")}
     unread = there - set(robot.unit.get("DropInPaths", "").split()) or robot.unit.get("NeedDaemonReload") == "yes"
@@ -148,7 +131,7 @@ def unit_files(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def unit(robot: CheckedRobot) -> Iterator[Result | None]:
     shows, needs = robot.unit, list[str]()
-    load, active = shows.get("LoadState", ""), shows.get("ActiveState", "")
+    load, active, enabled = (shows.get(f"{each}State", "") for each in ("Load", "Active", "UnitFile"))
     for path in re.findall(r"path=(\S+)", f"{shows.get('ExecStart')} {shows.get('ExecStopPost')}"):
         needs += [path, *re.findall(r"^#! *(\S+)", robot.text(path))]  # and its interpreter
     cannot_run = next((each for each in needs if not os.access(robot.path(each), os.X_OK)), "")
@@ -163,9 +146,8 @@ def unit(robot: CheckedRobot) -> Iterator[Result | None]:
                     f"journalctl -u {SERVICE} shows why; then: {RESTART}"),
             failure("stop-servos" not in shows.get("ExecStopPost", ""), f"runs no stop-servos after its end: "
                     f"{_NO_STOP}", f"see the drop-ins: systemctl cat {SERVICE}"),
-            warning(not shows.get("UnitFileState", "").startswith("enabled") or active != "active",
-                    f"is {shows.get('UnitFileState') or 'not enabled'} and {active}; it should be enabled and active",
-                    f"sudo systemctl enable --now {SERVICE}"),
+            warning(not enabled.startswith("enabled") or active != "active", f"is {enabled or 'not enabled'} and "
+                    f"{active}; it should be enabled and active", f"sudo systemctl enable --now {SERVICE}"),
             well("is enabled and active"))
 
 
@@ -175,14 +157,12 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
     for path in robot.unit.get("DropInPaths", "").split():
         assigned = _ASSIGNED.findall(robot.text(path).replace("\\\n", " "))
         environment = " ".join(value for key, value in assigned if key == "Environment")
-        after, keys = [value for key, value in assigned if key == "ExecStopPost"], {key for key, _ in assigned}
-        emptied = "" in after and not any("stop-servos" in each for each in after[after.index("") :])
-        depends = ", ".join(sorted(keys - _HARMLESS | set(re.findall(r"\b(?:PYTHON|HEXAPOD_)\w+", environment))))
+        keys = {key for key, _ in assigned}
+        depends = ", ".join(sorted(keys - _HARMLESS | set(_OURS.findall(environment))))
         aside = f"stop the robot, then put it aside: sudo mv {path} {path}.off && {_RELOAD} && {RESTART}"
         yield first("drop-in",
             warning("--sim" in environment, f"{path} makes the controller a simulated one: the service moves no "
                     "robot, and stops none after its end", f"before the robot is to move, {aside}"),
-            failure(emptied, f"{path} empties ExecStopPost=: {_NO_STOP}", aside),
             warning(depends, f"{path} changes settings, or what Stops depend on: {depends}",
                     f"move settings (HEXAPOD_…) to gateway.toml; if the rest is not needed, {aside}"),
             well(f"{path} sets {', '.join(sorted(keys))}"))
@@ -250,8 +230,8 @@ def private_keys(robot: CheckedRobot) -> Iterator[Result | None]:
     yield first("private key", warning(some, f"not only root and the service may read {some}", LET_READ))
     some, every = _named(each for each in found if re.fullmatch("(.*-)?ca", each.stem) or _is_of_authority(each))
     yield first("private key",
-        warning(some, f"{some} is the authority's key: a thief of this robot's card can make certificates for all its "
-                "robots", f"make sure that another machine has it, then: sudo shred -u {every}"))
+        warning(some, f"{some} is the authority's key: a thief of it can admit anyone to all its robots",
+                f"make sure that another machine has it, then: sudo shred -u {every}"))
 
 
 def _is_of_authority(key: Path) -> bool:

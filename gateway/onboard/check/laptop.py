@@ -7,8 +7,7 @@ from pathlib import Path
 
 from gateway import certs
 from gateway.errors import ConfigError, ZenohError
-from gateway.onboard.check.installation import python
-from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
+from gateway.onboard.check.table import Result, Verdict
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client
 from gateway.people.client.diagnosis import Finding, Stage
@@ -19,7 +18,6 @@ from gateway.zenoh_config import client_config, connect_endpoints
 
 def checks(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
     """Yield the result of each step to the gateway. If one endpoint reaches it, faults of the others are warnings."""
-    yield from results(CheckedRobot(), python)
     try:
         config = client_config(connect, zenoh_config)
     except ConfigError as error:

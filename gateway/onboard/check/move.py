@@ -7,6 +7,7 @@ the transfers of a call. A controller that needs this obeys only the first Stop.
 is asked whether the servo is loose.
 """
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -71,27 +72,25 @@ def move(connect: Connection, *, agreed: bool) -> int:
     with connect() as client:
         state = ready(client)
         show_differences()
-        whole, measured, at_rest = state.wire.whole_robot, list[Telemetry](), 0
+        whole, measured = state.wire.whole_robot, list[Telemetry]()
         if whole and not state.controller.alive:
-            raise ConfigError(
-                f"the controller does not answer, so nothing is moved: {command('status')} names the reason"
-            )
+            raise ConfigError(f"the controller does not answer, and nothing is moved: {command('status')} names why")
         motion = _motion(lying(client, state) if whole else {}, agreed=agreed)
+        which = "all servos are" if whole else f"{motion.which} is"
         consent(motion, state, agreed=agreed)
         state = ready(client)  # the questions took their time
         # If supply is what starts a servo, the one at that output moves, whichever it is.
-        shows_output = state.power is not None and not state.wire.supply_starts
-        if shows_output:
+        if shows_output := state.power is not None and not state.wire.supply_starts:
             _subscriber = client.on_telemetry(measured.append)
             time.sleep(_REST_S)
-            at_rest = len(measured)
+        at_rest = len(measured)
 
         def stop() -> str:  # alone in its call
-            which = "All servos are" if whole else f"Servo {motion.servo_id} is"
             ack = client.stop() if whole else client.servo(motion.servo_id, "stop")
-            return f"{which} stopped." if ack.accepted else f"{which} not stopped: {ack.reason}: {ack.detail}"
+            end = "stopped." if ack.accepted else f"not stopped: {ack.reason}: {ack.detail}"
+            return f"{which.capitalize()} {end}"
 
-        with drives(client, _HOLD_S, moves=True), stopped_after("all servos are" if whole else "it is", stop):
+        with drives(client, _HOLD_S, moves=True), stopped_after(which, stop):
             _move(Bench(client, motion), state.watchdog.timeout_ms)
             if state.simulated:
                 say("A simulated controller took it: no servo is there to move.")
@@ -111,13 +110,11 @@ def move(connect: Connection, *, agreed: bool) -> int:
             say(f"{place}. {text.format(spi=state.spi)}")
     if loose == "no":
         say(_WHOLE_HOLDS if whole else _HOLDS)
-    if loose != "yes":
-        return 1
-    say(f"Then everything from here to {motion.which} works.")
-    if motion.leg == LEGS[0] and not whole:
-        say("Its Stop was the first of six in one call, so this does not show whether the others arrive: do it once "
-            "more with a servo of leg 6.")  # fmt: skip
-    return 0
+    if loose == "yes":
+        say(f"Then everything from here to {motion.which} works.")
+        if motion.leg == LEGS[0] and not whole:
+            say("Its Stop was the first of six in one call: try a servo of leg 6, to see whether the others arrive.")
+    return int(loose != "yes")
 
 
 def _move(bench: Bench, timeout_ms: float) -> None:
@@ -134,12 +131,11 @@ def _move(bench: Bench, timeout_ms: float) -> None:
 def output(rest: Sequence[Telemetry], moving: Sequence[Telemetry], servo_id: int) -> str:
     """Return a sentence on what the power board's currents, at rest and later, show for a servo that was moved."""
 
-    def peak_a(reports: Sequence[Telemetry]) -> float | None:
+    def peak_a(reports: Sequence[Telemetry], unknown_a: float) -> float:
         servos = (each.servos.get(str(servo_id)) for each in reports if each.servos)
-        return max((each.current_a for each in servos if each and each.current_a is not None), default=None)
+        return max((each.current_a for each in servos if each and each.current_a is not None), default=unknown_a)
 
-    rest_a, moving_a = peak_a(rest), peak_a(moving)
-    rise_a = 0.0 if rest_a is None or moving_a is None else moving_a - rest_a
+    rise_a = peak_a(moving, 0.0) - peak_a(rest, math.inf)
     if rise_a >= _LEAST_RISE_A:
         return f"The power board's output for servo {servo_id} feeds it ({rise_a * 1000:.0f} mA more than at rest)."
     return (

@@ -27,10 +27,7 @@ from gateway.zenoh_config import certificate_files, get, listen_endpoints
 DENIED: Final = os.strerror(errno.EACCES)
 _TLS: Final = "transport/link/tls"
 _CA: Final = f"{_TLS}/root_ca_certificate"
-_NO_LIST: Final = (
-    "there is no list: nobody is shut out. If somebody was, send the newest list from where ca.key is: "
-    "hexapod-gateway certs revoke --dir DIR"
-)
+_NO_LIST: Final = "there is no list: nobody is shut out. To send one: hexapod-gateway certs revoke --dir DIR"
 
 logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_config` warns of is a line here
 

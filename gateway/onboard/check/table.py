@@ -11,14 +11,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from rich.console import Console
 from rich.text import Text
 
-from gateway.onboard import whole
 from gateway.people.terminal import say
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
@@ -71,13 +70,16 @@ def first(name: str, *rows: Row) -> Result | None:
 
 def shown(*arguments: str) -> dict[str, str]:
     """Return what `systemctl show` prints, with all values of a name joined; empty if it fails."""
-    found = dict[str, str]()
+    found, asked = dict[str, str](), ["systemctl", "show", *arguments]
     with suppress(OSError, subprocess.SubprocessError):
-        asked = ["systemctl", "show", *arguments]
         lines = subprocess.run(asked, capture_output=True, text=True, check=True, timeout=5).stdout.splitlines()
         for name, _, value in (line.partition("=") for line in lines):
             found[name] = f"{found.get(name, '')} {value}".strip()
     return found
+
+
+def _user() -> tuple[int, int] | None:
+    return next(((each.pw_uid, each.pw_gid) for each in pwd.getpwall() if each.pw_name == SERVICE), None)
 
 
 @dataclass
@@ -87,8 +89,12 @@ class CheckedRobot:
     settings: Settings = field(default_factory=Settings)
     root: Path = ROOT_DIR
     shown: Callable[..., dict[str, str]] = shown
+    unit: Mapping[str, str] = field(default_factory=dict[str, str])
+    """The service's properties in systemd; empty without any."""
+    service: tuple[int, int] | None = field(default_factory=_user)
+    """The service's user and group ids; None if the user does not exist."""
     gateway_runs: bool = False
-    """Whether a gateway holds the SPI device. Set by the device's probe."""
+    """Whether a gateway holds the wire. Set by the wire's probe."""
 
     def path(self, absolute: str | Path) -> Path:
         """Return this path of the machine."""
@@ -99,23 +105,6 @@ class CheckedRobot:
         with suppress(OSError):
             return self.path(absolute).read_text(errors="replace").strip()
         return ""
-
-    @cached_property
-    def package(self) -> str:
-        """The version of the installed package; "" without one."""
-        return whole.version()
-
-    @cached_property
-    def unit(self) -> Mapping[str, str]:
-        """The service's properties in systemd; empty without any."""
-        return self.shown(SERVICE)
-
-    @cached_property
-    def service(self) -> tuple[int, int] | None:
-        """The service's user and group ids; None if the user does not exist."""
-        with suppress(KeyError):
-            return pwd.getpwnam(SERVICE)[2:4]
-        return None
 
 
 Probes = Callable[[CheckedRobot], Iterator[Result | None]]

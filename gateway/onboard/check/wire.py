@@ -6,10 +6,9 @@ they belong to the gateway, which reports whether controller and board answer.
 """
 
 import errno
-import grp
 import os
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -44,55 +43,54 @@ _CAN: Final = "280"
 def _node_faults(robot: CheckedRobot, path: str, group: str, absent: str) -> list[Row]:
     """Return the faults of a device node that belongs to `group` with the package. `absent`: the remedy without it."""
     try:
-        status = os.stat(path)
+        mode = os.stat(path).st_mode
     except OSError as error:
         return [failure(error, f"{path}: {error.strerror}", absent)]
-    denied, groups = not os.access(path, os.R_OK | os.W_OK), {each.gr_gid: each.gr_name for each in grp.getgrall()}
-    owner = groups.get(status.st_gid, "") if status.st_gid and status.st_mode & 0o060 == 0o060 else ""
-    may_not = f"{path} may not be opened by this user ({stat.filemode(status.st_mode)})"
+    denied = not os.access(path, os.R_OK | os.W_OK)
+    may_not = f"{path} may not be opened by this user ({stat.filemode(mode)})"
     return [
-        failure(not stat.S_ISCHR(status.st_mode), f"{path} is no device node", absent),
+        failure(not stat.S_ISCHR(mode), f"{path} is no device node", absent),
         failure(denied and robot.service, may_not, f"sudo chgrp {group} {path} && sudo chmod 660 {path} && {RESTART}"),
-        failure(denied and owner, may_not, f"sudo usermod -aG {owner} $USER # then log in again"),
         failure(denied, may_not, f"until the next boot: sudo chown $USER {path}"),
     ]
 
 
-def _fault(attempt: Callable[[], None]) -> Exception | None:
-    """Open and close a device, as the service does. Return the error."""
+def _opened(
+    name: str, what: str, attempt: Callable[[], None], remedy: str, *more: Row, rows: Sequence[Row] = (), runs: bool,
+    opens: str = "opens",
+) -> Result | None:
+    """Open and close a device as the service does, unless a gateway `runs`, which has it, or one of `rows` applies.
+
+    Return the first row that applies: of `rows`, of the attempt (which `remedy` fixes), or of `more`.
+    """
+    error: Exception | None = None
     try:
-        attempt()
-    except Exception as error:  # also of any of python-can's interfaces
-        return error
-    return None
-
-
-def _is_held(error: Exception | None) -> bool:
-    return isinstance(cause := error and error.__cause__, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
-
-
-def _open_faults(path: str, error: Exception | None, what: str) -> list[Row]:
-    return [
-        failure(_is_held(error), f"{path} is held by another program", f"find and end that program (sudo fuser -v "
-                f"{path}), then: {RESTART}"),
-        failure(error, str(error), f"is {path} a {what}? see dmesg"),
-    ]
+        if not (runs or any(rows)):
+            attempt()
+    except Exception as raised:  # also of any of python-can's interfaces
+        error = raised
+    cause = error and what.startswith("/") and error.__cause__
+    held = isinstance(cause, OSError) and cause.errno in (errno.EAGAIN, errno.EBUSY)
+    return first(name,
+        *rows,
+        well(f"{what} is the running gateway's") if runs else None,
+        failure(held, f"{what} is held by another program", f"find and end that program (sudo fuser -v {what}), then: "
+                f"{RESTART}"),
+        failure(error, str(error), remedy),
+        *more,
+        well(f"{what} {opens}"))
 
 
 # ---- SPI, or a plug-in
 
 
 def plugin(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Open and close the plug-in, unless a gateway holds it."""
     wire = robot.settings.wire
     if wire.built_in is None:
         robot.gateway_runs = effective.running() is not None
-        can = [name.replace("_", " ") for name, has in wire.capabilities._asdict().items() if has]
-        open_it = partial(PluginDevice, wire.name, wire.plugin, exclusive=False)
-        error = None if robot.gateway_runs else _fault(lambda: open_it().close())
-        yield first("wire",
-            failure(error, str(error), "read what the plug-in needs, and fix [wire] of the configuration"),
-            well(f"{wire.name} opens: {type(wire.plugin).__name__}, {', '.join(can) or 'servos one by one'}"))
+        device = partial(PluginDevice, wire.name, wire.plugin, exclusive=False)
+        yield _opened("wire", wire.name, lambda: device().close(), "read what the plug-in needs, and fix [wire] of the "
+                      "configuration", runs=robot.gateway_runs)
 
 
 def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -104,23 +102,18 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     absent = "switch SPI on and reboot: sudo hexapod-gateway setup; without a robot: run --sim"
     rows = _node_faults(robot, spi.device, "spi", f"set spi.device; this machine has {others}" if others else absent)
     device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode)
-    error = None if any(rows) else _fault(lambda: device().close())
-    robot.gateway_runs = _is_held(error) and outside.is_gateways(spi.device)
-    yield first("SPI device",
-        *rows,
-        well(f"{spi.device} is held by a running gateway") if robot.gateway_runs else None,
-        *_open_faults(spi.device, error, "SPI device"),
-        well(f"{spi.device} opens" + (f"; {ioctls.USED}" if ioctls.are_used() else "")))
+    robot.gateway_runs = not any(rows) and outside.is_gateways(spi.device)
+    yield _opened("SPI device", spi.device, lambda: device().close(), f"is {spi.device} a SPI device? see dmesg",
+                  rows=rows, runs=robot.gateway_runs, opens=f"opens; {ioctls.USED}" if ioctls.are_used() else "opens")
     release, built = computer.kernel(root)
     selects = {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}
     named = (computer.computer(root), release and f"Linux {release}", machine.driver_of(spi.device, root),
              selects[machine.gpio_selects(spi.device, root)])
     found = ", ".join(filter(None, named)) or "nothing is known of it"
     loses = computer.on_rp1(spi.device, root) and (built is None or built < computer.RP1_FIXED)
-    when = f"of {built}" if built else "that was built at an unknown time"
     yield first("SPI controller",
-        warning(loses, f"{found}: a kernel {when}. Before February 2025 this driver lost clock edges of transfers "
-                "that only send; then the controller receives nothing until it is reset",
+        warning(loses, f"{found}: a kernel of {built or 'an unknown time'}. Before February 2025 this driver lost "
+                "clock edges of transfers that only send; then the controller receives nothing until it is reset",
                 "update the kernel (sudo apt full-upgrade) and reboot"),
         well(found))
     others = ", ".join(f"{each} (driver {driver})" for each, driver in computer.neighbours(spi.device, root))
@@ -133,24 +126,23 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     what, takes_ms = "an emergency stop", len(LEGS) * (bits / spi.speed_hz * 1e3 + pause_ms)
     if not protocol.framed:  # Stops do not go over SPI
         what, takes_ms = "a frame", 8 * FRAME_BYTES / spi.speed_hz * 1e3
-    takes, known, at = f"{what} takes {takes_ms:.1f} ms to write", protocol.speed_hz, f"{spi.speed_hz / 1e6:g} MHz"
+    takes, known = f"{spi.speed_hz / 1e6:g} MHz; {what} takes {takes_ms:.1f} ms to write", protocol.speed_hz
     yield first("SPI speed",
-        warning(spi.speed_hz > known or takes_ms > _SLOW_MS, f"{at}; {takes}, and the protocol was measured up to "
+        warning(spi.speed_hz > known or takes_ms > _SLOW_MS, f"{takes}, and the protocol was measured up to "
                 f"{known / 1e6:g} MHz", f"set spi.speed_hz = {known}, or measure a higher clock on your wires"),
-        well(f"{at}; {takes}"))
+        well(takes))
 
 
 def framing(robot: CheckedRobot) -> Iterator[Result | None]:
     """The framing, and whether the driver is known to release chip select between the transfers of a call."""
-    spi, gpio = robot.settings.spi, machine.gpio_selects(robot.settings.spi.device, robot.root)
-    (low, high), driver = spi.framing.avoid_cdeg or (0, 0), machine.driver_of(spi.device, robot.root) or "this driver"
+    spi, driver = robot.settings.spi, machine.driver_of(robot.settings.spi.device, robot.root) or "this driver"
     if robot.settings.wire.framed:
         yield first("framing",
             warning(spi.framing is Framing.PLAIN, "plain, as in the protocol document; with it the published STM32 "
                     "firmware hangs until its reset",
                     'set spi.framing = "length-prefixed" for that firmware, and reset it'),
-            well(f"{spi.framing}, as {spi.framing.controller} wants it; wire angles from {low / 100:g} up to "
-                 f"{high / 100:g} degrees are never sent"))
+            well(f"{spi.framing}, as {spi.framing.controller} wants it"))
+        gpio = machine.gpio_selects(spi.device, robot.root)
         yield first("SPI lists",
             well("chip select is a GPIO, which Linux releases between the transfers of a call") if gpio else None,
             warning(spi.framing.needs_chip_select, f"it is unknown whether {driver} releases chip select between the "
@@ -177,40 +169,31 @@ def calibration(robot: CheckedRobot) -> Iterator[Result | None]:
 
 
 def uart(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Open and close the UART, unless a gateway holds it."""
     path, name = robot.settings.controller.uart, Path(robot.settings.controller.uart).resolve().name
     if not robot.settings.wire.has_uart:
         return
     here = ", ".join(sorted(map(str, Path("/dev").glob(f"{_ALLOWED}*")))) or "none"
     setup = f"sudo hexapod-gateway setup --wire {robot.settings.wire.name}"
-    absent = f"switch it on and reboot: {setup}; or set controller.uart; here there is {here}"
     console = name in robot.text("/sys/class/tty/console/active").split()
     login = robot.shown(f"serial-getty@{name}.service").get("ActiveState") == "active"
     rows = [
-        *_node_faults(robot, path, "dialout", absent),
-        failure(console or login, f"{path} has Linux's console or a login, which write to the controller, and read "
-                "from it", f"free it, and reboot: {setup}"),
+        *_node_faults(robot, path, "dialout", f"switch it on and reboot: {setup}; or set controller.uart; here there "
+                      f"is {here}"),
+        failure(console or login, f"{path} has Linux's console or a login, which disturb the controller",
+                f"free it, and reboot: {setup}"),
     ]
-    runs = robot.gateway_runs
-    error = None if any(rows) or runs else _fault(lambda: SerialUart(path).close())
-    yield first("UART",
-        *rows,
-        well(f"{path} is the running gateway's, which reports whether the controller answers") if runs else None,
-        *_open_faults(path, error, "UART"),
+    yield _opened("UART", path, lambda: SerialUart(path).close(), f"is {path} a UART? see dmesg",
         warning(robot.service and not name.startswith(_ALLOWED), f"{path} opens, but the unit lets the service open "
                 f"{_ALLOWED}… only", "sudo systemctl edit hexapod-gateway, with [Service] "
-                f"DeviceAllow=char-{name.rstrip('0123456789')} rw"),
-        well(f"{path} opens"))
+                f"DeviceAllow=char-{name.rstrip('0123456789')} rw"), rows=rows, runs=robot.gateway_runs)
 
 
 # ---- the power board
 
 
 def power(robot: CheckedRobot) -> Iterator[Result | None]:
-    """Open and close the interface to the power board, unless it is the gateway's."""
     settings, rows = robot.settings.power, list[Row]()
-    path, where = settings.channel, f"{settings.interface} {settings.channel}"
-    absent = "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
+    path, absent = settings.channel, "plug the adapter in or load its driver, or set power.channel (see dmesg, ip link)"
     if not settings.interface:
         return
     if settings.interface == "slcan":
@@ -226,10 +209,8 @@ def power(robot: CheckedRobot) -> Iterator[Result | None]:
         ]
     elif settings.interface == "sim":
         rows = [warning(path, "is simulated: no servo loses its supply", 'set power.interface; "" is none')]
-    error = None if any(rows) or robot.gateway_runs else _fault(lambda: open_bus(settings).shutdown())
-    opens = "is the running gateway's" if robot.gateway_runs else "opens"
-    yield first("power board", *rows, failure(error, f"{where}: {error}", "see dmesg, and the settings of [power]"),
-                well(f"{where} {opens}; a gateway's `status` shows whether the board answers"))
+    yield _opened("power board", path, lambda: open_bus(settings).shutdown(), "see dmesg, and the settings of [power]",
+                  rows=rows, runs=robot.gateway_runs, opens="opens; `status` shows whether the board answers")
 
 
 # fmt: on

@@ -41,7 +41,7 @@ class Installed(CheckedRobot):
         for folder in (STATE, "run/systemd/system"):
             (root / folder).mkdir(parents=True)
         self.service = os.getuid(), os.getgid()
-        self.package, self.files = "1.1.0", Whole()
+        self.version, self.files = "1.1.0", Whole()
         self.unit: dict[str, str] = dict(UP)
         self.environment = ""
         self.shown = lambda *_: {"Environment": self.environment}
@@ -92,7 +92,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: setattr(robot, "files", Whole(changed=("/usr/a", "/usr/b"))), "not as installed: /usr/a, /usr/b"),
     (lambda robot: setattr(robot, "files", Whole(added=("/usr/a",))), "and not installed with it: /usr/a"),
     (lambda robot: setattr(robot, "files", Whole(closed=("/usr/a",))), "not readable by all"),
-    (lambda robot: setattr(robot, "package", "1.2.0"), "1.2.0 is installed, but 1.1.0 runs until no servo runs"),
+    (lambda robot: setattr(robot, "version", "1.2.0"), "1.2.0 is installed, but 1.1.0 runs until no servo runs"),
     (
         lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
         "the running service is 1.0",
@@ -107,7 +107,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.mask(), "/run/systemd/system/hexapod-gateway.service is not"),
     (lambda robot: robot.show(NeedDaemonReload="yes"), "hexapod-gateway was edited, but systemd still"),
     (lambda robot: robot.drop_in("Environment=GATEWAY_OPTIONS=--sim\nExecStopPost="), "makes the controller a simu"),
-    (lambda robot: robot.drop_in("ExecStopPost="), "empties ExecStopPost="),
+    (lambda robot: robot.drop_in("ExecStopPost="), "what Stops depend on: ExecStopPost"),
     (lambda robot: robot.drop_in("Environment=HEXAPOD_SPI__FRAMING=plain"), "depend on: HEXAPOD_SPI__FRAMING"),
     (lambda robot: robot.drop_in("User=root\nNice=3"), "Stops depend on: Nice, User"),
     (lambda robot: robot.drop_in("Environment=A=1 PYTHONPATH=/x\nMemoryMax=64M"), "depend on: MemoryMax, PYTHONPATH"),
@@ -133,6 +133,7 @@ def found(robot: Installed) -> list[Result]:
     """Without what is so of this machine: a folder that a boot empties."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(whole, "compare", lambda: robot.files)
+        patch.setattr(whole, "version", lambda: robot.version)
         lines = [each for each in results(robot, *AS_ROOT, unit) if each.verdict is not Verdict.OK]
     lines = [each for each in lines if each.name != "user"]
     return [each for each in lines if "which a boot empties" not in each.sentence]
