@@ -60,7 +60,7 @@ def check(
     if move and as_json:
         raise ConfigError("--move asks a person, so it has no --json")
     if move or stops:
-        from gateway.onboard.check.bench import StopsOptions
+        from gateway.onboard.check.move import StopsOptions
         from gateway.onboard.check.move import move as move_servo
         from gateway.onboard.check.stops import stops as prove_stops
         from gateway.people.commands import reach
@@ -74,5 +74,5 @@ def check(
     if config is not None and zenoh_config is not None:
         raise ConfigError("--config checks the service, --zenoh-config a laptop: name one of them")
     if config is None and (connect is not None or zenoh_config is not None):  # HEXAPOD_CONNECT hides no named file
-        sys.exit(report(laptop.checks(connect, zenoh_config, timeout), "reach the gateway", as_json=as_json))
+        sys.exit(report(laptop(connect, zenoh_config, timeout), "reach the gateway", as_json=as_json))
     sys.exit(check(config, as_json=as_json))

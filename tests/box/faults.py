@@ -69,11 +69,6 @@ FAULTS = (
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
     Fault("a damaged command", "echo 'exit 1 # damaged' >>/usr/bin/$service", "not as installed: /usr/bin/hexapod"),
     Fault(
-        "a command of the former installer",
-        "ln -s /bin/true /usr/local/bin/$service",
-        "/usr/local/bin/hexapod-gateway is from the former installer",
-    ),
-    Fault(
         "no Python that it runs with",
         "mv /usr/bin/python3.11 /usr/bin/gone; systemctl kill --signal=KILL $service",
         "no Python that it runs with is here",

@@ -3,30 +3,33 @@
 It changes nothing: no byte reaches the robot, and a running gateway is not disturbed.
 """
 
+import datetime as dt
 import grp
 import os
 import pwd
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Final
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, ZenohError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
 from gateway.onboard import whole
 from gateway.onboard.check import installation, security, table, wire
 from gateway.onboard.check.table import CheckedRobot, Result, Verdict, results
+from gateway.people.client import diagnosis
+from gateway.people.client.blocking import Client
+from gateway.people.client.diagnosis import Finding, Stage
+from gateway.people.client.requests import Identity
+from gateway.people.commands import why
 from gateway.people.terminal import clear_line, hint, show_line
 from gateway.robot import settings as settings_file
 from gateway.robot.settings import FramingNotSetError
-
-_LOADED_LATE: Final = ("gateway.certs.folder", "serial", "spidev")
-"""Loaded before the change of user: the service's user may not be able to read this Python's folder."""
+from gateway.zenoh_config import client_config, connect_endpoints
 
 
 def check(config: Path | None, *, as_json: bool = False) -> int:
@@ -35,7 +38,8 @@ def check(config: Path | None, *, as_json: bool = False) -> int:
     As root, check with the rights of the service's user. Raises ConfigError if this user may not read the
     configuration, and FramingNotSetError.
     """
-    robot = CheckedRobot(unit=table.shown(table.SERVICE))
+    service = next(((each.pw_uid, each.pw_gid) for each in pwd.getpwall() if each.pw_name == table.SERVICE), None)
+    robot = CheckedRobot(unit=table.shown(table.SERVICE), service=service)
     show_line("reading the files of the installed release …")
     installed = whole.CURRENT.is_dir() or robot.unit.get("LoadState") == "loaded"
     seen = list(results(robot, *installation.AS_ROOT)) if installed else []  # root sees it all
@@ -48,8 +52,8 @@ def _go_on_as_the_service(robot: CheckedRobot) -> None:
     """If root, go on in a child process of the service's user, if that exists: root may do more than the service."""
     if os.geteuid() or robot.service is None:
         return
-    for module in _LOADED_LATE:
-        with suppress(ImportError):
+    for module in ("gateway.certs.folder", "serial", "spidev"):
+        with suppress(ImportError):  # the service's user may not be able to read this Python's folder
             import_module(module)
     sys.stdout.flush()
     if child := os.fork():
@@ -110,3 +114,42 @@ def run(config: Path | None, robot: CheckedRobot, seen: Sequence[Result]) -> Ite
             yield from (Result("in use", Verdict.WARNING, each, fix) for each in effective.differences(used, path))
         yield from results(robot, *wire.PROBES, *security.PROBES, wire.power)
     yield from results(robot, installation.unit, installation.machine)
+
+
+# ---- from a laptop
+
+
+def laptop(connect: str | None, zenoh_config: Path | None, timeout_s: float) -> Iterator[Result]:
+    """Yield whether this laptop reaches the gateway, step by step, and what it may do there.
+
+    If one endpoint reaches it, faults of the others are warnings.
+    """
+    try:
+        config = client_config(connect, zenoh_config)
+    except ConfigError as error:
+        for fault in str(error).splitlines():
+            yield Result("configuration", Verdict.FAILURE, fault, "fix it there, and check again")
+        return
+    endpoints, identity = connect_endpoints(config), Identity.of(config)
+    where = str(zenoh_config) if zenoh_config is not None else "none, so without certificates"
+    yield Result("configuration", Verdict.OK, f"{where}; dials {', '.join(endpoints) or 'nobody'}")
+    yield from map(_result, diagnosis.own_certificates(identity, dt.datetime.now(dt.UTC)))
+    source = "hexapod-gateway check"
+    with ExitStack() as stack:
+        client = None
+        with suppress(ZenohError):
+            made = Client(connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False)
+            client = stack.enter_context(made)
+        for endpoint, findings in diagnosis.diagnose_all(endpoints, identity).items():
+            at = f"{endpoint}: " if len(endpoints) > 1 else ""
+            for finding in findings:
+                if client is None or finding.stage is not Stage.GATEWAY:  # tcp/ without TLS is no fault if it opens
+                    yield _result(finding, Verdict.FAILURE if client is None else Verdict.WARNING, at)
+        allowed = [] if client is None else why.allowed(client, identity)
+    for finding in allowed:
+        observer = finding.fix and finding.stage is Stage.ROLE and len(allowed) > 1
+        yield _result(finding, Verdict.WARNING if observer else Verdict.FAILURE)
+
+
+def _result(finding: Finding, worst: Verdict = Verdict.FAILURE, at: str = "") -> Result:
+    return Result(finding.stage, worst if finding.fix else Verdict.OK, f"{at}{finding.sentence}", finding.fix)

@@ -12,8 +12,7 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.host import effective
 from gateway.host.settings_table import WireSettings
-from gateway.onboard.check.bench import CheckStep, FailedError, Skipped, demand, ms_since
-from gateway.onboard.check.table import conclude
+from gateway.onboard.check.table import CheckStep, FailedError, Skipped, conclude, demand, ms_since
 from gateway.people.commands.moving import NOTHING_MOVED
 from gateway.people.terminal import ask
 from gateway.robot import settings as settings_file

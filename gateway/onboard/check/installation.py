@@ -26,7 +26,6 @@ from gateway.onboard.setup.machine import has_wrong_rights
 GROUPS: Final = ("spi", "dialout", SERVICE)
 """Groups of the unit."""
 _STATE: Final = f"/var/lib/{SERVICE}"
-_FORMER: Final = (f"/usr/local/bin/{SERVICE}", f"/opt/{SERVICE}")
 _LEAST_FREE_MB, _LEAST_INODES = 20, 100
 """Room for some calibrations and lists."""
 _HARMLESS: Final = frozenset(
@@ -90,25 +89,20 @@ def release(robot: CheckedRobot) -> Iterator[Result | None]:
     (changed, _), (added, every), (closed, each) = map(_named, whole.compare() if package else whole.Whole())
     yield first("package",
         failure(changed, f"not as installed: {changed}. The service, or its Stops after a crash, may fail",
-                whole.how_to_repeat(package)))
-    yield first("package",
-        warning(added, f"in the release, and not installed with it: {added}. Python may load it", f"sudo rm {every}"))
-    yield first("package",
+                whole.how_to_repeat(package)),
         failure(closed, f"not readable by all, or writable by others than root: {closed}",
-                f"sudo chown root:root {each} && sudo chmod u+rw,go+r,go-w {each} && {RESTART}"))
+                f"sudo chown root:root {each} && sudo chmod u+rw,go+r,go-w {each} && {RESTART}"),
+        warning(added, f"in the release, and not installed with it: {added}. Python may load it", f"sudo rm {every}"))
     link, process = robot.path(whole.CURRENT), robot.unit.get("MainPID", 0)
     if link.is_dir():
         loaded = re.search(rf"{whole.LIBRARY}/([^/\s]+)/", robot.text(f"/proc/{process}/maps"))
         current = link.resolve().name.removesuffix(".kept")
         runs, package = loaded[1].removesuffix(".kept") if loaded else current, package or current
-        former = next((each for each in _FORMER if robot.path(each).exists()), "")
         yield first("release",
             warning(package != current, f"{package} is installed, but {current} runs until no servo runs",
                     f"stop the robot, then: sudo dpkg-reconfigure {SERVICE}"),
             warning(runs != current, f"the running service is {runs}, but {current} is installed",
-                    f"stop the robot, then: sudo systemctl restart {SERVICE}"),
-            warning(former, f"{former} is from the former installer: commands may be another release's",
-                    "sudo /usr/bin/hexapod-gateway setup"))
+                    f"stop the robot, then: sudo systemctl restart {SERVICE}"))
 
 
 def unit_files(robot: CheckedRobot) -> Iterator[Result | None]:
@@ -153,7 +147,7 @@ def unit(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
     """Drop-ins, read as systemd does (a backslash at the end continues a line, # and ; begin comments), and variables
-    of the service, or of its process, that neither unit nor drop-in sets."""
+    of the service's process that neither unit nor drop-in sets."""
     for path in robot.unit.get("DropInPaths", "").split():
         assigned = _ASSIGNED.findall(robot.text(path).replace("\\\n", " "))
         environment = " ".join(value for key, value in assigned if key == "Environment")
@@ -166,10 +160,8 @@ def drop_ins(robot: CheckedRobot) -> Iterator[Result | None]:
             warning(depends, f"{path} changes settings, or what Stops depend on: {depends}",
                     f"move settings (HEXAPOD_…) to gateway.toml; if the rest is not needed, {aside}"),
             well(f"{path} sets {', '.join(sorted(keys))}"))
-    environment = robot.shown("--property=Environment").get("Environment", "")  # systemd gives it to all services
     process = robot.text(f"/proc/{robot.unit.get('MainPID', 0)}/environ").replace("\0", " ")
-    theirs = set(_OURS.findall(f"{environment} {process}"))
-    for name in sorted(theirs - set(_OURS.findall(robot.unit.get("Environment", "")))):
+    for name in sorted(set(_OURS.findall(process)) - set(_OURS.findall(robot.unit.get("Environment", "")))):
         yield first("variable",
             warning(name, f"{name} is in the service's environment, but neither its unit nor a drop-in sets it",
                     "take it out of DefaultEnvironment= in /etc/systemd/system.conf if it is there; stop the robot, "
@@ -196,7 +188,9 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
         kind, not_own = mount_of(folder)[1], list[Path]()
         for path in (folder, *folder.rglob("*")):
             with suppress(OSError):
-                not_own += [] if _is_own(path, robot) else [Path("/") / path.relative_to(robot.root)]
+                status, needed = path.lstat(), stat.S_IRWXU if path.is_dir() else stat.S_IRUSR | stat.S_IWUSR
+                if status.st_uid != robot.service[0] or status.st_mode & needed != needed:
+                    not_own.append(Path("/") / path.relative_to(robot.root))
         some, _ = _named(not_own)
         yield first("state",
             failure(not folder.is_dir(), f"{_STATE} is no folder: {_CANNOT_START}",
@@ -214,12 +208,6 @@ def state(robot: CheckedRobot) -> Iterator[Result | None]:
             failure(free_mb < _LEAST_FREE_MB or inodes < _LEAST_INODES, f"{mount} has {free_mb} MB free, and room for "
                     f"{inodes} files: {_NOT_KEPT}", f"find what fills it (sudo du -xh {mount} | sort -h | tail; with "
                     "--inodes: most files); to shorten the journal: sudo journalctl --vacuum-size=50M"))
-
-
-def _is_own(path: Path, robot: CheckedRobot) -> bool:
-    status = path.lstat()
-    needed = stat.S_IRWXU if stat.S_ISDIR(status.st_mode) else stat.S_IRUSR | stat.S_IWUSR
-    return status.st_uid == (robot.service or (-1,))[0] and status.st_mode & needed == needed
 
 
 def private_keys(robot: CheckedRobot) -> Iterator[Result | None]:

@@ -1,28 +1,28 @@
 """`check --stops`: prove on this robot, step by step, that it stops. At the end everything is stopped."""
 
+import math
 import re
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import dropwhile
 from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.model.frames import Frame, OneServo, Op, ServoOp, centidegrees
-from gateway.onboard.check.bench import STREAM_S, Bench, CheckStep, FailedError, Skipped, StopsOptions, demand, ms_since
-from gateway.onboard.check.table import SERVICE, conclude, shown
+from gateway.onboard.check.move import STREAM_S, Bench, StopsOptions
+from gateway.onboard.check.table import SERVICE, CheckStep, FailedError, Skipped, conclude, demand, ms_since, shown
 from gateway.people.client.blocking import Client
 from gateway.people.commands.moving import ServoMotion, consent, lying, ready, stopped_after
 from gateway.people.commands.reach import Connection, drives, show_differences
 from gateway.people.terminal import ask, hint, on_end_signals
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Cause, Kind, Mode, PowerReport, Reason
+from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason
 
 _START_DEG, _AGAIN_S = 90.0, 0.02
-_LEASE_S: Final = 1.0  # any time: a step holds the lease until it ends
 EVIDENCE_S: Final = 5.0
 _ANSWER_MS: Final = 100.0  # the answer to an emergency stop, beyond that to any other question
 _PROGRAM_S: Final = 20.0  # for 15° at 1° a second, stop-servos, systemctl, and a new start of the service
@@ -59,7 +59,7 @@ def stops(connect: Connection, options: StopsOptions) -> int:
             for number, step in enumerate(steps, 1):
                 hint(f"{number}/{len(steps)} {step.name}: {step.does} …")
                 bench.forget()
-                held = drives(client, _LEASE_S, moves=True)
+                held = drives(client, math.inf, moves=True)
                 outcomes.append(step.outcome(bench, held, quiet=options.as_json))
                 with suppress(GatewayError):  # the end tries again, and reports it
                     bench.rest()
@@ -72,12 +72,11 @@ def stops(connect: Connection, options: StopsOptions) -> int:
 @contextmanager
 def _ended_stopped(bench: Bench) -> Iterator[None]:
     """Stop all legs at each end, also by a signal, and print a sentence about it."""
-    stopping = threading.Event()
+    first = [KeyboardInterrupt()]  # a second Ctrl-C must not cost the Stop that the first one asks for
 
     def end() -> None:
-        if not stopping.is_set():  # a second Ctrl-C must not cost the Stop that the first one asks for
-            stopping.set()
-            raise KeyboardInterrupt
+        if first:
+            raise first.pop()
 
     def stop() -> str:
         bench.rest()
@@ -90,7 +89,7 @@ def _ended_stopped(bench: Bench) -> Iterator[None]:
         except KeyboardInterrupt:
             hint("The check was ended.")
         finally:
-            stopping.set()
+            first.clear()
 
 
 # ---- the steps: each returns its figures, or raises FailedError or Skipped
@@ -111,7 +110,7 @@ def command(bench: Bench) -> Figures:
     bench.demand(bench.client.stop(), "a Stop")
     if bench.frames_published:
         stopped = bench.wait(lambda: bench.caused(Cause.COMMAND, stops=True), EVIDENCE_S)
-        moves = [each.frame for each in bench.frames if not each.frame.is_stop]
+        moves = [frame for _, frame in bench.frames if not frame.is_stop]
         demand(_as_commanded(bench, moves), f"these frames moved it: {[each.to_bytes().hex() for each in moves]}")
         demand(stopped, "no Stop was written")
     bench.demand_no_motion("after the Stop")
@@ -121,15 +120,15 @@ def command(bench: Bench) -> Figures:
 def _as_commanded(bench: Bench, moves: list[Frame]) -> bool:
     """Return whether the frames start the servo, set it to the end in one direction, and hold all other servos."""
     motion, ops = bench.motion, [pair for frame in moves for pair in frame.servos]
-    ends = ((Op.START, motion.start_deg), (Op.SET, motion.end_deg))
-    wanted = [OneServo(motion.servo_id, ServoOp(op, centidegrees(angle_deg))) for op, angle_deg in ends]
     own = [op for servo_id, op in ops if servo_id == motion.servo_id]
+    ends = (ServoOp(Op.START, centidegrees(motion.start_deg)), ServoOp(Op.SET, centidegrees(motion.end_deg)))
+    wanted = [bench.calibration.frame(OneServo(motion.servo_id, each)).servos[0][1] for each in ends]
     angles = [op.angle_cdeg for op in own]
     others = {(servo_id, op.angle_cdeg) for servo_id, op in ops if servo_id != motion.servo_id}
     return (
         sorted(servo_id for servo_id, op in ops if op.op is not Op.SET) == motion.started_ids
         and len(others) == len(motion.started_ids) - 1
-        and [own[0], own[-1]] == [op for each in wanted for _, op in bench.calibration.frame(each).servos]
+        and [own[0], own[-1]] == wanted
         and angles in (sorted(angles), sorted(angles, reverse=True))
     )
 
@@ -149,7 +148,7 @@ def silence(bench: Bench) -> Figures:
         started, ended = bench.caused(Cause.COMMAND, stops=False), bench.caused(Cause.WATCHDOG, stops=True)
         demand(started and ended, "no Stop of the watchdog was written for the leg")
         # From the start's first frame: a start soon after a Stop goes on to its angle by further frames.
-        took_ms, slack_ms = (ended[0].at_ns - started[0].at_ns) / 1e6, bench.options.late_ms
+        took_ms, slack_ms = (ended[0].monotonic_ns - started[0].monotonic_ns) / 1e6, bench.options.late_ms
         bench.demand_no_motion("after the watchdog's Stop")
     late_ms, silent = took_ms - before.stops_after_ms, f"{before.timeout_ms:g} ms of silence"
     silent += f" and {before.landing_ms:g} ms of landing" if before.landing_ms else ""
@@ -169,24 +168,19 @@ def estop(bench: Bench) -> Figures:
     running, mode = bench.running(), bench.client.state().mode
     demand(not running, f"servos run after the emergency stop: {[*running]}")
     demand(mode == Mode.ESTOPPED, f"the mode is {mode} after the emergency stop")
-    _demand_six(ack)
+    demand(ack.stop_frames == len(LEGS), f"{ack.stop_frames} Stops were written, not {len(LEGS)}")
     late = f"the sixth Stop came {latency_us / 1000:.1f} ms after the request"
     demand(latency_us <= bench.options.late_ms * 1000, late)
     demand(took_ms <= limit_ms, f"the answer took {took_ms:.1f} ms, where any other takes {bench.answer_ms:.1f} ms")
     if bench.frames_published:
-        frames = [each.frame for each in bench.frames]
-        stops = [place for place, each in enumerate(bench.frames) if each.cause == Cause.ESTOP and each.frame.is_stop]
-        legs = {frames[place].leg for place in stops}
+        after = list(dropwhile(lambda each: each[0].cause != Cause.ESTOP, bench.frames))
+        legs = {frame.leg for record, frame in after if record.cause == Cause.ESTOP and frame.is_stop}
         demand(legs == set(LEGS), f"Stops were written for the legs {sorted(legs)} only")
-        after = [each for each in frames[stops[0] :] if not each.is_stop]
-        demand(not after, f"{len(after)} frames moved a servo after the emergency stop")
+        moves = [frame for _, frame in after if not frame.is_stop]
+        demand(not moves, f"{len(moves)} frames moved a servo after the emergency stop")
     bench.start(Reason.ESTOPPED)
     bench.reset()
     return {"request_to_sixth_stop_us": latency_us, "request_to_answer_ms": took_ms, "stop_frames": len(LEGS)}
-
-
-def _demand_six(ack: Ack) -> None:
-    demand(ack.stop_frames == len(LEGS), f"{ack.stop_frames} Stops were written, not {len(LEGS)}")
 
 
 def stop_servos(bench: Bench) -> Figures:
@@ -199,7 +193,7 @@ def stop_servos(bench: Bench) -> Figures:
         _run(sys.executable, "-m", "gateway", "stop-servos", *(() if config is None else ("--config", str(config))))
         took_ms = ms_since(begun_s)
         demand(bench.wait_for_event(Kind.STOPPED_OUTSIDE, EVIDENCE_S), "the gateway did not notice it")
-        own = any(each.cause == Cause.REPEAT for each in bench.frames)
+        own = any(record.cause == Cause.REPEAT for record, _ in bench.frames)
         demand(own or not bench.frames_published, "the gateway wrote no Stops of its own")
         bench.demand_no_motion("after stop-servos")
     return {"took_ms": took_ms}
@@ -275,7 +269,7 @@ def spi_unplugged(bench: Bench) -> Figures:
     # The controller has not received its Stop: with power the servo would run again.
     ask("Plug the controller in again, and press Enter: ")
     again = bench.client.estop()  # six Stops, which arrive now
-    _demand_six(again)
+    demand(again.stop_frames == len(LEGS), f"{again.stop_frames} Stops were written, not {len(LEGS)}")
     bench.estop = again.estop or 0
     demand(loose == "yes", "the board has confirmed that it feeds no servo, and one is not loose")
     _give_back(bench)

@@ -5,19 +5,20 @@ as printed; a person fills in words in capitals. Probes that read the same are i
 """
 
 import json
-import pwd
 import subprocess
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 from rich.console import Console
 from rich.text import Text
 
+from gateway.errors import GatewayError
 from gateway.people.terminal import say
 from gateway.robot.settings import Settings
 from gateway.robot.spi.machine import ROOT_DIR
@@ -78,10 +79,6 @@ def shown(*arguments: str) -> dict[str, str]:
     return found
 
 
-def _user() -> tuple[int, int] | None:
-    return next(((each.pw_uid, each.pw_gid) for each in pwd.getpwall() if each.pw_name == SERVICE), None)
-
-
 @dataclass
 class CheckedRobot:
     """The machine that the probes read, and what they learn for each other. `root`, `shown`: replaced by tests."""
@@ -91,7 +88,7 @@ class CheckedRobot:
     shown: Callable[..., dict[str, str]] = shown
     unit: Mapping[str, str] = field(default_factory=dict[str, str])
     """The service's properties in systemd; empty without any."""
-    service: tuple[int, int] | None = field(default_factory=_user)
+    service: tuple[int, int] | None = None
     """The service's user and group ids; None if the user does not exist."""
     gateway_runs: bool = False
     """Whether a gateway holds the wire. Set by the wire's probe."""
@@ -132,3 +129,54 @@ def conclude(sentence: str, *, well: bool, as_json: Mapping[str, object] | None 
     else:
         say(json.dumps({"passed": well, **as_json}))
     return 0 if well else 1
+
+
+# ---- the steps of --move, --stops and --wire
+
+
+class FailedError(GatewayError):
+    """A step failed; the message states what happened instead."""
+
+
+class Skipped(GatewayError):  # noqa: N818  (it is no error)
+    """A step cannot be done here; the message states why."""
+
+
+def demand(true: object, sentence: str) -> None:
+    """Raise FailedError with this sentence unless `true` holds."""
+    if not true:
+        raise FailedError(sentence)
+
+
+class CheckStep(NamedTuple):
+    """One step: its name, a sentence for a person, and its function. That returns figures, or a better sentence."""
+
+    name: str
+    does: str
+    run: Callable[[Any], dict[str, Any] | str | None]
+
+    @classmethod
+    def of(cls, run: Callable[[Any], dict[str, Any]]) -> Self:
+        """Return the step of a function: its name and docstring are the step's."""
+        return cls(run.__name__.replace("_", "-"), str(run.__doc__).rstrip("."), run)
+
+    def outcome(self, means: object, held: AbstractContextManager[None], *, quiet: bool = False) -> dict[str, object]:
+        """Run it while `held`, and print the result unless `quiet`. Return it as `--json` prints it."""
+        result, figures = "PASS", dict[str, Any]()
+        try:
+            with held:
+                found = self.run(means)
+            figures = found if isinstance(found, dict) else figures
+            each = (f"{name} {value:{'.1f' if isinstance(value, float) else ''}}" for name, value in figures.items())
+            detail = ", ".join(each) or str(found or self.does)
+        except GatewayError as error:
+            result, detail = "SKIPPED" if isinstance(error, Skipped) else "FAIL", str(error)
+        except Exception as error:  # of a plug-in, which is somebody else's code
+            result, detail = "FAIL", f"{type(error).__name__}: {error}"
+        if not quiet:
+            show(self.name, result, detail)
+        return {"step": self.name, "result": result, "detail": detail, "figures": figures}
+
+
+def ms_since(begun_s: float) -> float:
+    return (time.monotonic() - begun_s) * 1000

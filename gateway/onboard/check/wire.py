@@ -59,10 +59,7 @@ def _opened(
     name: str, what: str, attempt: Callable[[], None], remedy: str, *more: Row, rows: Sequence[Row] = (), runs: bool,
     opens: str = "opens",
 ) -> Result | None:
-    """Open and close a device as the service does, unless a gateway `runs`, which has it, or one of `rows` applies.
-
-    Return the first row that applies: of `rows`, of the attempt (which `remedy` fixes), or of `more`.
-    """
+    """Open and close a device as the service does, unless a gateway `runs`, which has it, or one of `rows` applies."""
     error: Exception | None = None
     try:
         if not (runs or any(rows)):
@@ -142,13 +139,12 @@ def framing(robot: CheckedRobot) -> Iterator[Result | None]:
                     "firmware hangs until its reset",
                     'set spi.framing = "length-prefixed" for that firmware, and reset it'),
             well(f"{spi.framing}, as {spi.framing.controller} wants it"))
-        gpio = machine.gpio_selects(spi.device, robot.root)
+        releases = not spi.framing.needs_chip_select or machine.gpio_selects(spi.device, robot.root)
         yield first("SPI lists",
-            well("chip select is a GPIO, which Linux releases between the transfers of a call") if gpio else None,
-            warning(spi.framing.needs_chip_select, f"it is unknown whether {driver} releases chip select between the "
+            warning(not releases, f"it is unknown whether {driver} releases chip select between the "
                     f"transfers of a call", f"{command('check --move')} shows it: if servo 61 still holds when all "
                     f"are stopped, {computer.SELECT_BY_GPIO}"),
-            well(f"{driver} may keep chip select within a call; {spi.framing.controller} ignores it"))
+            well("the controller reads each frame of a call"))
 
 
 def calibration(robot: CheckedRobot) -> Iterator[Result | None]:

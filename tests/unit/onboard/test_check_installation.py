@@ -43,8 +43,6 @@ class Installed(CheckedRobot):
         self.service = os.getuid(), os.getgid()
         self.version, self.files = "1.1.0", Whole()
         self.unit: dict[str, str] = dict(UP)
-        self.environment = ""
-        self.shown = lambda *_: {"Environment": self.environment}
 
     def drop_in(self, text: str) -> None:
         path = self.path(DROP_IN)
@@ -97,7 +95,6 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
         lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
         "the running service is 1.0",
     ),
-    (lambda robot: robot.write("usr/local/bin/hexapod-gateway"), "/usr/local/bin/hexapod-gateway is from the former"),
     (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} is not this release's"),
     (lambda robot: robot.write(UNIT_FILE, "x"), f"/{UNIT_FILE} is not this release's"),
     (lambda robot: robot.write(OTHER_UNIT, "[Service]"), f"/{OTHER_UNIT} is not this release's"),
@@ -113,7 +110,6 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.drop_in("Environment=A=1 PYTHONPATH=/x\nMemoryMax=64M"), "depend on: MemoryMax, PYTHONPATH"),
     (lambda robot: robot.drop_in("ExecStopPost=\nExecStopPost=/opt/x \\\n  stop-servos"), "depend on: ExecStopPost"),
     (lambda robot: robot.runs("A=1\0HEXAPOD_SPI__FRAMING=plain\0"), "HEXAPOD_SPI__FRAMING is in the service's env"),
-    (lambda robot: setattr(robot, "environment", "PATH=/bin HEXAPOD_LOG__LEVEL=debug"), "HEXAPOD_LOG__LEVEL is in"),
     (lambda robot: robot.runs("PYTHONPATH=/x\0"), "PYTHONPATH is in the service's environment"),
     (lambda robot: robot.file_for_folder(), "is no folder"),
     (lambda robot: robot.path(STATE).chmod(0o500), f"may not read and write /{STATE}"),
