@@ -1,4 +1,4 @@
-"""`check --move`: first contact. Start one servo through the running gateway, move it by 5°, and stop it.
+"""`check --move`, the first contact: start one servo, move it by 5°, and stop it. With the means of `check --stops`.
 
 A person agrees first, and nothing else may run. Every end stops the servo; if that fails, the gateway's watchdog does.
 
