@@ -125,7 +125,6 @@ JUDGES: Final = {
     "gateway/people/client/patience.py": _people("client_times times"),
     "gateway/people/client/renewal.py": _people("lease_renewal times"),
     "gateway/people/client/silence.py": _people("client_times times"),
-    "gateway/people/console/pages/presence.py": _people("client_times times"),
     "gateway/people/walking/tempo.py": _people("ride_script times"),
     "gateway/people/walking/words.py": _people("words times"),
     "gateway/people/walking/ride.py": _people("ride ride_course ride_script times"),

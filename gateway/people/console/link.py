@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.host.descriptors import Spare
@@ -20,8 +20,7 @@ from gateway.people.client.live import Live, OnLoop, Receiver, set_upright
 from gateway.people.client.silence import CHECK_EVERY_S
 from gateway.people.commands import why
 from gateway.people.commands.options import Reach
-from gateway.people.console.pages.page_messages import LinkMessage
-from gateway.people.console.pages.presence import GatewayPresence
+from gateway.people.console.pages.page_messages import Message, link_message
 from schemas.telemetry import Ack, GatewayState
 
 T = TypeVar("T")
@@ -54,9 +53,7 @@ class ReadyThreads:
 class GatewayLink(Receiver):
     """`Live` on an event loop, with the link's status."""
 
-    def __init__(
-        self, reach: Reach, source: str, receiver: Receiver, link_changed: Callable[[LinkMessage], None]
-    ) -> None:
+    def __init__(self, reach: Reach, source: str, receiver: Receiver, link_changed: Callable[[Message], None]) -> None:
         """`source` is the name of the console's emergency stops. `receiver` and `link_changed` are called on the loop.
 
         A page stops driving by itself 500 ms after the newest state.
@@ -74,8 +71,10 @@ class GatewayLink(Receiver):
         self._live = Live(partial(self._connect, source=source), OnLoop(loop, self, receiver), reasons)
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
-        self._presence = GatewayPresence()
-        self._announced = self._presence.link
+        self._link = link_message("gone")
+        """The newest message to the pages about the link."""
+        self._ended = False
+        """Whether the gateway's liveliness token is gone."""
 
     # ---- what pages send
 
@@ -120,8 +119,7 @@ class GatewayLink(Receiver):
         self._live.start()
         while not self._failed.done():
             if self._opened.is_set() and self._live.is_silent(time.monotonic_ns()):
-                self._presence.fell_silent(linked=self.client().connected)
-                self._announce()
+                self.fell_silent(linked=self.client().connected)
             await asyncio.wait([self._failed], timeout=CHECK_EVERY_S)
         self._failed.result()
 
@@ -134,25 +132,33 @@ class GatewayLink(Receiver):
 
     def not_opened(self, error: Exception) -> None:
         if isinstance(error, UnreachedError):
-            self._presence.not_opened(str(error))
-            self._announce()
+            self._announce("gone", self._link["detail"] or str(error))
         elif not self._failed.done():
             self._failed.set_exception(error)
 
     def diagnosed(self, reasons: list[str]) -> None:
-        self._presence.diagnosed(reasons)
-        self._announce()
+        if self._link["status"] != "connected":
+            self._announce(self._link["status"], "\n".join(reasons))
 
     def received_token(self, alive: bool) -> None:
-        self._presence.received_token(alive)
-        self._announce()
+        self._ended = not alive
+        if not alive:
+            self._announce("gone", "the gateway has ended, or the link to it has")
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
         del state, received_ns  # the pages' own
-        self._presence.received_state()
-        self._announce()
+        if not self._ended:  # after that a late state does not reconnect the link
+            self._announce("connected")
 
-    def _announce(self) -> None:
-        if self._presence.link != self._announced:
-            self._announced = self._presence.link
-            self._link_changed(self._announced)
+    def fell_silent(self, *, linked: bool) -> None:
+        """Record a long silence. `linked`: connected to the gateway or to a router in front of it."""
+        if not linked:
+            self._announce("gone", self._link["detail"] or "the link to the gateway is lost")
+        elif not self._ended:
+            self._announce("silent", self._link["detail"] or "the gateway is silent; it may hang")
+
+    def _announce(self, status: Literal["connected", "silent", "gone"], detail: str = "") -> None:
+        message = link_message(status, detail)
+        if message != self._link:
+            self._link = message
+            self._link_changed(message)

@@ -27,7 +27,7 @@ from gateway.host.directories import console_state
 from gateway.people.commands.options import Reach
 from gateway.people.console import phone
 from gateway.people.console.link import STACK_BYTES, GatewayLink
-from gateway.people.console.pages.page_messages import ROLES, Hello, Role, least
+from gateway.people.console.pages.page_messages import ROLES, Role, json_of, least
 from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages, Shared
 from gateway.people.console.server.auth import Auth
@@ -35,6 +35,7 @@ from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions
 from gateway.people.console.server.site import LOCALHOST, Options, Site, listening
 from gateway.people.terminal import hint, on_end_signals, say
+from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
 from gateway.zenoh_config import client_config, get
@@ -55,7 +56,6 @@ class Console:
         self._sessions = sessions
         self._pages = pages
         self._shared = shared
-        self._geometry = shared.geometry.model_dump(mode="json")
         self._lying: dict[int, float] = {}
         with suppress(WalkError):  # one that cannot lie
             self._lying = lying_deg(Robot(shared.geometry))
@@ -87,46 +87,35 @@ class Console:
         """`tab`: the browser's, by a name that it gave itself: the same after a reload. Empty: it gave none."""
         tab = f"{session.sha256} {tab[:32]}" if tab.isalnum() else ""
         page = Page(self._pages.next_number(), session.role, self._shared, self._pages.former(tab))
-        hello = Hello(
-            role=session.role,
-            person=self._shared.person,
-            source=page.source,
-            names=page.names,
-            version=__version__,
-            geometry=self._geometry,
-            lying=self._lying,
-            last_id=page.last_id,
-        )
+        hello = {
+            "type": "hello",
+            "role": session.role,
+            "person": self._shared.person,
+            "source": page.source,
+            "names": page.names,
+            "version": __version__,
+            "geometry": self._shared.geometry,
+            "lying": self._lying,
+            "gaits": tuple(GAITS),
+            "last_id": page.last_id,
+        }
         self._pages.add(page)
+        why = ""
         try:
-            await websocket.put(hello.model_dump_json())
+            await websocket.put(json_of(hello))
             page.go_on()
-            await self._exchange(websocket, page, session)
-        except (ConnectionError, TimeoutError):  # TimeoutError: it does not read, so it gets no reason
-            why = ""
-        except EndError as end:
-            why = str(end)
+            async with asyncio.TaskGroup() as tasks:  # the first that fails ends the others
+                for work in (self._receive(websocket, page), self._send(websocket, page), self._check(session)):
+                    tasks.create_task(work)
+        except* (ConnectionError, TimeoutError):  # TimeoutError: it does not read, so it gets no reason
+            pass
+        except* EndError as ends:
+            why = str(ends.exceptions[0])
         finally:
             self._pages.remove(page, tab)
             page.close()
         if why:
             await websocket.end(WSCloseCode.POLICY_VIOLATION, why)
-
-    async def _exchange(self, websocket: WebSocket, page: Page, session: Entry) -> None:
-        """Until the page is closed. Raises ConnectionError, EndError, and TimeoutError where it does not read."""
-        tasks = [
-            asyncio.create_task(each)
-            for each in (self._receive(websocket, page), self._send(websocket, page), self._check(session))
-        ]
-        try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in tasks:
-                if task.done():
-                    task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _receive(self, websocket: WebSocket, page: Page) -> None:
         while True:

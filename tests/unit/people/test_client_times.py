@@ -5,14 +5,18 @@ from types import ModuleType
 
 import pytest
 
+from gateway.errors import UnreachedError
 from gateway.people.client import pace as pace_module
 from gateway.people.client import payloads as payloads_module
 from gateway.people.client import silence as silence_module
+from gateway.people.client.live import Receiver
 from gateway.people.client.pace import MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
 from gateway.people.client.silence import WHY_EVERY_S, Silence
-from gateway.people.console.pages.page_messages import LinkMessage
-from gateway.people.console.pages.presence import GatewayPresence
+from gateway.people.commands.options import Reach
+from gateway.people.console.link import GatewayLink
+from gateway.people.console.pages.page_messages import Message, link_message
+from tests.support.published import state
 
 END_S = 10.0
 
@@ -146,52 +150,64 @@ def test_each_look_costs_the_robot_something_and_so_has_three_seconds_before_it(
 # ---- what pages are shown
 
 
-CONNECTED = LinkMessage(status="connected")
+CONNECTED = link_message("connected")
 
 
-def live() -> GatewayPresence:
-    presence = GatewayPresence()
-    presence.received_token(True)
-    presence.received_state()
-    assert presence.link == CONNECTED
-    return presence
+class Shown:
+    """A link to no gateway, and what it shows."""
+
+    def __init__(self) -> None:
+        self.messages = [link_message("gone")]
+        self.link = GatewayLink(Reach(None, None, 1.0), "console", Receiver(), self.messages.append)
+
+    @property
+    def newest(self) -> Message:
+        return self.messages[-1]
+
+    def receive_state(self) -> None:
+        self.link.received_state(state(), 0)
+
+    def connect(self) -> None:
+        self.link.received_token(True)
+        self.receive_state()
+        assert self.newest == CONNECTED
 
 
-def test_until_the_first_state_nobody_is_there() -> None:
-    presence = GatewayPresence()
-    assert presence.link.status == "gone"
-    presence.not_opened("nobody listens")
-    assert presence.link == LinkMessage(status="gone", detail="nobody listens")
-    presence.diagnosed(["its port is closed", "it is off"])
-    presence.not_opened("nobody listens")
-    assert presence.link == LinkMessage(status="gone", detail="its port is closed\nit is off"), "which says more"
-    presence.received_state()
-    assert presence.link == CONNECTED
+async def test_until_the_first_state_nobody_is_there() -> None:
+    shown = Shown()
+    shown.link.not_opened(UnreachedError("nobody listens"))
+    assert shown.newest == link_message("gone", "nobody listens")
+    shown.link.diagnosed(["its port is closed", "it is off"])
+    shown.link.not_opened(UnreachedError("nobody listens"))
+    assert shown.newest == link_message("gone", "its port is closed\nit is off"), "which says more"
+    shown.receive_state()
+    assert shown.newest == CONNECTED
 
 
 @pytest.mark.parametrize("linked", [True, False])
-def test_a_gateway_that_hangs_is_silent_and_a_link_that_is_cut_is_gone(linked: bool) -> None:
-    presence = live()
-    presence.fell_silent(linked=linked)
-    assert presence.link.status == ("silent" if linked else "gone")
-    presence.diagnosed(["its journal says why"])
-    presence.fell_silent(linked=linked)
-    assert presence.link.detail == "its journal says why", "what was found goes on being shown"
-    presence.received_state()
-    assert presence.link == CONNECTED
+async def test_a_gateway_that_hangs_is_silent_and_a_link_that_is_cut_is_gone(linked: bool) -> None:
+    shown = Shown()
+    shown.connect()
+    shown.link.fell_silent(linked=linked)
+    assert shown.newest["status"] == ("silent" if linked else "gone")
+    shown.link.diagnosed(["its journal says why"])
+    shown.link.fell_silent(linked=linked)
+    assert shown.newest["detail"] == "its journal says why", "what was found goes on being shown"
+    assert len(shown.messages) == 4, "and the same is sent once"
+    shown.receive_state()
+    assert shown.newest == CONNECTED
 
 
-def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_back() -> None:
-    presence = live()
-    presence.received_token(False)
-    ended = LinkMessage(status="gone", detail="the gateway has ended, or the link to it has")
-    assert presence.link == ended
-    presence.received_state()  # which was under way
-    presence.fell_silent(linked=True)  # to a router
-    assert presence.link == ended
-    presence.received_token(True)
-    presence.received_state()
-    assert presence.link == CONNECTED
+async def test_a_gateway_that_has_ended_is_gone_at_once_and_no_older_state_brings_it_back() -> None:
+    shown = Shown()
+    shown.connect()
+    shown.link.received_token(False)
+    ended = link_message("gone", "the gateway has ended, or the link to it has")
+    assert shown.newest == ended
+    shown.receive_state()  # which was under way
+    shown.link.fell_silent(linked=True)  # to a router
+    assert shown.newest == ended
+    shown.connect()
 
 
 @pytest.mark.parametrize(("module", "count"), [(pace_module, 16), (payloads_module, 4), (silence_module, 5)])

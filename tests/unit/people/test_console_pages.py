@@ -12,27 +12,27 @@ import pytest
 from gateway import geometry
 from gateway.errors import DisconnectedError
 from gateway.people.client.confirmed_stop import AGAIN_NS
-from gateway.people.console.pages.page_messages import AckMessage, EventMessage, LinkMessage, Stopping
+from gateway.people.console.pages.page_messages import Message, ack_message, event_message, link_message
 from gateway.people.console.pages.page_tasks import KEPT_MESSAGES, EndError, Outgoing, PageTasks, Stops, send_stopping
 from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot
 from schemas.robot import LEGS
-from schemas.telemetry import Ack, Event, Report, Telemetry, WireReport
+from schemas.telemetry import Ack, Event, Telemetry, WireReport
 from tests.support.published import WALL, state
 
 pytestmark = pytest.mark.virtual_time
 
 
-def event(number: int) -> EventMessage:
-    return EventMessage(
-        event=Event(time=datetime.now(UTC), kind="started", source=None, key=None, reason=None, detail=str(number))
+def event(number: int) -> Message:
+    return event_message(
+        Event(time=datetime.now(UTC), kind="started", source=None, key=None, reason=None, detail=str(number))
     )
 
 
-def stopping(number: int, *, answered: bool) -> Stopping:
-    return Stopping(id=number, asked_ms_ago=0.0, answered=answered, attempts=0)
+def stopping(number: int, *, answered: bool) -> Message:
+    return {"type": "stop", "id": number, "answered": answered}
 
 
 async def sent(outgoing: Outgoing) -> list[dict[str, Any]]:
@@ -43,8 +43,8 @@ async def test_a_page_that_reads_nothing_costs_a_bounded_amount() -> None:
     outgoing = Outgoing()
     for number in range(1000):
         outgoing.put(event(number))
-        outgoing.put(AckMessage(id=number, took_ms=1.0))
-        outgoing.put(LinkMessage(status="gone", detail=str(number)))
+        outgoing.put(ack_message(number))
+        outgoing.put(link_message("gone", str(number)))
         outgoing.put(stopping(number % 3, answered=number >= 999))
         outgoing.put_state(partial(json.dumps, {"type": "state", "number": number}))
     messages = await sent(outgoing)
@@ -62,7 +62,7 @@ async def test_the_stop_goes_first() -> None:
     outgoing = Outgoing()
     outgoing.put_state(lambda: '{"type": "state"}')
     outgoing.put(event(1))
-    outgoing.put(AckMessage(id=1, took_ms=1.0))
+    outgoing.put(ack_message(1))
     outgoing.put(stopping(7, answered=False))
     outgoing.put(stopping(7, answered=True))
     messages = await sent(outgoing)
@@ -108,9 +108,9 @@ class Kept(Outgoing):
 
     def __init__(self) -> None:
         super().__init__()
-        self.put_in: list[Report] = []
+        self.put_in: list[Message] = []
 
-    def put(self, message: Report) -> None:
+    def put(self, message: Message) -> None:
         self.put_in.append(message)
         super().put(message)
 
@@ -218,9 +218,9 @@ class StoppedRobot:
         await turns()
 
 
-def heard(page: Kept) -> list[Stopping]:
+def heard(page: Kept) -> list[Message]:
     """All that it is sent of how far its stops have come."""
-    return [message for message in page.put_in if isinstance(message, Stopping)]
+    return [message for message in page.put_in if message["type"] == "stop"]
 
 
 async def turns() -> None:
@@ -241,18 +241,20 @@ async def robot() -> AsyncIterator[StoppedRobot]:
 async def test_a_press_is_asked_at_once_and_again_until_it_is_answered(robot: StoppedRobot) -> None:
     stops, page = Stops(robot.estop, send_stopping), Kept()
     stops.press(page, 7, "anna (page 1)")
-    assert [(message.answered, message.attempts) for message in heard(page)] == [(False, 0)]
+    assert [(message["answered"], message["attempts"]) for message in heard(page)] == [(False, 0)]
     for number in range(5):
         await turns()
         assert len(robot.requests) == number + 1
         await robot.fail(number)
         newest = heard(page)[-1]
-        assert (newest.answered, newest.attempts, newest.error) == (False, number + 1, "no answer")
+        assert (newest["answered"], newest["attempts"], newest["error"]) == (False, number + 1, "no answer")
         assert stops.unconfirmed
         await asyncio.sleep(AGAIN_S)
     await turns()
     await robot.answer(5)
-    assert [(each.id, each.stop_frames, each.attempts) for each in heard(page) if each.answered] == [(7, 6, 6)]
+    assert [(each["id"], each["stop_frames"], each["attempts"]) for each in heard(page) if each["answered"]] == [
+        (7, 6, 6)
+    ]
     assert (len(robot.requests), stops.unconfirmed) == (6, False), "nobody waits any more"
 
 
@@ -267,4 +269,4 @@ async def test_a_press_outlives_its_page(robot: StoppedRobot) -> None:
     await turns()
     await robot.answer(1)
     assert not stops.unconfirmed
-    assert not any(each.answered for each in heard(page))
+    assert not any(each["answered"] for each in heard(page))

@@ -104,7 +104,7 @@ export class Calibrate {
     this.asked.delete(message.id);
     this.view = message;
     if (message.error) this.callbacks.say(`Calibration: ${message.error}.`);
-    else if (message.said) this.callbacks.say(`Calibration: ${message.said}.`);
+    else if (message.note) this.callbacks.say(`Calibration: ${message.note}.`);
     if (did === "test" && !message.error) this.#energise();
     this.refresh();
   }

@@ -1,5 +1,7 @@
 /**
- * What the WebSocket carries, as far as the page reads it (gateway/people/console/pages/page_messages.py, schemas/telemetry.py).
+ * What the console sends on the WebSocket. Reports of the gateway are those of schemas/telemetry.py, as far as the page
+ * reads them; the page's own messages are in gateway/people/console/pages/page_messages.py. A field that the console has
+ * no value for may be absent or null.
  *
  * @typedef {{id: number, running: boolean, angle_deg: number | null}} Servo
  * @typedef {{leg: number, watchdog: string, age_ms: number | null, source: string | null, servos: Servo[]}} Leg
@@ -21,29 +23,49 @@
  *            feet?: (number | null)[], servos?: Record<string, {supplied: boolean, current_a?: number}>,
  *            supply?: {voltage_v: number, current_a: number}}} Telemetry
  *
+ * The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's. `names`
+ * are `source` and those of the pages before it in its tab, on which it drives on. `lying`: each servo's angle when the
+ * robot lies on its belly, as in commands; empty if it cannot lie. `last_id`: the last id of the page that was reloaded
+ * in this tab; the new page's numbers begin after it.
  * @typedef {{type: "hello", role: "operator" | "button" | "observer", person: string, source: string, names: string[], version: string,
  *            geometry: Geometry, lying: Record<string, number>, gaits: string[], last_id: number}} Hello
+ * The newest state, received `age_ms` ago. `now`: what the robot does, in one sentence without its full stop. `whole`:
+ * its six legs start and stop only together. `power`: how the power board feeds the servos; `unconfirmed`: the sentence
+ * to show in red while it does not confirm a Stop; both empty if there is none.
  * @typedef {{type: "state", age_ms: number, now: string, whole: boolean, power: string, unconfirmed: string, state: GatewayState}} StateMessage
  * @typedef {{type: "telemetry", telemetry: Telemetry}} TelemetryMessage
+ * `silent`: linked, but no state comes; `gone`: no gateway is reached. `detail` states why, one line for each host.
  * @typedef {{type: "link", status: "connected" | "silent" | "gone", detail: string}} LinkMessage
+ * `left_out`: how many events before it were not sent.
  * @typedef {{type: "event", event: GatewayEvent, left_out?: number, tone: "bad" | "warn" | "plain"}} EventMessage
  * @typedef {{type: "ack", id: number, took_ms: number, error: string | null,
  *            ack: {accepted: boolean, reason?: string, detail?: string} | null}} AckMessage
+ * The progress of `stop_all`: sent at once, after each unanswered attempt, and when it is confirmed. While `answered` is
+ * false the console goes on requesting it. `power`: the power board's confirmation, which ends a sentence.
  * @typedef {{type: "stop", id: number, asked_ms_ago: number, answered: boolean, attempts: number,
  *            stop_frames: number | null, latency_us: number | null, estop: number | null, power: string,
  *            error: string | null}} StopMessage
+ * Whether this page has the lease: the answer to its request, or sent when the lease is lost, `silent_s` after it was
+ * last granted. `end`: the page asked for none in time; somebody has taken it; the gateway ended it or was silent.
  * @typedef {{type: "lease", mine: boolean, id?: number | null, accepted?: boolean | null, reason?: string | null,
  *            detail?: string | null, holder?: string | null, verified?: boolean | null,
  *            ttl_ms?: number | null, end?: "page_silent" | "taken" | "gateway" | null, silent_s?: number | null}} LeaseMessage
  *
+ * The progress of the page's walk: ten times a second, and once when it is over (`posture` null). `now`: what the robot
+ * does, as in `state`. `id`: the newest wish that was used. `waits`: the newest press is used up. `commanded` and
+ * `scaled` (what the legs can do of it; `limit` states why) are forward and left in m/s, and the turn in rad/s. `lost`:
+ * legs that somebody else has stopped. `ground`: what a walk by sensors feels. `detail`: why it ended, or waits.
  * @typedef {{type: "walk", press: number, id: number | null, posture: string | null, now: string, gait: string | null,
  *            height_m: number | null, commanded: number[], scaled: number[], limit: string, lost: number[],
  *            ground: string, waits: boolean, detail: string}} WalkMessage
  *
  * @typedef {{trim_deg: number, inverted: boolean, min_deg: number, max_deg: number, changed: boolean}} Draft
+ * The guide's state. `changed`: the draft differs from the calibration in force. `shown_deg` is the angle of the servo
+ * under test by the draft; `command_deg` the same by the calibration in force, which the page commands. `error`: what was
+ * not done and why.
  * @typedef {{type: "calibration", id: number, revision: number | null, servos: Record<number, Draft>,
  *            landing: Record<number, number>, servo: number | null, shown_deg: number | null,
- *            command_deg: number | null, error: string | null, said: string | null}} CalibrationMessage
+ *            command_deg: number | null, error: string | null, note: string | null}} CalibrationMessage
  *
  * @typedef {{position_m: Vector, orientation_xyzw: [number, number, number, number], upright: boolean, terrain: string,
  *            real_time_factor: number, servos: Record<string, {angle_deg: number, torque_nm: number}>}} Body

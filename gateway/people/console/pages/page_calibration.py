@@ -27,7 +27,7 @@ from gateway.model.framing import avoided_by
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.commands.calibration import change_of, standing
 from gateway.people.console.link import GatewayLink
-from gateway.people.console.pages.page_messages import CalibrateRequest, CalibrationMessage, Draft
+from gateway.people.console.pages.page_messages import CalibrateRequest, Message
 from gateway.people.console.pages.page_tasks import PageTasks
 from schemas import keys
 from schemas.robot import SERVO_IDS
@@ -188,7 +188,7 @@ class PageCalibration:
         self,
         link: GatewayLink,
         signed: Callable[[dict[str, Any]], dict[str, Any]],
-        send: Callable[[CalibrationMessage], None],
+        send: Callable[[Message], None],
     ) -> None:
         """`signed` adds the page's name and lease to a payload."""
         self._link = link
@@ -203,12 +203,12 @@ class PageCalibration:
         self._tasks.start(self._run(step, mine=mine))
 
     async def _run(self, step: CalibrateRequest, *, mine: bool) -> None:
-        said = error = None
+        note = error = None
         try:
-            said = await self._take(step, mine=mine)
+            note = await self._take(step, mine=mine)
         except (GatewayError, CalibrationError) as fault:
             error = str(fault)
-        self._send(self._view(step.id, said, error))
+        self._send(self._view(step.id, note, error))
 
     async def _take(self, step: CalibrateRequest, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:
@@ -262,25 +262,19 @@ class PageCalibration:
             )
         raise CalibrationError(f"rejected: {ack.reason}: {ack.detail}")
 
-    def _view(self, number: int, said: str | None, error: str | None) -> CalibrationMessage:
-        guide = self._guide
-        if guide is None:
-            return CalibrationMessage(id=number, error=error)
-        changed, tested = guide.changed, guide.servo_id is not None
-        return CalibrationMessage(
-            id=number,
-            revision=guide.in_force.revision,
-            servos={
-                servo_id: Draft(**servo.report.model_dump(), changed=servo_id in changed)
+    def _view(self, number: int, note: str | None, error: str | None) -> Message:
+        guide, view = self._guide, {"type": "calibration", "id": number, "note": note, "error": error, "servos": {}}
+        if guide is not None:
+            changed = guide.changed
+            view["servos"] = {
+                servo_id: {**servo.report.model_dump(), "changed": servo_id in changed}
                 for servo_id, servo in guide.draft.items()
-            },
-            landing={servo_id: angle / 100 for servo_id, angle in guide.in_force.landing_cdeg.items()},
-            servo=guide.servo_id,
-            shown_deg=guide.shown_deg if tested else None,
-            command_deg=guide.command_deg if tested else None,
-            said=said,
-            error=error,
-        )
+            }
+            view["landing"] = {servo_id: angle / 100 for servo_id, angle in guide.in_force.landing_cdeg.items()}
+            view |= {"revision": guide.in_force.revision, "servo": guide.servo_id}
+            if guide.servo_id is not None:
+                view |= {"shown_deg": guide.shown_deg, "command_deg": guide.command_deg}
+        return view
 
 
 def _on_paper(step: CalibrateRequest, guide: Guide) -> str | None:

@@ -18,13 +18,7 @@ from typing import Any, Final
 from gateway.errors import GatewayError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import NOT_OURS, RELEASE_S
-from gateway.people.console.pages.page_messages import (
-    DriveRequest,
-    LeaseEnd,
-    LeaseMessage,
-    StopButtonMessage,
-    StopButtonRequest,
-)
+from gateway.people.console.pages.page_messages import DriveRequest, Message, StopButtonRequest
 from gateway.people.console.pages.page_tasks import PageTasks
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
@@ -39,7 +33,7 @@ MAX_REQUESTS: Final = 9
 class PageLease:
     """On the event loop; questions to the gateway wait on threads."""
 
-    def __init__(self, client: Callable[[], Client], name: str, send: Callable[[LeaseMessage], None]) -> None:
+    def __init__(self, client: Callable[[], Client], name: str, send: Callable[[Message], None]) -> None:
         """`client` raises GatewayError while there is no session. `name` is the page's."""
         self._client = client
         self.name = name
@@ -58,7 +52,8 @@ class PageLease:
     def go_on(self) -> None:
         """After a reload: inform the page that it still drives, or acquire the lease again if nobody has it."""
         if self.mine:
-            self.send(LeaseMessage(mine=True, ttl_ms=self._ttl_s * 1000 if self._ttl_s < math.inf else None))
+            ttl_ms = self._ttl_s * 1000 if self._ttl_s < math.inf else None
+            self.send({"type": "lease", "mine": True, "ttl_ms": ttl_ms})
         else:
             self.ask(DriveRequest(type="lease", id=0, do="acquire"))
 
@@ -80,22 +75,27 @@ class PageLease:
         before_s, asked_s = self._asked_s, time.monotonic()
         try:
             ack = await self._asked(request)
+            answer = ack.model_dump(exclude={"nonce", "lease"})  # a page must not learn the token
+            lost = self.mine and request.do == "renew" and not ack.accepted
         except GatewayError as error:
-            if self.mine and time.monotonic() - self._kept_s > self._ttl_s + RENEW_S:
-                self._lost(asked_s, before_s, id=request.id, detail=str(error))
-            else:
-                self.send(LeaseMessage(mine=self.mine, id=request.id, detail=str(error)))
-            return
+            ack, answer = None, {"detail": str(error)}
+            lost = self.mine and time.monotonic() - self._kept_s > self._ttl_s + RENEW_S
         finally:
             self._doubted = False
             if by_page:
                 self._asked_s = time.monotonic()  # and until now it has waited for the answer
-        if ack.accepted:
+        if lost:
+            self.mine = False
+            silent = asked_s - before_s > self._ttl_s
+            answer["end"] = "page_silent" if silent else "taken" if answer.get("holder") else "gateway"
+            answer["silent_s"] = asked_s - self._kept_s
+        elif ack is not None and ack.accepted:
             self._kept_s, self._ttl_s = asked_s, (ack.ttl_ms or math.inf) / 1000
-        elif self.mine and request.do == "renew":
-            self._lost(asked_s, before_s, **ack.model_dump(exclude={"nonce", "lease"}), id=request.id)
-            return
-        self._answered(request, ack)
+            if request.do in ("acquire", "take"):
+                self.token, self.mine = ack.lease, ack.lease is not None
+        if request.do == "release" and ack is not None and (ack.accepted or not self.mine):
+            self.token, self.mine = None, False
+        self.send({"type": "lease", **answer, "mine": self.mine, "id": request.id})
 
     async def _asked(self, request: DriveRequest) -> LeaseAck:
         requests, token = self._client().lease_requests, self.token
@@ -106,22 +106,6 @@ class PageLease:
                 return await asyncio.to_thread(requests.renew, token, RENEW_S)
             return await asyncio.to_thread(requests.release, token, request.to)
         return await asyncio.to_thread(requests.as_person, request.do, self.name)
-
-    def _answered(self, request: DriveRequest, ack: LeaseAck) -> None:
-        if ack.accepted and request.do in ("acquire", "take"):
-            self.token, self.mine = ack.lease, ack.lease is not None
-        elif request.do == "release":
-            self.token, self.mine = (None, False) if ack.accepted or not self.mine else (self.token, True)
-        # LeaseMessage ignores the token, which a page must not learn.
-        self.send(LeaseMessage.model_validate({**ack.model_dump(), "mine": self.mine, "id": request.id}))
-
-    def _lost(self, asked_s: float, before_s: float, **answer: Any) -> None:
-        """Record its loss, by the `answer` to a request at `asked_s`; the one before was answered at `before_s`."""
-        self.mine = False
-        end: LeaseEnd = "taken" if answer.get("holder") else "gateway"
-        if asked_s - before_s > self._ttl_s:
-            end = "page_silent"
-        self.send(LeaseMessage(mine=False, end=end, silent_s=asked_s - self._kept_s, **answer))
 
     async def _release(self) -> None:
         token, mine = self.token, self.mine
@@ -140,7 +124,7 @@ NO_TOKEN: Final = "0" * 32
 class StopButton:
     """On the event loop; questions to the gateway wait on threads."""
 
-    def __init__(self, client: Callable[[], Client], name: str, send: Callable[[StopButtonMessage], None]) -> None:
+    def __init__(self, client: Callable[[], Client], name: str, send: Callable[[Message], None]) -> None:
         """`client` raises GatewayError while there is no session. `name` is the page's."""
         self._client = client
         self.name = name
@@ -159,12 +143,16 @@ class StopButton:
     async def _run(self) -> None:
         while (message := self._next) is not None:
             self._next = None
+            answer: dict[str, Any]
             try:
                 ack = await asyncio.to_thread(self._ask, message)
             except (GatewayError, RuntimeError) as error:  # RuntimeError: the system allows no further thread
-                self._send(StopButtonMessage(id=message.id, do=message.do, detail=str(error)))
+                answer = {"detail": str(error)}
             else:
-                self._send(self._answered(message, ack))
+                answer = {**ack.model_dump(exclude={"nonce", "button"}), "name": self.name}
+                if ack.accepted and ack.button is not None:
+                    self._token, self._count = ack.button, 0
+            self._send({"type": "button", **answer, "id": message.id, "do": message.do})
         self._task = None
 
     def _ask(self, message: StopButtonRequest) -> ButtonAck:
@@ -177,10 +165,3 @@ class StopButton:
             return requests.leave(token, CHECK_IN_S)
         self._count += 1
         return requests.alive(token, self._count, message.sent_ms, CHECK_IN_S)
-
-    def _answered(self, message: StopButtonRequest, ack: ButtonAck) -> StopButtonMessage:
-        if ack.accepted and ack.button is not None:
-            self._token, self._count = ack.button, 0
-        # StopButtonMessage ignores the token, which a page must not learn.
-        own = {"id": message.id, "do": message.do, "name": self.name}
-        return StopButtonMessage.model_validate({**ack.model_dump(), **own})

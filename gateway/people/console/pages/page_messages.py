@@ -11,14 +11,13 @@ command, and rejects what was delayed on its way. Only the page itself renews it
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
+from pydantic_core import to_json
 
-from gateway.people.client.dangers import Tone
+from gateway.people.client.dangers import tone_of
 from gateway.people.walking.gaits import GAITS
-from gateway.people.walking.motion import Posture
 from schemas import keys
-from schemas.calibration import ServoCalibration
 from schemas.command import Closed, EstopNumber, LegCommand, LegsCommand, MoveCommand, SentMs, Source, StopCommand
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Report, Telemetry
+from schemas.telemetry import Ack, Event
 
 MAX_MESSAGE_BYTES: Final = 8192
 """Limit of a message from a page: a payload of at most 4096 (`schemas`), and the fields around it."""
@@ -43,8 +42,6 @@ def least(first: Role, second: Role) -> Role:
 
 
 LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
-LeaseEnd = Literal["page_silent", "taken", "gateway"]
-"""Why a page lost the lease: it asked for none in time; somebody has taken it; the gateway ended it or was silent."""
 ButtonVerb = Literal["register", "alive", "leave"]
 CalibrateVerb = Literal[
     "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
@@ -92,7 +89,7 @@ class AliveMessage(Closed):
 
 
 class CommandRequest(Closed):
-    """A command for one leg, one servo or several legs; with `id` it is answered by `AckMessage`, else only published.
+    """A command for one leg, one servo or several legs; with `id` it is answered by an ack, else only published.
 
     `sent_ms` is by the page's clock, as in `AliveMessage`. The console adds the page's name and lease.
     """
@@ -127,7 +124,7 @@ class CommandRequest(Closed):
 
 
 class StopAllRequest(Closed):
-    """The emergency stop, now; answered by `Stopping` until it is confirmed."""
+    """The emergency stop, now; answered by `stop` until it is confirmed."""
 
     type: Literal["stop_all"]
     id: Id
@@ -162,7 +159,7 @@ class DriveRequest(Closed):
 class CalibrateRequest(Closed):
     """One step of the calibration guide, which the console keeps for this WebSocket; it moves no servo.
 
-    The page's own commands move the servo under test, to `command_deg` of the answer (`CalibrationMessage`). `deg` is
+    The page's own commands move the servo under test, to `command_deg` of the answer. `deg` is
     the angle at which a test begins, the angle to jog by, or the measured angle.
     """
 
@@ -202,7 +199,7 @@ class WalkWish(Closed):
 
 
 class StopButtonRequest(Closed):
-    """Register, check in or leave as a stop button (`hexapod/button/cmd`); answered by `StopButtonMessage`.
+    """Register, check in or leave as a stop button (`hexapod/button/cmd`); answered by `button`.
 
     Each check-in comes from the page's own timer: the console adds the token, and sends none by itself.
     """
@@ -216,8 +213,8 @@ class StopButtonRequest(Closed):
 class PlainRequest(Closed):
     """A request without content.
 
-    `link_for`: a link for a second device, such as a phone; answered by `LinkForMessage`.
-    `upright`: set a robot that is simulated with physics upright; answered by `AckMessage`.
+    `link_for`: a link for a second device, such as a phone; answered by a message of that type.
+    `upright`: set a robot that is simulated with physics upright; answered by an ack.
     """
 
     type: Literal["link_for", "upright"]
@@ -240,200 +237,29 @@ FROM_PAGE: Final[TypeAdapter[FromPage]] = TypeAdapter(Annotated[FromPage, Field(
 
 # ---- to the page
 
-
-class Hello(Report):
-    """The first message. `source` is this page's name in state and events (`anna (page 3)`), `person` its holder's.
-
-    `names` are `source` and those of the pages before it in its tab, on which it drives on.
-
-    `geometry` is the robot's, as in its geometry file. `lying`: each servo's angle when it lies on its belly, as in
-    commands; empty where it cannot lie. `gaits` are the names that a walk may have.
-    """
-
-    type: Literal["hello"] = "hello"
-    role: Role
-    person: str
-    source: str
-    names: tuple[str, ...] = ()
-    version: str
-    geometry: dict[str, Any]
-    lying: dict[int, float] = Field(default_factory=dict)
-    gaits: tuple[str, ...] = tuple(GAITS)
-    last_id: int = 0
-    """The last id of the page that was reloaded in this tab: the new page's numbers begin after it."""
+Message = dict[str, Any]
+"""A message to a page, with the fields that `types.js` lists for its `type`. Values may be reports."""
 
 
-class StateMessage(Report):
-    """The gateway's newest state, received `age_ms` ago; older ones may have been left out.
-
-    `now`: what the robot does according to it, in one sentence without its full stop. `whole`: its six legs start and
-    stop only together. `power`: how the power board feeds the servos, in a few words; `unconfirmed`: the sentence to
-    show in red while it does not confirm a Stop; both empty where there is none.
-    """
-
-    type: Literal["state"] = "state"
-    age_ms: float
-    now: str = ""
-    whole: bool = False
-    power: str = ""
-    unconfirmed: str = ""
-    state: GatewayState
+def json_of(message: Message) -> str:
+    return to_json(message, inf_nan_mode="null").decode()
 
 
-class LinkMessage(Report):
-    """The console's link to the gateway. `connected`: states come; `silent`: linked, but no state comes.
-
-    `gone`: no gateway is reached. `detail` states why, one line for each host; empty while connected.
-    """
-
-    type: Literal["link"] = "link"
-    status: Literal["connected", "silent", "gone"]
-    detail: str = ""
+def ack_message(request_id: int, took_ms: float = 0.0, ack: Ack | None = None, error: str | None = None) -> Message:
+    """Return the answer to a command or reset. Without an `ack`, `error` states why none came."""
+    return {"type": "ack", "id": request_id, "took_ms": took_ms, "ack": ack, "error": error}
 
 
-class BodyMessage(Report):
-    """The pose of a body that is simulated with physics; older ones may have been left out."""
-
-    type: Literal["body"] = "body"
-    body: BodyReport
+def event_message(event: Event, left_out: int = 0) -> Message:
+    """Return one event. `left_out`: how many before it were not sent."""
+    return {"type": "event", "event": event, "left_out": left_out, "tone": tone_of(event.kind)}
 
 
-class TelemetryMessage(Report):
-    """The robot's measurements, at most 10 times a second; further values are dropped."""
-
-    type: Literal["telemetry"] = "telemetry"
-    telemetry: Telemetry
+def link_message(status: Literal["connected", "silent", "gone"], detail: str = "") -> Message:
+    """Return the console's link to the gateway. `detail`: why it is not connected, one line for each host."""
+    return {"type": "link", "status": status, "detail": detail}
 
 
-class EventMessage(Report):
-    """One event; after `Hello` the page is sent the newest ones. `left_out`: how many before it were not sent."""
-
-    type: Literal["event"] = "event"
-    event: Event
-    left_out: int = 0
-    tone: Tone = "plain"
-
-
-class AckMessage(Report):
-    """The answer to a command or reset. `ack` is null if none came, and `error` states why."""
-
-    type: Literal["ack"] = "ack"
-    id: int
-    took_ms: float
-    ack: Ack | None = None
-    error: str | None = None
-
-
-class Stopping(Report):
-    """The progress of a `StopAllRequest`: sent at once, after each unanswered attempt, and when it is confirmed.
-
-    While `answered` is false the console goes on requesting it. `power`: the power board's confirmation, which ends a
-    sentence.
-    """
-
-    type: Literal["stop"] = "stop"
-    id: int
-    asked_ms_ago: float
-    answered: bool
-    attempts: int
-    stop_frames: int | None = None
-    latency_us: float | None = None
-    estop: int | None = None
-    power: str = ""
-    error: str | None = None
-
-
-class LeaseMessage(Report):
-    """Whether this WebSocket has the lease: the answer to `DriveRequest` (with its `id`), or sent when it is lost.
-
-    The state names any other holder. A page renews at a third of `ttl_ms`. `end`: why it was lost, `silent_s` after it
-    was last granted; the page words it.
-    """
-
-    type: Literal["lease"] = "lease"
-    mine: bool
-    id: int | None = None
-    accepted: bool | None = None
-    reason: str | None = None
-    detail: str | None = None
-    holder: str | None = None
-    verified: bool | None = None
-    ttl_ms: float | None = None
-    end: LeaseEnd | None = None
-    silent_s: float | None = None
-
-
-class WalkMessage(Report):
-    """The progress of the page's walk: ten times a second while it lasts, and once when it is over (`posture` null).
-
-    `now`: what the robot does, in one sentence without its full stop, by the gateway's newest state and this walk.
-    `id` is the newest wish that was used. `waits`: the page's newest press is used up, and moves nothing any more.
-    `commanded` and `scaled` (what the legs can do of it; `limit` states why) are forward and left in m/s, and the turn
-    in rad/s. `lost`: legs that somebody else has stopped. `ground`: what a walk by sensors feels, and how far it has
-    levelled itself. `detail`: why it ended, or waits.
-    """
-
-    type: Literal["walk"] = "walk"
-    press: int
-    id: int | None = None
-    posture: Posture | None = None
-    now: str = ""
-    gait: str | None = None
-    height_m: float | None = None
-    commanded: list[float] = Field(default_factory=list)
-    scaled: list[float] = Field(default_factory=list)
-    limit: str = ""
-    lost: list[int] = Field(default_factory=list)
-    ground: str = ""
-    waits: bool = True
-    detail: str = ""
-
-
-class StopButtonMessage(Report):
-    """The answer to `StopButtonRequest`. `accepted` null: no gateway answered, and `detail` states why."""
-
-    type: Literal["button"] = "button"
-    id: int
-    do: str
-    accepted: bool | None = None
-    reason: str | None = None
-    detail: str | None = None
-    name: str | None = None
-    timeout_ms: float | None = None
-    alive: int | None = None
-    required: int | None = None
-
-
-class LinkForMessage(Report):
-    """A link that works once, and its QR code: one text of 0 (light) and 1 (dark) for each row."""
-
-    type: Literal["link_for"] = "link_for"
-    id: int
-    url: str | None = None
-    rows: list[str] = Field(default_factory=list)
-    error: str | None = None
-
-
-class Draft(ServoCalibration):
-    """One servo's calibration as the page would write it; `changed`: it differs from the one in force."""
-
-    changed: bool
-
-
-class CalibrationMessage(Report):
-    """The answer to `CalibrateRequest`: the guide's state. `error`: what was not done and why, in one sentence.
-
-    `shown_deg` is the angle of the servo under test by the draft; `command_deg` the same by the calibration in force,
-    which is what the page commands.
-    """
-
-    type: Literal["calibration"] = "calibration"
-    id: int
-    revision: int | None = None
-    servos: dict[int, Draft] = Field(default_factory=dict)
-    landing: dict[int, float] = Field(default_factory=dict)
-    servo: int | None = None
-    shown_deg: float | None = None
-    command_deg: float | None = None
-    error: str | None = None
-    said: str | None = None
+def walk_message(press: int, detail: str, **report: Any) -> Message:
+    """Return the progress of the page's walk; without a `report` it is over. `detail`: why it ended, or waits."""
+    return {"type": "walk", "press": press, "id": None, "posture": None, "detail": detail, **report}

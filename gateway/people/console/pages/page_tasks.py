@@ -8,13 +8,13 @@ import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import nullcontext
+from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
 from gateway.people.client.confirmed_stop import ConfirmedStop, Press, StopRequest
 from gateway.people.client.dangers import confirmed_off
-from gateway.people.console.pages import page_messages as messages
-from gateway.people.console.pages.page_messages import Stopping
-from schemas.telemetry import Ack, Report
+from gateway.people.console.pages.page_messages import Message, json_of
+from schemas.telemetry import Ack
 
 
 class EndError(Exception):
@@ -56,41 +56,41 @@ class Outgoing:
 
     def __init__(self) -> None:
         self._there = asyncio.Event()
-        self._stops: dict[int, messages.Stopping] = {}
-        self._answers: deque[Report] = deque(maxlen=KEPT_MESSAGES)
-        self._newest: dict[type[Report] | None, Callable[[], str]] = {}
-        self._events: deque[messages.EventMessage] = deque()
+        self._stops: dict[int, Message] = {}
+        self._answers: deque[Message] = deque(maxlen=KEPT_MESSAGES)
+        self._newest: dict[str, Callable[[], str]] = {}
+        self._events: deque[Message] = deque()
 
-    def put(self, message: Report) -> None:
+    def put(self, message: Message) -> None:
         """Queue a message to the page. Never waits."""
-        match message:
-            case messages.Stopping():
-                self._stops[message.id] = message
+        match message["type"]:
+            case "stop":
+                self._stops[message["id"]] = message
                 if len(self._stops) > KEPT_MESSAGES:
                     del self._stops[next(iter(self._stops))]
-            case messages.LinkMessage() | messages.WalkMessage() | messages.BodyMessage() | messages.TelemetryMessage():
-                self._newest[type(message)] = message.model_dump_json
-            case messages.EventMessage():
+            case "link" | "walk" | "body" | "telemetry" as kind:
+                self._newest[kind] = partial(json_of, message)
+            case "event":
                 self._events.append(message)
                 if len(self._events) > KEPT_MESSAGES:
-                    left_out = self._events.popleft().left_out + 1 + self._events[0].left_out
-                    self._events[0] = self._events[0].model_copy(update={"left_out": left_out})
+                    left_out = self._events.popleft()["left_out"] + 1 + self._events[0]["left_out"]
+                    self._events[0] = {**self._events[0], "left_out": left_out}
             case _:
                 self._answers.append(message)
         self._there.set()
 
     def put_state(self, text: Callable[[], str]) -> None:
         """Queue a state; `text` makes the message when it is sent, with the state's age at that time."""
-        self._newest[None] = text
+        self._newest["state"] = text
         self._there.set()
 
     async def wait(self) -> list[str]:
         """The texts to send now, in this order; waits until there is one."""
         await self._there.wait()
         self._there.clear()
-        texts = [message.model_dump_json() for message in (*self._stops.values(), *self._answers)]
+        texts = [json_of(message) for message in (*self._stops.values(), *self._answers)]
         texts += [newest() for newest in self._newest.values()]
-        texts += [event.model_dump_json() for event in self._events]
+        texts += map(json_of, self._events)
         for sent in (self._stops, self._answers, self._newest, self._events):
             sent.clear()
         return texts
@@ -167,15 +167,16 @@ def send_stopping(press: Press[Outgoing, str], ack: Ack | None, error: str | Non
     if press.page is None:
         return
     press.page.put(
-        Stopping(
-            id=press.id or 0,
-            asked_ms_ago=(now_ns() - press.pressed_ns) / 1e6,
-            answered=ack is not None,
-            attempts=press.attempts,
-            stop_frames=None if ack is None else ack.stop_frames,
-            latency_us=None if ack is None else ack.latency_us,
-            estop=None if ack is None else ack.estop,
-            power="" if ack is None else confirmed_off(ack),
-            error=error,
-        )
+        {
+            "type": "stop",
+            "id": press.id or 0,
+            "asked_ms_ago": (now_ns() - press.pressed_ns) / 1e6,
+            "answered": ack is not None,
+            "attempts": press.attempts,
+            "stop_frames": ack and ack.stop_frames,
+            "latency_us": ack and ack.latency_us,
+            "estop": ack and ack.estop,
+            "power": "" if ack is None else confirmed_off(ack),
+            "error": error,
+        }
     )

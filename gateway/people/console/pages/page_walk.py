@@ -28,7 +28,7 @@ from gateway.geometry import Geometry
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
-from gateway.people.console.pages.page_messages import WalkMessage, WalkWish
+from gateway.people.console.pages.page_messages import Message, WalkWish, walk_message
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.ride import Ride, Silences, Wish
 from gateway.people.walking.words import ground_now
@@ -55,7 +55,7 @@ class PageWalks:
         name: str,
         geometry: Geometry,
         terrain: str,
-        send: Callable[[WalkMessage], None],
+        send: Callable[[Message], None],
     ) -> None:
         """`connect` opens a session under a name and blocks; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
@@ -81,13 +81,13 @@ class PageWalks:
             return
         self._spent = wish.press
         if token is None:
-            self.send(WalkMessage(press=wish.press, detail="this page does not have the lease; press Drive first"))
+            self.send(walk_message(wish.press, "this page does not have the lease; press Drive first"))
             return
         walk = self._new(token, wish)
         try:
             walk.start()
         except RuntimeError as error:  # the system allows no further thread
-            self.send(WalkMessage(press=wish.press, detail=str(error)))
+            self.send(walk_message(wish.press, str(error)))
         else:
             self._walk = walk
 
@@ -101,7 +101,7 @@ class PageWalks:
         """The number of the newest press; only greater numbers are new presses."""
         return max(self._spent, 0 if self._walk is None else self._walk.newest.press)
 
-    def _send_later(self, message: WalkMessage) -> None:
+    def _send_later(self, message: Message) -> None:
         self._later(lambda: self.send(message))
 
     def _later(self, call: Callable[..., None], *arguments: object) -> None:
@@ -119,7 +119,7 @@ class _WalkThread(threading.Thread):
         connect: Callable[[], Client],
         geometry: Geometry,
         terrain: str,
-        send: Callable[[WalkMessage], None],
+        send: Callable[[Message], None],
         token: str,
         wish: WalkWish,
     ) -> None:
@@ -173,7 +173,7 @@ class _WalkThread(threading.Thread):
                 self._over = True
                 then = list(self._then)
             self.spent = max(self.spent, self.newest.press)
-            self._send(WalkMessage(press=self.spent, detail=detail))
+            self._send(walk_message(self.spent, detail))
             for each in then:
                 each()
 
@@ -208,10 +208,11 @@ class _WalkThread(threading.Thread):
         if self._ending:
             walk.use(Ride.leave)
 
-    def _report(self, walk: Walk, ride: Ride, _now_s: float) -> WalkMessage:
+    def _report(self, walk: Walk, ride: Ride, _now_s: float) -> Message:
         state = ride.state
-        return WalkMessage(
-            press=self.newest.press,
+        return walk_message(
+            self.newest.press,
+            ride.detail,
             id=self.newest.id,
             posture=state.posture,
             now=walk.now,
@@ -222,7 +223,6 @@ class _WalkThread(threading.Thread):
             limit=state.limit,
             lost=list(state.lost),
             ground=ground_now(state),
-            detail=ride.detail,
             waits=self.newest.press <= ride.spent,
         )
 

@@ -27,7 +27,7 @@ from gateway.errors import GatewayError
 from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
-from gateway.people.client.dangers import PowerAlarm, power_now, tone_of
+from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.client.live import Receiver
 from gateway.people.console.link import GatewayLink
 from gateway.people.console.pages import page_messages as messages
@@ -37,7 +37,7 @@ from gateway.people.console.pages.page_tasks import EndError, Outgoing, PageTask
 from gateway.people.console.pages.page_walk import WISH_SILENT_S, PageWalks
 from gateway.people.walking.words import robot_now
 from schemas import keys
-from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Report, Telemetry
+from schemas.telemetry import Ack, BodyReport, Event, GatewayState, Kind, LimitsReport, Reason, Telemetry
 
 MAX_COMMANDS: Final = 16
 """Most commands of one page that wait for their acknowledgement."""
@@ -97,8 +97,8 @@ class Pages(Receiver):
         self._alarm = PowerAlarm()
         self._state: Callable[[], str] | None = None
         self._max_age_ms = LimitsReport().max_age_ms
-        self._link = messages.LinkMessage(status="gone")
-        self._events: deque[messages.EventMessage] = deque(maxlen=PAST_EVENTS)
+        self._link = messages.link_message("gone")
+        self._events: deque[messages.Message] = deque(maxlen=PAST_EVENTS)
         self._telemetry = Allowance(TELEMETRY_HZ, TELEMETRY_AT_ONCE)
 
     def __len__(self) -> int:
@@ -146,33 +146,33 @@ class Pages(Receiver):
             page.allow_age(self._max_age_ms)
 
     def received_body(self, body: BodyReport) -> None:
-        self._send(messages.BodyMessage(body=body))
+        self._send({"type": "body", "body": body})
 
     def received_telemetry(self, telemetry: Telemetry) -> None:
         if self._telemetry.take(self._clock_ns()):
-            self._send(messages.TelemetryMessage(telemetry=telemetry))
+            self._send({"type": "telemetry", "telemetry": telemetry})
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         self._alarm.received_event(event.kind)
         if event.kind == Kind.POWER_UNCONFIRMED and self._newest is not None:
             self._send_state(*self._newest)  # red at once, not with the next state
-        self._events.append(messages.EventMessage(event=event, left_out=left_out, tone=tone_of(event.kind)))
+        self._events.append(messages.event_message(event, left_out))
         self._send(self._events[-1])
         if event.kind == Kind.REVOKED and self._common_name in _WORDS.findall(event.detail):
             logger.warning("this console's certificate (%s) is revoked: all its sessions end", self._common_name)
             self._ending = asyncio.ensure_future(asyncio.to_thread(self._end_sessions))
 
-    def link_changed(self, link: messages.LinkMessage) -> None:
+    def link_changed(self, link: messages.Message) -> None:
         self._link = link
         self._send(link)
 
-    def _send(self, message: Report) -> None:
+    def _send(self, message: messages.Message) -> None:
         for page in self._pages:
             page.outgoing.put(message)
 
 
 def _state_text(state: str, known: str, received_ns: int) -> str:
-    """A StateMessage: the JSON of the state and its sentences is made once for all pages, its age when it is sent."""
+    """Return the message. The state's JSON is made once for all pages, its age when it is sent."""
     age_ms = (time.monotonic_ns() - received_ns) / 1e6
     return f'{{"type":"state","age_ms":{age_ms:.1f},{known},"state":{state}}}'
 
@@ -308,7 +308,7 @@ class Page:
         elif self._walks.active:
             if message.id is not None:
                 error = "this page walks; sit down first"
-                self.outgoing.put(messages.AckMessage(id=message.id, took_ms=0.0, error=error))
+                self.outgoing.put(messages.ack_message(message.id, error=error))
         elif message.id is not None:
             self._ask(message.id, partial(self._link.ask, message.key, payload, again=False))
         else:
@@ -328,11 +328,11 @@ class Page:
         """Reject it as too old: by an answer if the command has an id, otherwise by an event."""
         if message_id is not None:
             ack = Ack(accepted=False, reason=Reason.STALE, detail=detail)
-            self.outgoing.put(messages.AckMessage(id=message_id, took_ms=0.0, ack=ack))
+            self.outgoing.put(messages.ack_message(message_id, ack=ack))
             return
         kind, reason = Kind.COMMAND_REJECTED, Reason.STALE
         event = Event(time=datetime.now(UTC), kind=kind, source=self.source, key=key, reason=reason, detail=detail)
-        self.outgoing.put(messages.EventMessage(event=event, tone=tone_of(kind)))
+        self.outgoing.put(messages.event_message(event))
 
     def _ask(self, message_id: int, ask: Callable[[], Awaitable[Ack]]) -> None:
         self._tasks.check()
@@ -347,17 +347,17 @@ class Page:
         except Exception as failed:  # also for want of memory or descriptors: the page has to know
             error = str(failed) or repr(failed)
         took_ms = (time.monotonic() - began_s) * 1000
-        self.outgoing.put(messages.AckMessage(id=message_id, took_ms=took_ms, ack=ack, error=error))
+        self.outgoing.put(messages.ack_message(message_id, took_ms, ack, error))
 
     async def _invite(self, message_id: int) -> None:
         try:
             url = await asyncio.to_thread(self._new_link)
             code = await asyncio.to_thread(segno.make, url, error="l")
         except GatewayError as error:
-            self.outgoing.put(messages.LinkForMessage(id=message_id, error=str(error)))
+            self.outgoing.put({"type": "link_for", "id": message_id, "error": str(error)})
         else:
             rows = ["".join(str(module & 1) for module in row) for row in code.matrix]
-            self.outgoing.put(messages.LinkForMessage(id=message_id, url=url, rows=rows))
+            self.outgoing.put({"type": "link_for", "id": message_id, "url": url, "rows": rows})
 
     def _stop(self, message: messages.CommandRequest, payload: dict[str, Any]) -> None:
         """Request it until it is answered or its time is over. An answer to a newer request also answers older ones."""
@@ -378,6 +378,6 @@ class Page:
             self._lease.judge(ack)
         if press.id is not None:
             took_ms = (now_ns() - press.pressed_ns) / 1e6
-            self.outgoing.put(messages.AckMessage(id=press.id, took_ms=took_ms, ack=ack, error=error))
+            self.outgoing.put(messages.ack_message(press.id, took_ms, ack, error))
         if kind in self._leg_stops and not self._leg_stops[kind].unconfirmed:
             del self._leg_stops[kind]
