@@ -19,32 +19,10 @@ Not simulated: the buzzer, the manipulator's converter, the other outputs, and t
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final
 
-from gateway.model.power_board import (
-    ALL,
-    ASK_CURRENTS,
-    ASK_ERROR,
-    ASK_RAILS,
-    CLEAR_ERROR,
-    CLEARED,
-    CONVERTER_OVERCURRENT,
-    CONVERTERS_1_TO_3_MV,
-    CONVERTERS_4_5_MV,
-    ERROR,
-    MANIPULATOR_5V_3V3_MA,
-    OFF_PRESSED,
-    OUTPUTS,
-    OVERTEMPERATURE,
-    SERVO_OVERCURRENT,
-    SET_SUPPLY,
-    STANDBY_SUPPLY_MA,
-    SUPPLIED,
-    SUPPLY_BATTERY_MV,
-    TEMPERATURES_C,
-    CanFrame,
-)
+from gateway.model import power_board as wire
+from gateway.model.power_board import OUTPUTS, CanFrame
 
 PASS_NS: Final = 1_500_000
 """The firmware waits for 1 ms, and then works for less than 1 ms."""
@@ -77,18 +55,7 @@ HOT_NS: Final = 140_000_000
 """The period of frame 65 during an overtemperature."""
 
 _POWER_OFF: Final = CanFrame(0x66)
-_MASK_BYTES: Final = {CONVERTER_OVERCURRENT: 1, OVERTEMPERATURE: 1, SERVO_OVERCURRENT: 3}
-
-
-@dataclass(slots=True)
-class _Error:
-    code: int
-    mask: int = 0
-    """The mask of outputs with SERVO_OVERCURRENT, of converters with other codes."""
-
-    @property
-    def data(self) -> bytes:
-        return bytes((self.code,)) + self.mask.to_bytes(_MASK_BYTES.get(self.code, 0), "big")
+_MASK_BYTES: Final = {wire.CONVERTER_OVERCURRENT: 1, wire.OVERTEMPERATURE: 1, wire.SERVO_OVERCURRENT: 3}
 
 
 class SimulatedBoard:
@@ -115,7 +82,8 @@ class SimulatedBoard:
         self._wanted = self._on = self._blocked = self._off_converters = 0
         self._switches = False
         self._count = 0
-        self._errors: list[_Error] = []
+        self._errors: dict[int, int] = {}
+        """By code, the newest first: the mask of outputs with SERVO_OVERCURRENT, of converters with other codes."""
         self._next_shown = self._shown = 0
         self._clearable = True
         self._show = self._say_cleared = self._say_pressed = False
@@ -153,11 +121,10 @@ class SimulatedBoard:
         self._awake_ns = None
 
     def fail(self, code: int, mask: int = 0) -> None:
-        """Let the board find an error. `mask`: its outputs with SERVO_OVERCURRENT, else its converters."""
-        known = next((error for error in self._errors if error.code == code), None)
-        error = _Error(code, mask | (known.mask if known else 0))
-        self._errors = [error, *(each for each in self._errors if each is not known)]
-        self._show = self._show or error != known
+        """Let the board find an error. `mask`: its outputs with wire.SERVO_OVERCURRENT, else its converters."""
+        known = self._errors.pop(code, None)
+        self._errors = {code: mask | (known or 0), **self._errors}
+        self._show = self._show or self._errors[code] != known
         self._next_shown = 0
         self._apply_blocks()
 
@@ -172,17 +139,17 @@ class SimulatedBoard:
         sent = self.advance(now_ns)
         if not self._is_awake(now_ns):
             return sent
-        if frame.id == SET_SUPPLY and len(frame.data) == 3:
-            self._wanted = int.from_bytes(frame.data, "big") & ALL
+        if frame.id == wire.SET_SUPPLY and len(frame.data) == 3:
+            self._wanted = int.from_bytes(frame.data, "big") & wire.ALL
             self._retarget()
-        elif frame in ASK_CURRENTS:
-            first = 3 * ASK_CURRENTS.index(frame)
+        elif frame in wire.ASK_CURRENTS:
+            first = 3 * wire.ASK_CURRENTS.index(frame)
             sent.append(CanFrame(frame.id + 1, _numbers(self._measured_ma[first : first + 3])))
-        elif frame in ASK_RAILS:
+        elif frame in wire.ASK_RAILS:
             sent.append(CanFrame(frame.id + 1, self._rail(frame.id)))
-        elif frame == ASK_ERROR:
+        elif frame == wire.ASK_ERROR:
             self._show = True
-        elif frame == CLEAR_ERROR and self._clearable and self._errors:
+        elif frame == wire.CLEAR_ERROR and self._clearable and self._errors:
             self._delete(self._shown)
             self._clearable, self._say_cleared = False, True
         elif frame == _POWER_OFF:
@@ -215,13 +182,13 @@ class SimulatedBoard:
         self._off_passes += self._off_passes > 0
         sent = []
         if self._switch_in_turn():
-            sent.append(CanFrame(SUPPLIED, self._on.to_bytes(3, "big")))
+            sent.append(CanFrame(wire.SUPPLIED, self._on.to_bytes(3, "big")))
         if self._say_pressed:
-            sent.append(CanFrame(OFF_PRESSED))
+            sent.append(CanFrame(wire.OFF_PRESSED))
         if self._show:
-            sent.append(CanFrame(ERROR, self._next_error()))
+            sent.append(CanFrame(wire.ERROR, self._next_error()))
         if self._say_cleared:
-            sent.append(CanFrame(CLEARED))
+            sent.append(CanFrame(wire.CLEARED))
         self._say_pressed = self._show = self._say_cleared = False
         return sent
 
@@ -246,11 +213,11 @@ class SimulatedBoard:
 
     def _apply_blocks(self) -> None:
         self._blocked = self._off_converters = 0
-        for error in self._errors:
-            if error.code == SERVO_OVERCURRENT:
-                self._blocked |= error.mask
-            elif error.code in (CONVERTER_OVERCURRENT, OVERTEMPERATURE):
-                self._off_converters |= error.mask
+        for code, mask in self._errors.items():
+            if code == wire.SERVO_OVERCURRENT:
+                self._blocked |= mask
+            elif code in (wire.CONVERTER_OVERCURRENT, wire.OVERTEMPERATURE):
+                self._off_converters |= mask
         self._retarget()
 
     def _next_error(self) -> bytes:
@@ -259,11 +226,12 @@ class SimulatedBoard:
         self._clearable = True
         self._shown = self._next_shown
         self._next_shown = (self._next_shown + 1) % len(self._errors)
-        return self._errors[self._shown].data
+        code, mask = list(self._errors.items())[self._shown]
+        return bytes((code,)) + mask.to_bytes(_MASK_BYTES.get(code, 0), "big")
 
     def _delete(self, place: int) -> None:
         if place < len(self._errors):
-            del self._errors[place]
+            del self._errors[list(self._errors)[place]]
             self._next_shown = max(0, min(self._next_shown, len(self._errors) - 1))
             self._apply_blocks()
 
@@ -273,27 +241,27 @@ class SimulatedBoard:
         hot = sum(each for each, c in zip(_HOT_CONVERTERS, self.temperatures_c, strict=True) if c >= TOO_HOT_C)
         if hot and now_ns >= self._hot_due_ns:
             self._hot_due_ns = now_ns + HOT_NS
-            self.fail(OVERTEMPERATURE, hot)
+            self.fail(wire.OVERTEMPERATURE, hot)
             self._show = True
         fed = self.fed
         for place in range(OUTPUTS):
             drawn_ma = self._measured_ma[place] = self.draws_ma[place] if fed >> place & 1 else 0.0
             self._too_much[place] = self._too_much[place] + 1 if drawn_ma > LIMIT_MA else 0
             if self._too_much[place] >= MEASUREMENTS:
-                self.fail(SERVO_OVERCURRENT, 1 << place)
+                self.fail(wire.SERVO_OVERCURRENT, 1 << place)
 
     def _rail(self, question: int) -> bytes:
         """Return the answer, in mA, mV or °C."""
-        if question == TEMPERATURES_C:
+        if question == wire.TEMPERATURES_C:
             return struct.pack(">3h", *self.temperatures_c)
         one, two, three = (0 if self._off_converters >> place & 1 else SERVO_MV for place in range(3))
         power_uw = SERVO_MV * sum(self._measured_ma) + 5000 * FIVE_VOLT_MA + 3300 * THREE_VOLT_MA
         rails: dict[int, tuple[float, ...]] = {
-            MANIPULATOR_5V_3V3_MA: (0, FIVE_VOLT_MA, THREE_VOLT_MA),
-            STANDBY_SUPPLY_MA: (STANDBY_MA, power_uw / self.battery_mv),
-            CONVERTERS_1_TO_3_MV: (one, two, three),
-            CONVERTERS_4_5_MV: (0, 5000),
-            SUPPLY_BATTERY_MV: (self.battery_mv, self.battery_mv),
+            wire.MANIPULATOR_5V_3V3_MA: (0, FIVE_VOLT_MA, THREE_VOLT_MA),
+            wire.STANDBY_SUPPLY_MA: (STANDBY_MA, power_uw / self.battery_mv),
+            wire.CONVERTERS_1_TO_3_MV: (one, two, three),
+            wire.CONVERTERS_4_5_MV: (0, 5000),
+            wire.SUPPLY_BATTERY_MV: (self.battery_mv, self.battery_mv),
         }
         return _numbers(rails[question])
 

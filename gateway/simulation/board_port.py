@@ -33,7 +33,7 @@ import sys
 import tempfile
 import time
 import tty
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -210,7 +210,7 @@ class Simulation:
         self._sensed = None if options.get("sensed") is None else SensedPage(options["sensed"])
         self._record = record
         self._device = device
-        self._board = SimulatedBoard(time.monotonic_ns())
+        self._board = board = SimulatedBoard(time.monotonic_ns())
         self._adapter = SimulatedAdapter()
         self._answers = b""
         self._silent = False
@@ -218,6 +218,16 @@ class Simulation:
         self._drawn_anyway_ma: dict[int, float] = {}
         self._fed: int | None = None
         self._flood, self._flood_ns, self._flood_due_ns = CanFrame(0x100), 0, 0
+        self._faults: dict[str, Callable[[Any], None]] = {
+            "press_off": lambda _: board.press_button(time.monotonic_ns()),
+            "restart": lambda _: board.restart(),
+            "error": lambda code: board.fail(int(code)),
+            "converter": lambda number: board.fail(CONVERTER_OVERCURRENT, 1 << number - 1),
+            "clear_error": lambda _: board.clear_by_hand(),
+            "frame": lambda text: self._put(_frame(text), time.monotonic_ns()),
+            "unplug": lambda _: device.unplug(),
+            "plug": lambda _: device.plug(),
+        }
         self.step()
 
     def step(self) -> int:
@@ -241,49 +251,29 @@ class Simulation:
         """Apply a line of faults, as in the table above. Raises ValueError, TypeError or AttributeError for others."""
         order: dict[str, Any] = json.loads(line)
         for name, value in order.items():
-            self._do(name, value)
+            if name in self._faults:
+                self._faults[name](value)
+            else:
+                self._set(name, value)
         self.step()
 
-    def _do(self, name: str, value: Any) -> None:
-        board = self._board
+    def _set(self, name: str, value: Any) -> None:
+        """Set a value that stays."""
         match name:
-            case "press_off":
-                board.press_button(time.monotonic_ns())
-            case "restart":
-                board.restart()
             case "draws_ma":
                 self._drawn_anyway_ma = {int(servo_id): float(drawn_ma) for servo_id, drawn_ma in value.items()}
-            case "error":
-                board.fail(int(value))
             case "temperatures_c":
-                board.temperatures_c[:] = value
-            case "converter":
-                board.fail(CONVERTER_OVERCURRENT, 1 << value - 1)
-            case "clear_error":
-                board.clear_by_hand()
+                self._board.temperatures_c[:] = value
             case "stuck_on":
-                board.stuck = 1 << self._outputs.index(value) if value else 0
-            case _:
-                self._do_between(name, value)
-
-    def _do_between(self, name: str, value: Any) -> None:
-        """Apply a fault of the bus or the adapter."""
-        now_ns = time.monotonic_ns()
-        match name:
+                self._board.stuck = 1 << self._outputs.index(value) if value else 0
             case "silent":
                 self._silent = bool(value)
-            case "frame":
-                self._put(_frame(value), now_ns)
             case "flood":
                 self._flood = _frame(value)
             case "flood_hz":
                 if not 0 <= value <= _MOST_HZ:
                     raise ValueError(f"{value} frames a second; 0 to {_MOST_HZ} are possible")
-                self._flood_ns, self._flood_due_ns = round(NS_PER_S / value) if value else 0, now_ns
-            case "unplug":
-                self._device.unplug()
-            case "plug":
-                self._device.plug()
+                self._flood_ns, self._flood_due_ns = round(NS_PER_S / value) if value else 0, time.monotonic_ns()
             case _:
                 raise ValueError(f"{name} is no fault")
 
