@@ -63,10 +63,10 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
     open_device: Callable[[], DuplexDevice]
     open_uart: Callable[[], Uart]
     if simulated.controller:
-        from gateway.simulation.elkapod import SimulatedElkapod, SimulatedUart  # noqa: PLC0415  (likewise)
+        from gateway.simulation.elkapod import SimulatedElkapod  # noqa: PLC0415  (likewise)
 
         controller = SimulatedElkapod(on_change=_simulator.debug, page=simulated.page, sensed=simulated.sensed)
-        open_device, open_uart = (lambda: controller), (lambda: SimulatedUart(controller))
+        open_device, open_uart = (lambda: controller), (lambda: controller)
     else:
         open_device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare)
         open_uart = partial(SerialUart, settings.controller.uart)

@@ -31,6 +31,7 @@ Not simulated, so that the firmware may do worse:
 
 import collections
 import functools
+import math
 import struct
 import time
 from abc import abstractmethod
@@ -85,9 +86,8 @@ class SimulatedServos(dict[int, ServoState]):
 
     def stop(self, servo_id: int) -> None:
         """Switch its output off; the horn stays."""
-        servo = self[servo_id]
-        servo.energised = False
-        self._show(servo_id, servo)
+        self[servo_id].energised = False
+        self._show(servo_id, self[servo_id])
 
     def move(self, now_ns: int) -> None:
         """Move the horns up to `now_ns`, at the speed without load."""
@@ -98,11 +98,8 @@ class SimulatedServos(dict[int, ServoState]):
             servo.fed = servo_id in fed
             if servo.driven and servo.target_deg is not None:
                 way_deg = servo.target_deg - servo.angle_deg
-                servo.angle_deg = (
-                    servo.target_deg
-                    if abs(way_deg) <= most_deg
-                    else servo.angle_deg + max(-most_deg, min(way_deg, most_deg))
-                )
+                far = abs(way_deg) > most_deg
+                servo.angle_deg = servo.angle_deg + math.copysign(most_deg, way_deg) if far else servo.target_deg
 
     def _show(self, servo_id: int, servo: ServoState) -> None:
         if self._page is not None:
@@ -159,7 +156,7 @@ class SimulatedController(ByteDevice):
         """Why the firmware died, or None. A dead one receives nothing."""
         self._announced = framing is Framing.LENGTH_PREFIXED
         self._clock = clock
-        self._on_change = on_change
+        self._say = on_change or (lambda _: None)
         self._tick_phase_ns = tick_phase_ns
 
         self._body = bytearray()
@@ -217,17 +214,13 @@ class SimulatedController(ByteDevice):
         self._give_up_ns = (tick + RECEIVE_TIMEOUT_TICKS) * TICK_NS - self._tick_phase_ns
 
     def _expire_receive(self, now_ns: int) -> None:
-        if self._body_len == 0 or now_ns < self._give_up_ns or self.dead is not None:
-            return
-        if self._announced:
-            self._body += bytes(self._body_len - len(self._body))
-            self._interpret(self._give_up_ns)
-        else:
-            self._body.clear()
-            self._body_len = 0
+        if self._body_len and now_ns >= self._give_up_ns and self.dead is None:
+            missing = self._body_len - len(self._body)
+            self._interpret(self._give_up_ns, bytes(missing) if self._announced else None)
 
-    def _interpret(self, now_ns: int) -> None:
-        body = bytes(self._body)
+    def _interpret(self, now_ns: int, rest: bytes | None = b"") -> None:
+        """Execute the bytes received, and `rest`; None: drop them."""
+        body = b"" if rest is None else bytes(self._body) + rest
         self._body.clear()
         self._body_len = 0
         records = _RECORDS_BY_LEN_AND_TYPE.get((len(body), body[1])) if len(body) > 1 else None
@@ -240,15 +233,14 @@ class SimulatedController(ByteDevice):
             if self.dead is not None:
                 return
         self.executed += 1
-        if self._on_change is not None:
-            self._on_change("; ".join(changes))
+        self._say("; ".join(changes))
 
     def _drive(self, servo_id: int, op: int, whole_deg: int, hundredths: int) -> str:
         if op not in (Op.START, Op.STOP, Op.SET):
             return f"operation {op} ignored"
         index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) & 0xFF  # the firmware's arithmetic, in a uint8_t
         driven_id = _TABLE.get(index)
-        if driven_id is None and self._announced:
+        if self._announced and driven_id is None:
             driven_id = _ENTRIES_PAST_THE_TABLE.get(index)
         if driven_id is None:
             what = f"servo id {servo_id} indexed entry {index} of a servo table of {len(SERVO_IDS)}"
@@ -269,8 +261,7 @@ class SimulatedController(ByteDevice):
 
     def _die(self, why: str) -> None:
         self.dead = why
-        if self._on_change is not None:
-            self._on_change(f"the controller is dead until it is reset: {why}")
+        self._say(f"the controller is dead until it is reset: {why}")
 
 
 def _float32(value: float) -> float:

@@ -23,19 +23,20 @@ The unit of forces on this wire is not documented; here it is the newton.
 import collections
 import math
 import random
+import re
 import struct
 import threading
 import time
 from collections.abc import Callable
 from typing import Final
 
+from gateway.geometry.kinematics import Vector
 from gateway.geometry.model import MASSES
 from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
 from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
-from gateway.robot.spi.uart import Uart
 from gateway.simulation.controller import KEPT_TRANSFERS, ServoState, SimulatedServos
 from schemas.robot import LEGS, SERVO_IDS
 
@@ -80,6 +81,7 @@ GARBAGE: Final = bytes(range(FRAME_BYTES))
 """The first answer after power-up. Only its first byte shows that it is no measurement."""
 
 _ANGLES: Final = struct.Struct(f"<{len(SERVO_IDS)}f")
+_MESSAGE: Final = re.compile(b"|".join(map(re.escape, (START, SHUTDOWN))))
 _LONGEST: Final = max(len(START), len(SHUTDOWN))
 _GRAVITY_M_S2: Final = 9.81
 _AMBIENT_C: Final = 25.0
@@ -90,7 +92,7 @@ _ACCELEROMETER_NOISE_M_S2: Final = 0.02
 
 
 class SimulatedElkapod(DuplexDevice):
-    """The controller, its servos and its battery. Thread-safe; each call takes microseconds."""
+    """The controller with its UART, its servos and its battery. Thread-safe; each call takes microseconds."""
 
     def __init__(
         self,
@@ -118,7 +120,7 @@ class SimulatedElkapod(DuplexDevice):
         """A fault: these bytes in place of each measurement."""
 
         self._clock = clock
-        self._on_change = on_change
+        self._say = on_change or (lambda _: None)
         self._sensed = sensed
         self._battery = SimulatedBattery() if battery is None else battery
         self._noise = random.Random(0)  # noqa: S311  (sensor noise, no secrets)
@@ -148,22 +150,23 @@ class SimulatedElkapod(DuplexDevice):
                 self._answer = elkapod.answer(self._measure(now_ns))
         return answer[: len(data)].ljust(len(data), b"\0")
 
-    def uart_write(self, data: bytes) -> None:
-        """Receive bytes, in portions of any length."""
+    def write(self, data: bytes) -> None:
+        """Receive bytes on the UART, in portions of any length."""
         with self._lock:
             now_ns = self._clock()
             self._advance(now_ns)
             if now_ns < self._on_ns:
                 return
             self._received += data
-            while (found := _first_message(self._received)) is not None:
-                message, self._received = found
-                self.messages.append((now_ns, message))
-                self._obey(message)
-            self._received = self._received[1 - _LONGEST :]
+            end = 0
+            for found in _MESSAGE.finditer(self._received):
+                self.messages.append((now_ns, found[0]))
+                self._obey(found[0])
+                end = found.end()
+            self._received = self._received[end:][1 - _LONGEST :]
 
-    def uart_read(self) -> bytes:
-        """Return the bytes that the controller has sent since the last call."""
+    def read(self) -> bytes:
+        """Return the bytes that the controller has sent on the UART since the last call."""
         with self._lock:
             due = max(0, (self._clock() - self._beat_ns) // HEARTBEAT_NS)
             self._beat_ns += due * HEARTBEAT_NS
@@ -208,10 +211,6 @@ class SimulatedElkapod(DuplexDevice):
             self._servos.send(servo_id, servo.target_deg, start=True)
         self._say("started")
 
-    def _say(self, line: str) -> None:
-        if self._on_change is not None:
-            self._on_change(line)
-
     # ---- what it measures
 
     def _advance(self, now_ns: int) -> None:
@@ -231,27 +230,20 @@ class SimulatedElkapod(DuplexDevice):
     def _measure(self, now_ns: int) -> Measured:
         body = self._body() or self._at_rest()
         one, two, three, four, five, six = body.feet_n
-        x, y, z = body.linear_acceleration_m_s2
-        roll, pitch, yaw = body.angular_velocity_rad_s
-        noise = self._noise.gauss
         passed_s = (now_ns - self._begun_ns) / 1e9
         return Measured(
             temperature_c=_AMBIENT_C + _WARMS_BY_C * (1 - math.exp(-passed_s / _WARMS_IN_S)),
             voltage_v=self._battery.voltage_v,
             percent=self._battery.percent,
             orientation_wxyz=body.orientation_wxyz,
-            angular_velocity_rad_s=(
-                noise(roll, _GYRO_NOISE_RAD_S),
-                noise(pitch, _GYRO_NOISE_RAD_S),
-                noise(yaw, _GYRO_NOISE_RAD_S),
-            ),
-            linear_acceleration_m_s2=(
-                noise(x, _ACCELEROMETER_NOISE_M_S2),
-                noise(y, _ACCELEROMETER_NOISE_M_S2),
-                noise(z, _ACCELEROMETER_NOISE_M_S2),
-            ),
+            angular_velocity_rad_s=self._noisy(body.angular_velocity_rad_s, _GYRO_NOISE_RAD_S),
+            linear_acceleration_m_s2=self._noisy(body.linear_acceleration_m_s2, _ACCELEROMETER_NOISE_M_S2),
             feet=(one, two, three, four, five, six),
         )
+
+    def _noisy(self, vector: Vector, deviation: float) -> Vector:
+        x, y, z = (self._noise.gauss(each, deviation) for each in vector)
+        return x, y, z
 
     def _body(self) -> Sensed | None:
         return None if self._sensed is None else self._sensed.read()
@@ -260,28 +252,3 @@ class SimulatedElkapod(DuplexDevice):
         stands = any(servo.driven for servo in self._servos.values())
         foot_n = MASSES.total_kg * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
         return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())
-
-
-class SimulatedUart(Uart):
-    """The UART of a simulated controller."""
-
-    def __init__(self, controller: SimulatedElkapod) -> None:
-        self._controller = controller
-
-    def write(self, data: bytes) -> None:
-        self._controller.uart_write(data)
-
-    def read(self) -> bytes:
-        return self._controller.uart_read()
-
-    def close(self) -> None:
-        """Change nothing: the controller stays on."""
-
-
-def _first_message(received: bytes) -> tuple[bytes, bytes] | None:
-    """Return the first message in these bytes, and the bytes after it, or None."""
-    places = {received.find(message): message for message in (START, SHUTDOWN) if message in received}
-    if not places:
-        return None
-    place = min(places)
-    return places[place], received[place + len(places[place]) :]

@@ -88,10 +88,10 @@ class ElkapodBed(SpiTestbed):
             try:
                 for event in events:
                     if isinstance(event, Message):
-                        self.controller.uart_write(event.data)
+                        self.controller.write(event.data)
                     elif isinstance(event, Transfer) and event.delivered:
                         self.tell("answer", self.controller.exchange(event.data))
-                if beats := self.controller.uart_read():
+                if beats := self.controller.read():
                     self.tell("send_uart", beats)
             except OSError:  # the emulation has ended
                 return

@@ -10,7 +10,6 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.cycle import CYCLE_HZ, Cycle
 from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.simulation.elkapod import SimulatedUart
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
 from tests.support.controllers import Elkapod
@@ -44,7 +43,7 @@ class ElkapodRobot(Robot):
         self.elkapod = FailingElkapod(clock=self.now_ns)
         self.cyclic = CyclicBus(
             self._device,
-            lambda: SimulatedUart(self.elkapod),
+            lambda: self.elkapod,
             silent_ns=round(self.settings.controller.silent_ms * MS),
             before_frames_ns=70 * MS,
             fed_singly=bool(self.settings.power.interface),

@@ -223,7 +223,7 @@ def any_frame(angles_deg: dict[int, float]) -> bytes:
 def test_a_start_before_any_frame_waits_for_one_and_is_counted() -> None:
     page, said = ServoPage(), list[str]()
     controller = Elkapod(clock=lambda: 0, on_change=said.append, page=page)
-    controller.uart_write(START)
+    controller.write(START)
     assert controller.corruptions == {"started before any frame": 1}
     assert set(page.read().values()) == {None}
     controller.exchange(any_frame({}))
@@ -234,7 +234,7 @@ def test_a_start_before_any_frame_waits_for_one_and_is_counted() -> None:
 def test_angles_that_no_servo_has_are_driven_to_its_end_and_counted() -> None:
     controller = Elkapod(clock=lambda: 0)
     controller.exchange(any_frame({}))
-    controller.uart_write(START)
+    controller.write(START)
     assert controller.energised == set(SERVO_IDS)
     controller.exchange(any_frame({11: -20.0, 12: 1e9, 13: math.inf, 21: math.nan}))
     targets = [controller.servos[servo_id].target_deg for servo_id in (11, 12, 13, 21)]
