@@ -1,6 +1,6 @@
 """Assumed values of the simulated body that were never measured on the robot, and the ground. Pure."""
 
-import math
+from contextlib import suppress
 from typing import Final, NamedTuple, Self
 
 from gateway.errors import ConfigError
@@ -15,6 +15,12 @@ FRICTION: Final = 0.8
 MAX_SLOPE_DEG: Final = 45.0
 MAX_ROUGH_M: Final = 0.2
 """The roughest ground: as high as the robot stands."""
+_KINDS: Final = {
+    "rough": ("rough_m", 0.0, MAX_ROUGH_M),
+    "step": ("step_m", -MAX_ROUGH_M, MAX_ROUGH_M),
+    "slope": ("slope_deg", -MAX_SLOPE_DEG, MAX_SLOPE_DEG),
+}
+"""By word: the field of `Terrain`, its least and its greatest value."""
 
 
 class Terrain(NamedTuple):
@@ -31,30 +37,21 @@ class Terrain(NamedTuple):
     @classmethod
     def parsed(cls, text: str) -> Self:
         """Read `flat`, `slope:DEGREES`, `rough:METRES` or `step:METRES`. Raises ConfigError for any other text."""
-        kind, colon, number = text.partition(":")
-        try:
-            amount = float(number) if colon else 0.0
-        except ValueError:
-            amount = math.nan
         if text == "flat":
             return cls()
-        if kind == "slope" and colon and abs(amount) <= MAX_SLOPE_DEG:
-            return cls(slope_deg=amount)
-        if kind == "rough" and colon and 0 <= amount <= MAX_ROUGH_M:
-            return cls(rough_m=amount)
-        if kind == "step" and colon and abs(amount) <= MAX_ROUGH_M:
-            return cls(step_m=amount)
+        kind, _, number = text.partition(":")
+        with suppress(KeyError, ValueError):
+            field, least, most = _KINDS[kind]
+            if least <= (amount := float(number)) <= most:
+                return cls(**{field: amount})
         raise ConfigError(
             f"{text!r} is no terrain; there are flat, slope:DEGREES (up to {MAX_SLOPE_DEG:g}, below 0 downhill), "
             f"rough:METRES (bumps of up to {MAX_ROUGH_M:g}) and step:METRES (up to {MAX_ROUGH_M:g}, below 0 an edge)"
         )
 
     def __str__(self) -> str:
-        if self.rough_m:
-            return f"rough:{self.rough_m:g}"
-        if self.step_m:
-            return f"step:{self.step_m:g}"
-        return f"slope:{self.slope_deg:g}" if self.slope_deg else "flat"
+        amounts = ((kind, getattr(self, field)) for kind, (field, _, _) in _KINDS.items())
+        return next((f"{kind}:{amount:g}" for kind, amount in amounts if amount), "flat")
 
 
 FLAT: Final = Terrain()
@@ -75,9 +72,6 @@ USUAL: Final = Assumed()
 
 def assumed(mass_kg: float | None, torque_nm: float | None, friction: float | None, terrain: str | None) -> Assumed:
     """Return these values; None means the default. Raises ConfigError if `terrain` cannot be read."""
-    return Assumed(
-        USUAL.mass_kg if mass_kg is None else mass_kg,
-        USUAL.torque_nm if torque_nm is None else torque_nm,
-        USUAL.friction if friction is None else friction,
-        USUAL.terrain if terrain is None else Terrain.parsed(terrain),
-    )
+    given = {"mass_kg": mass_kg, "torque_nm": torque_nm, "friction": friction}
+    known = {name: value for name, value in given.items() if value is not None}
+    return Assumed(**known, terrain=FLAT if terrain is None else Terrain.parsed(terrain))
