@@ -26,17 +26,17 @@ _LOW_M: Final = 0.010
 
 def feet_of(engine: Engine) -> Mapping[int, Vector]:
     """The positions of its feet, in the ground frame."""
-    return engine._state.feet
+    return engine.state.feet
 
 
 def velocity_of(engine: Engine) -> Velocity:
     """Its present velocity over the ground."""
-    return engine._state.velocity
+    return engine.state.velocity
 
 
 def legs_that_carry(engine: Engine) -> frozenset[int]:
     """Those whose feet are on the ground, and not about to leave it."""
-    state = engine._state
+    state = engine.state
     move = state.moves[0] if state.moves else None
     away = set(state.swings) | (set() if move is None or isinstance(move, Shift) else set(move.paths))
     low_m = ON_GROUND_M if state.sits or engine.lost else math.inf
@@ -68,7 +68,7 @@ class Walked:
                     moved_m = math.dist(before_ground[leg], self._on_the_floor(leg))
                     assert moved_m < 1e-9, "a foot that comes down moves over the ground"
             self._check_velocity()
-        if self.checks_balance and self.engine.body.height_m > self.robot.lying_m + 0.001:
+        if self.checks_balance and self.engine.state.body.height_m > self.robot.lying_m + 0.001:
             self._check_balance()
         self.pose, self.velocity = after, velocity_of(self.engine)
 
@@ -88,7 +88,7 @@ class Walked:
     def copy(self) -> "Walked":
         """Another one that goes on by itself from here."""
         new, engine = copy(self), copy(self.engine)
-        engine._state, engine._wanted = engine._state.copy(), engine._wanted.copy()
+        engine.state, engine._wanted = engine.state.copy(), engine._wanted.copy()
         engine._senses = copy(engine._senses)
         engine._senses._seen = dict(engine._senses._seen)
         new.engine = engine
@@ -96,7 +96,7 @@ class Walked:
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
         """Where a foot is on a floor that does not move with the robot."""
-        at, (x, y, _) = self.engine.odometry, feet_of(self.engine)[leg]
+        at, (x, y, _) = self.engine.state.odometry, feet_of(self.engine)[leg]
         cosine, sine = math.cos(at.heading_rad), math.sin(at.heading_rad)
         return at.x_m + cosine * x - sine * y, at.y_m + sine * x + cosine * y
 
@@ -132,7 +132,7 @@ class Walked:
         joints = {leg: self.robot.joints_rad(leg, angles) for leg, angles in engine.pose.items()}
         if engine.lost:
             return
-        x, y, _ = centre_of_mass(self.robot, engine.body, joints)
+        x, y, _ = centre_of_mass(self.robot, engine.state.body, joints)
         margin = margin_m((x, y), [feet_of(engine)[leg][:2] for leg in legs_that_carry(engine)])
         self.margin_m = min(self.margin_m, margin)
         assert margin >= MARGIN_M

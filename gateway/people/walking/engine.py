@@ -73,7 +73,8 @@ class Engine:
         """The ID of the last servo that was too slow; 0: none."""
         self._cap: tuple[object, float] = (None, 1.0)
         self._wanted: deque[Stance | None] = deque(maxlen=1)
-        self._state = State(BodyPose(0.0), {}, {}, odometry=odometry)
+        self.state = State(BodyPose(0.0), {}, {}, odometry=odometry)
+        """The robot after the latest step; the pose of a lost leg is its last commanded one."""
         self.find(angles_deg or {})
 
     # ---- commands
@@ -85,16 +86,16 @@ class Engine:
         """
         seconds = max(0.0, min(seconds, _LONGEST_S))
         self.commanded = velocity
-        stands = not (self._state.sits or self._state.moves)
+        stands = not (self.state.sits or self.state.moves)
         self.felt = felt = self._senses.take(telemetry, seconds, stands=stands)
         self._barred = felt.fault or (self._barred if velocity.moves else "")
         if felt.fault:  # a leg that moves now may meet a hand
             self.limit, self.scaled = felt.fault, STILL
             return self.pose
         self._begin_what_is_wanted()
-        target = velocity if self.walks_at_once and not self._barred and not self._state.goes_over(velocity) else STILL
+        target = velocity if self.walks_at_once and not self._barred and not self.state.goes_over(velocity) else STILL
         cap = self._capped(target)
-        before, pace, slowest, holds = self._state, 1.0, 0, False
+        before, pace, slowest, holds = self.state, 1.0, 0, False
         for _ in range(_TRIES):
             after = before.copy()
             try:
@@ -109,7 +110,7 @@ class Engine:
             ratio, servo_id = tempo.fastest(self.robot, before.pose, after.pose, seconds)
             slowest = servo_id if ratio > 1.0 else slowest
             if ratio <= 1.0:
-                self._state, self._stuck = after, False
+                self.state, self._stuck = after, False
                 break
             pace *= min(0.98 / ratio, 0.9)
         self._report(target, cap, pace, seconds, slowest)
@@ -131,7 +132,7 @@ class Engine:
     def find(self, angles_deg: Pose) -> None:
         """Begin again from the angles of the running legs, as in `__init__`. Commands and odometry are kept."""
         found = self._planner.found(angles_deg)
-        self._state = State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self._state.odometry)
+        self.state = State(found.body, found.feet, found.pose, found.moves, found.sits, odometry=self.state.odometry)
 
     def halt(self, legs: Iterable[int], sent: Pose | None = None) -> None:
         """Put down all legs but these, which somebody else has stopped, and stand still until `resume`.
@@ -142,7 +143,7 @@ class Engine:
         if not self.lost <= lost:
             self.resume()  # for those that run again
         self._wanted.clear()
-        state = self._state
+        state = self.state
         state.pose |= {leg: angles for leg, angles in (sent or {}).items() if leg in lost - self.lost}
         self.lost = lost
         state.brake_s = 0.0
@@ -158,11 +159,8 @@ class Engine:
     def resume(self) -> None:
         """The lost legs run again, at their former angles: put them down, so that the walk can go on."""
         legs, self.lost = self.lost, frozenset()
-        body = self._state.body
-        turn = body.turn
-        for leg in legs:
-            self._state.feet[leg] = body.grounded(self.robot.foot_m(leg, self._state.pose[leg]), turn)
-        self._lower(leg for leg in LEGS if leg not in self._state.swings)  # others may still be moving down
+        self.state.ground(self.robot, legs)
+        self._lower(leg for leg in LEGS if leg not in self.state.swings)  # others may still be moving down
 
     @property
     def carries(self) -> bool:
@@ -171,14 +169,14 @@ class Engine:
         A foot that is being lowered counts.
         """
         left = [leg for leg in LEGS if leg not in self.lost]
-        return self.is_down or balanced(self.robot, self._state, left)
+        return self.is_down or balanced(self.robot, self.state, left)
 
     # ---- its state
 
     @property
     def posture(self) -> Posture:
         """The robot's posture; MOVING while it changes."""
-        state = self._state
+        state = self.state
         if self.lost:
             return Posture.HALTED
         if state.swings or state.velocity.moves:
@@ -192,49 +190,29 @@ class Engine:
     @property
     def walks_at_once(self) -> bool:
         """Whether a velocity has an effect now: the robot stands or walks, and no other command is pending."""
-        state = self._state
+        state = self.state
         return not (state.sits or state.moves or self._wanted or self._next_gait or self.lost)
 
     @property
     def pose(self) -> Pose:
         """The angles (degrees) of all legs that are not lost, after the latest step."""
-        return {leg: angles for leg, angles in self._state.pose.items() if leg not in self.lost}
-
-    @property
-    def whole_pose(self) -> Pose:
-        """The angles (degrees) of all six legs; for a lost leg, its last commanded angles."""
-        return dict(self._state.pose)
+        return {leg: angles for leg, angles in self.state.pose.items() if leg not in self.lost}
 
     @property
     def is_down(self) -> bool:
         """Whether the body lies on the ground."""
-        return self._state.body.height_m < self.robot.lying_m + ways.ON_GROUND_M
-
-    @property
-    def odometry(self) -> Odometry:
-        """Where the robot's steps have carried it."""
-        return self._state.odometry
-
-    @property
-    def body(self) -> BodyPose:
-        """The body's pose above the ground."""
-        return self._state.body
+        return self.state.body.height_m < self.robot.lying_m + ways.ON_GROUND_M
 
     @property
     def corrected_rad(self) -> float:
         """The body's lean against its feet, which keeps it level (radians)."""
-        return max(abs(now - asked) for now, asked in zip(self.body[1:], self.stance.body[1:], strict=True))
-
-    @property
-    def hanging(self) -> frozenset[int]:
-        """The legs whose feet found no ground, so they hang over an edge."""
-        return self._state.hanging
+        return max(abs(now - asked) for now, asked in zip(self.state.body[1:], self.stance.body[1:], strict=True))
 
     # ---- postures
 
     def _begin_what_is_wanted(self) -> None:
         """Once the robot stands still, change the gait, then begin the way to another posture."""
-        state = self._state
+        state = self.state
         if state.swings or state.velocity.moves or state.moves or self.lost:
             return
         if self._next_gait is not None:
@@ -251,7 +229,7 @@ class Engine:
             state.sits, state.part = wanted is None, 0.0
 
     def _lower(self, legs: Iterable[int]) -> None:
-        state = self._state
+        state = self.state
         hanging = [leg for leg in legs if state.feet[leg][2] > 0.0]
         if hanging and not state.sits:
             state.moves, state.part = (ways.lowered(state.feet, hanging),), 0.0
@@ -407,10 +385,10 @@ class Engine:
         self._pace += (pace - self._pace) * min(1.0, seconds / self._gait.period_s)
         self._slowest = slowest or self._slowest
         self.scaled = target.times(cap * self._pace)
-        if self._barred or self._state.goes_over(self.commanded):
+        if self._barred or self.state.goes_over(self.commanded):
             self.limit = (
                 self._barred
-                or f"no ground under leg {', '.join(map(str, sorted(self.hanging)))}: it hangs over an edge"
+                or f"no ground under leg {', '.join(map(str, sorted(self.state.hanging)))}: it hangs over an edge"
             )
         elif not target.moves:
             self._pace, self.limit = 1.0, self.limit if self._stuck else ""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, pairwise
+from itertools import chain, pairwise, permutations
 from typing import Final
 
 from gateway.errors import WalkError
@@ -19,6 +19,7 @@ Point = tuple[float, float]
 
 MARGIN_M: Final = 0.010
 """How far inside the polygon the centre of mass stays."""
+_ROUNDING_M: Final = 1e-9
 
 
 def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles], masses: Masses = MASSES) -> Vector:
@@ -38,24 +39,11 @@ def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles
 
 def margin_m(point: Point, feet: Iterable[Point]) -> float:
     """Return how far (m) `point` is inside the feet's polygon (below 0: outside; minus infinity below three feet)."""
-    hull = _hull(sorted(set(feet)))
-    if len(hull) < 3:
+    points = set(feet)
+    if len(points) < 3:
         return -math.inf
-    return min(_left_of(begin, end, point) for begin, end in pairwise((*hull, hull[0])))
-
-
-def _hull(points: list[Point]) -> list[Point]:
-    """Return the convex hull, counter-clockwise (Andrew's monotone chain)."""
-
-    def half(ordered: Iterable[Point]) -> list[Point]:
-        chain: list[Point] = []
-        for point in ordered:
-            while len(chain) > 1 and _left_of(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        return chain[:-1]
-
-    return half(points) + half(reversed(points))
+    sides = (side for side in permutations(points, 2) if all(_left_of(*side, each) > -_ROUNDING_M for each in points))
+    return min(_left_of(*side, point) for side in sides)
 
 
 def _left_of(begin: Point, end: Point, point: Point) -> float:
@@ -91,18 +79,16 @@ class Planner:
         if not pose:
             return self._rest.copy()
         robot, whole = self._robot, {**self._rest.pose, **pose}
-        points = {leg: robot.foot_m(leg, angles) for leg, angles in whole.items()}
-        body = BodyPose(-min(point[2] for point in points.values()))
-        turn = body.turn
-        feet = {leg: body.grounded(point, turn) for leg, point in points.items()}
-        stand = [leg for leg in LEGS if feet[leg][2] < ON_GROUND_M]
-        above = len(pose) == len(LEGS) and body.height_m >= self._seat.body.height_m
-        found = Figure(body, feet, whole)
+        lowest_m = min(robot.foot_m(leg, angles)[2] for leg, angles in whole.items())
+        found = Figure(BodyPose(-lowest_m), {}, whole)
+        found.ground(robot, LEGS)
+        stand = [leg for leg in LEGS if found.feet[leg][2] < ON_GROUND_M]
+        above = len(pose) == len(LEGS) and found.body.height_m >= self._seat.body.height_m
         if above and balanced(robot, found, stand):
             return found
-        body = self._seat.body
-        feet = {leg: body.grounded(point, turn) for leg, point in points.items()}
-        return Figure(body, feet, whole, tuple(self._folded(whole)), sits=True)
+        found = Figure(self._seat.body, {}, whole, tuple(self._folded(whole)), sits=True)
+        found.ground(robot, LEGS)
+        return found
 
     def way(self, begin: Figure, stance: Stance | None) -> tuple[Move, ...]:
         """Return the moves from `begin` to a stance (None: to the seat). Raises WalkError if there is no way."""

@@ -293,7 +293,7 @@ class Ride:
         elif self._ours:
             self.phase = Phase.FAILED
         else:
-            self._begin(robot, engine.gait_name, running, engine.odometry)
+            self._begin(robot, engine.gait_name, running, engine.state.odometry)
             self.phase, self._found = Phase.RESTS, False
             self._goes_on(now_s)
 
@@ -372,17 +372,17 @@ class Ride:
         return WalkState(
             posture=self.posture,
             gait=engine.gait_name,
-            height_m=engine.body.height_m,
+            height_m=engine.state.body.height_m,
             commanded=self._velocity,
             scaled=engine.scaled,
             limit=engine.limit,
-            odometry=engine.odometry,
+            odometry=engine.state.odometry,
             lost=self.error.legs if isinstance(self.error, StoppedError) else tuple(sorted(engine.lost)),
             terrain=self._terrain,
             tilt_deg=engine.felt.tilt_deg,
             carrying=engine.felt.carrying,
             corrected_deg=math.degrees(engine.corrected_rad),
-            hanging=tuple(sorted(engine.hanging)),
+            hanging=tuple(sorted(engine.state.hanging)),
         )
 
     # ---- inside
@@ -454,7 +454,7 @@ class Ride:
         elif missing and now_s - self._started_s >= START_PAUSE_S:
             self._started_s = now_s
             legs |= {missing[0]}
-        pose = self._engine.whole_pose
+        pose = self._engine.state.pose
         return {leg: pose[leg] for leg in sorted(legs)}
 
     def _sit_down(self, now_s: float) -> None:

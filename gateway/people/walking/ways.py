@@ -108,9 +108,13 @@ class Figure:
             self.pose |= {leg: move.at(leg, part) for leg in move.paths}
             if part == 1.0 and move.then is not None:
                 self.body = move.then
-            turn = self.body.turn
-            for leg, angles in self.pose.items():
-                self.feet[leg] = self.body.grounded(robot.foot_m(leg, angles), turn)
+            self.ground(robot, LEGS)
+
+    def ground(self, robot: Robot, legs: Iterable[int]) -> None:
+        """Set the positions of these feet by the joints."""
+        turn = self.body.turn
+        for leg in legs:
+            self.feet[leg] = self.body.grounded(robot.foot_m(leg, self.pose[leg]), turn)
 
     def place(self, robot: Robot, legs: Iterable[int]) -> None:
         """Set the joints for the positions of these feet. Raises WalkError if a leg does not reach."""

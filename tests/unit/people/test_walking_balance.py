@@ -42,11 +42,12 @@ class Ground:
     def read(self) -> Telemetry:
         engine = self.engine
         deep_m = [
-            self._height_m(leg, engine.odometry.x_m + feet_of(engine)[leg][0]) - feet_of(engine)[leg][2] for leg in LEGS
+            self._height_m(leg, engine.state.odometry.x_m + feet_of(engine)[leg][0]) - feet_of(engine)[leg][2]
+            for leg in LEGS
         ]
         carried_m = sorted(deep_m)[-3] - 0.001  # the body sinks until three feet touch
         feet = [self.stuck.get(leg, float(depth > carried_m)) for leg, depth in zip(LEGS, deep_m, strict=True)]
-        body = engine.body
+        body = engine.state.body
         return telemetry(feet, body.roll_rad, body.pitch_rad + self._pitch_rad)
 
     def run(self, seconds: float, velocity: Velocity = STILL) -> None:
@@ -65,10 +66,10 @@ def test_a_sensor_that_becomes_stuck_ends_a_walk_at_worst(reads: float, hangs: b
     ground.run(3.0, AHEAD)
     ground.stuck[5] = reads
     ground.run(5.0, AHEAD)
-    assert (5 in walked.engine.hanging) is hangs
-    at_m = walked.engine.odometry.x_m
+    assert (5 in walked.engine.state.hanging) is hangs
+    at_m = walked.engine.state.odometry.x_m
     ground.run(2.0, AHEAD)
-    assert (walked.engine.odometry.x_m > at_m) != hangs
+    assert (walked.engine.state.odometry.x_m > at_m) != hangs
 
 
 @pytest.mark.parametrize(
@@ -90,12 +91,12 @@ def test_fallen_or_lifted_it_stands_still_until_its_driver_has_let_go(reads: Tel
         assert walked.engine.step(AHEAD, TICK_S, reads) == pose
     ground.run(2.0, AHEAD)
     assert walked.engine.posture is Posture.STANDING
-    at = walked.engine.odometry
+    at = walked.engine.state.odometry
     ground.run(1.0, AHEAD)
-    assert walked.engine.odometry == at
+    assert walked.engine.state.odometry == at
     ground.run(0.1)
     ground.run(2.0, AHEAD)
-    assert walked.engine.odometry.x_m > at.x_m + 0.05
+    assert walked.engine.state.odometry.x_m > at.x_m + 0.05
 
 
 def test_feet_are_unloaded_by_a_belly_on_the_ground_and_by_no_hard_step() -> None:
@@ -117,7 +118,7 @@ def test_a_foot_on_a_stone_is_lifted_no_higher_than_its_disc_allows() -> None:
     for _ in range(300):
         ground.run(TICK_S, AHEAD)
         assert max(foot[2] for foot in feet_of(walked.engine).values()) < LIFT_M + 0.002
-    assert walked.engine.odometry.x_m > 0.2
+    assert walked.engine.state.odometry.x_m > 0.2
 
 
 def test_below_a_body_that_leans_feet_rest_further_out_and_keep_their_strides() -> None:
@@ -138,11 +139,11 @@ def test_a_walk_begins_with_the_feet_that_are_furthest_behind(ahead_m: float) ->
     engine = walked.engine
     for leg in (2, 3, 6):
         x, y, z = feet_of(engine)[leg]
-        engine._state.feet[leg] = x - math.copysign(engine._within_m + 0.003, ahead_m), y, z
-    engine._state.place(ROBOT, LEGS)
+        engine.state.feet[leg] = x - math.copysign(engine._within_m + 0.003, ahead_m), y, z
+    engine.state.place(ROBOT, LEGS)
     ground = Ground(walked, flat)
     ground.run(1.0, Velocity(ahead_m))
-    assert abs(engine.odometry.x_m) > 0.02
+    assert abs(engine.state.odometry.x_m) > 0.02
 
 
 def test_an_orientation_that_is_none_levels_nothing() -> None:

@@ -82,7 +82,7 @@ def test_it_goes_where_it_was_sent(of: str, velocity: Velocity) -> None:
     walked = standing(robot("default"), of)
     walked.run(5.0, velocity)
     walked.until(Posture.STANDING, 4.0)
-    went, turned = walked.engine.odometry[:2], walked.engine.odometry.heading_rad
+    went, turned = walked.engine.state.odometry[:2], walked.engine.state.odometry.heading_rad
     assert turned == pytest.approx(5 * velocity.turn_rad_s, abs=0.025)
     assert math.hypot(*went) == pytest.approx(5 * math.hypot(*velocity[:2]), abs=0.01)
     assert walked.engine.scaled == STILL
@@ -168,11 +168,11 @@ def test_from_any_pose_of_the_legs_that_run_it_stands_up_three_legs_at_a_time(
         if engine.posture is Posture.STANDING:
             break
         moved = [leg for leg in LEGS if engine.pose[leg] != before[leg]]
-        on_belly = engine.body.height_m <= ROBOT.lying_m
-        level = engine.body == walked.engine.body
+        on_belly = engine.state.body.height_m <= ROBOT.lying_m
+        level = engine.state.body == walked.engine.state.body
         assert len(moved) <= 3 or not on_belly or level
     assert engine.posture is Posture.STANDING
-    assert engine.body.height_m == pytest.approx(ROBOT.usual_m)
+    assert engine.state.body.height_m == pytest.approx(ROBOT.usual_m)
     walked.checks_balance = True
     walked.run(1.0, Velocity(0.1))
 
@@ -200,7 +200,7 @@ def test_a_lost_leg_in_any_phase_leaves_the_others_standing_still() -> None:
             halted.pose = engine.pose
             halted.until(Posture.STANDING, 1.0)
             halted.checks_balance = True
-            x_m = engine.odometry.x_m
+            x_m = engine.state.odometry.x_m
             halted.run(1.5, Velocity(0.1))
-            assert engine.odometry.x_m > x_m + 0.1
+            assert engine.state.odometry.x_m > x_m + 0.1
         walked.run(0.38, Velocity(0.1))
