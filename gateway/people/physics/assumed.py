@@ -1,7 +1,7 @@
 """Assumed values of the simulated body that were never measured on the robot, and the ground. Pure."""
 
 from contextlib import suppress
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 from gateway.errors import ConfigError
 from gateway.geometry.model import MASSES
@@ -42,7 +42,8 @@ class Terrain(NamedTuple):
         kind, _, number = text.partition(":")
         with suppress(KeyError, ValueError):
             field, least, most = _KINDS[kind]
-            if least <= (amount := float(number)) <= most:
+            amount: Any = float(number)
+            if least <= amount <= most:
                 return cls(**{field: amount})
         raise ConfigError(
             f"{text!r} is no terrain; there are flat, slope:DEGREES (up to {MAX_SLOPE_DEG:g}, below 0 downhill), "
