@@ -204,14 +204,12 @@ class Driving:
             if velocity.moves or isinstance(self._motion, Walking):
                 self._walking().go(velocity)
 
-    def stand(
-        self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
-    ) -> None:
-        """Set the body's height, which makes it stand up, or its lean while it stands."""
+    def stand(self, **change: float) -> None:
+        """Set the body's `height_m`, which makes it stand up, or its `roll_rad` or `pitch_rad` while it stands."""
         with self._taking():
-            if height_m is not None or isinstance(self._motion, Walking):
-                self._walking().stand(height_m=height_m, roll_rad=roll_rad, pitch_rad=pitch_rad)
-            elif roll_rad or pitch_rad:
+            if "height_m" in change or isinstance(self._motion, Walking):
+                self._walking().stand(**change)
+            elif any(change.values()):
                 raise NotTakenError(DOES_NOT_STAND)
 
     def walk_as(self, gait: str) -> None:

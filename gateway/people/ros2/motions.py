@@ -298,7 +298,7 @@ class Walking:
         self._begins = begins
         self._walk: Walk = client.walk(gait, geometry)
         self._walk.open()
-        self._body: tuple[float | None, float, float] = (None, 0.0, 0.0)
+        self._body = {"roll_rad": 0.0, "pitch_rad": 0.0}
 
     @property
     def odometry(self) -> tuple[Odometry, Velocity]:
@@ -313,21 +313,13 @@ class Walking:
             return
         self._walk.go(*velocity, wait=False)
 
-    def stand(
-        self, *, height_m: float | None = None, roll_rad: float | None = None, pitch_rad: float | None = None
-    ) -> None:
-        """Change the body's height or lean; None keeps a value. A walk pauses for it. Raises as `go`."""
-        height, roll, pitch = self._body
-        body = (
-            height if height_m is None else height_m,
-            roll if roll_rad is None else roll_rad,
-            pitch if pitch_rad is None else pitch_rad,
-        )
-        if height_m is None and self._walk.state.posture in DOWN:
+    def stand(self, **change: float) -> None:
+        """Change the body's `height_m`, `roll_rad` or `pitch_rad`. A walk pauses for it. Raises as `go`."""
+        if "height_m" not in change and self._walk.state.posture in DOWN:
             raise WalkError(DOES_NOT_STAND)
+        body = self._body | change
         if body != self._body:
-            at_m = self._walk.state.height_m if body[0] is None else body[0]
-            self._walk.stand(at_m, body[1], body[2], wait=False)
+            self._walk.stand(**{"height_m": self._walk.state.height_m, **body}, wait=False)
             self._body = body
 
     def walk_as(self, gait: str) -> None:

@@ -10,11 +10,11 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, Final, NamedTuple, Self
 
 from gateway.geometry import MAX_SPEED_DEG_S, Geometry, joint_name
-from schemas.robot import JOINTS, MAX_DEG, SERVO_IDS
+from schemas.robot import JOINTS, LEGS, MAX_DEG, SERVO_IDS
 
 Degrees = tuple[float, float, float]
 """The degrees of a leg's joints 1, 2 and 3."""
@@ -50,23 +50,20 @@ class JointNames:
 
     def servos(self, names: Sequence[str]) -> tuple[int, ...]:
         """Return the joints' servos in order. Raises NamesError if a name is unknown or a leg is incomplete."""
-        servos = []
+        if not names:
+            raise NamesError("it names no joint")
         for name in names:
             if name not in self._servos:
                 first, *_, last = self._servos
                 raise NamesError(f"there is no joint {name[:64]!r}; they are {first} to {last}, leg and then joint")
-            servos.append(self._servos[name])
-        if not servos:
-            raise NamesError("it names no joint")
-        for servo_id in servos:
-            if servos.count(servo_id) > 1:
-                raise NamesError(f"it names {self.of(servo_id)} twice")
-            missing = [joint for joint in JOINTS if servo_id // 10 * 10 + joint not in servos]
-            if missing:
-                leg = servo_id // 10
-                lacks = self.of(leg * 10 + missing[0])
-                raise NamesError(f"of leg {leg} it lacks {lacks}; a leg is commanded as a whole")
-        return tuple(servos)
+            if names.count(name) > 1:
+                raise NamesError(f"it names {name} twice")
+        servos = tuple(self._servos[name] for name in names)
+        for servo_id, joint in product(servos, JOINTS):
+            leg = servo_id // 10
+            if 10 * leg + joint not in servos:
+                raise NamesError(f"of leg {leg} it lacks {self.of(10 * leg + joint)}; a leg is commanded as a whole")
+        return servos
 
 
 def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
@@ -91,14 +88,8 @@ def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
 
 def legs_deg(geometry: Geometry, at_rad: Mapping[int, float]) -> dict[int, Degrees]:
     """Return leg → degrees of its servos, clamped to 0 to 180."""
-
-    def deg(servo_id: int) -> float:
-        return min(max(geometry.servos[servo_id].servo_deg(at_rad[servo_id]), 0.0), MAX_DEG)
-
-    return {
-        leg: (deg(10 * leg + 1), deg(10 * leg + 2), deg(10 * leg + 3))
-        for leg in sorted({servo_id // 10 for servo_id in at_rad})
-    }
+    deg = {name: min(max(geometry.servos[name].servo_deg(at), 0.0), MAX_DEG) for name, at in at_rad.items()}
+    return {leg: (deg[10 * leg + 1], deg[10 * leg + 2], deg[10 * leg + 3]) for leg in LEGS if 10 * leg + 1 in deg}
 
 
 # ---- trajectories
@@ -137,7 +128,6 @@ class Trajectory:
     def __init__(self, points: tuple[Waypoint, ...], begins_s: float) -> None:
         """`begins_s`: the time from which its points count, by the clock of `at`."""
         self._points = points
-        self._times_s = [point.at_s for point in points]
         self._begins_s = begins_s
         self._from = points[0]
 
@@ -214,7 +204,8 @@ class Trajectory:
 
     def _next(self, now_s: float) -> int:
         """Return the first point that is still to come, or the last."""
-        return min(bisect_right(self._times_s, self.elapsed_s(now_s)), len(self._points) - 1)
+        index = bisect_right(self._points, self.elapsed_s(now_s), key=lambda point: point.at_s)
+        return min(index, len(self._points) - 1)
 
 
 class _JointCubic(NamedTuple):
