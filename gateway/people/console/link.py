@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, Final, Literal, TypeVar
+from typing import Any, Final, Literal
 
 from gateway.errors import UnreachedError, ZenohError
 from gateway.host.descriptors import Spare
@@ -23,31 +23,26 @@ from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Message, link_message
 from schemas.telemetry import Ack, GatewayState
 
-T = TypeVar("T")
-
 STOPS_AT_ONCE: Final = 4
 """Stops of single legs; further ones wait until one is answered, or given up after the timeout."""
 PAGE_QUESTIONS_AT_ONCE: Final = 12
-"""All other questions: commands, the lease, the state."""
+"""All other questions, on the loop's own executor: commands, the lease, the state."""
 STACK_BYTES: Final = 1_048_576
 """Stack of each thread that Python starts. The system's 8 MB would count as memory (`LimitDATA`), even if unused."""
 THREADS_START_S: Final = 10.0
 
 
-class ReadyThreads:
-    """`count` threads, all started at once; further calls wait for a free thread."""
+def ready_threads(count: int, name: str) -> ThreadPoolExecutor:
+    """Return an executor whose threads are all started; further calls wait for a free one.
 
-    def __init__(self, count: int, name: str) -> None:
-        """Raises RuntimeError if the system does not allow `count` threads."""
-        self.executor = ThreadPoolExecutor(count, thread_name_prefix=name)
-        together = threading.Barrier(count + 1)
-        for _ in range(count):
-            self.executor.submit(together.wait, THREADS_START_S)
-        together.wait(THREADS_START_S)
-
-    async def run(self, function: Callable[[], T]) -> T:
-        """Return or raise what `function` does. Cancelling stops the wait, not the function."""
-        return await asyncio.get_running_loop().run_in_executor(self.executor, function)
+    Raises RuntimeError if the system does not allow `count` threads.
+    """
+    executor = ThreadPoolExecutor(count, thread_name_prefix=name)
+    together = threading.Barrier(count + 1)
+    for _ in range(count):
+        executor.submit(together.wait, THREADS_START_S)
+    together.wait(THREADS_START_S)
+    return executor
 
 
 class GatewayLink(Receiver):
@@ -60,11 +55,10 @@ class GatewayLink(Receiver):
         """
         connect, zenoh_config, timeout_s = reach
         self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
-        self._stop_all = ReadyThreads(REQUESTS_AT_ONCE, "STOP ALL")
-        self._stops = ReadyThreads(STOPS_AT_ONCE, "Stops")
-        self._questions = ReadyThreads(PAGE_QUESTIONS_AT_ONCE, "ask")
-        loop = asyncio.get_running_loop()
-        loop.set_default_executor(self._questions.executor)
+        self._stop_all = ready_threads(REQUESTS_AT_ONCE, "STOP ALL")
+        self._stops = ready_threads(STOPS_AT_ONCE, "Stops")
+        self._loop = loop = asyncio.get_running_loop()
+        loop.set_default_executor(ready_threads(PAGE_QUESTIONS_AT_ONCE, "ask"))
         self._spare = Spare()
         self._link_changed = link_changed
         reasons = partial(why.unanswered, connect=connect, zenoh_config=zenoh_config)
@@ -90,9 +84,8 @@ class GatewayLink(Receiver):
 
     async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
         """Send a command and return its Ack. `again` (Stops only): repeat it until answered. Raises GatewayError."""
-        client = self.client()
-        threads = self._stops if again else self._questions
-        return await threads.run(lambda: client.ask(key, payload, again=again))
+        ask = partial(self.client().ask, key, payload, again=again)
+        return await self._loop.run_in_executor(self._stops if again else None, ask)
 
     async def set_upright(self) -> Ack:
         """Set a robot simulated with physics upright, and return the Ack. Raises GatewayError."""
@@ -108,7 +101,7 @@ class GatewayLink(Receiver):
         if not client.connected:
             self._spare.give_up()  # another way to the gateway needs descriptors, and none may be left
         try:
-            return await self._stop_all.run(partial(client.estop, source))
+            return await self._loop.run_in_executor(self._stop_all, client.estop, source)
         finally:
             self._spare.fill()
 

@@ -49,20 +49,13 @@ def door(site: Site) -> Site:
     return Site(address, port, site.hosts)
 
 
-class Door:
-    """Serve only the page that explains the warning."""
-
-    def __init__(self) -> None:
-        files = read_files()
-        self._files = {path: files[name] for path, name in _FILES.items()}
-
-    async def answer(self, url: URL, headers: MultiMapping[str]) -> web.Response:
-        """Return the page or one of its files, else 404."""
-        file = self._files.get(url.path)
-        found = web.Response(status=404) if file is None else file.response(headers)
-        found.headers.update(HEADERS)
-        found.force_close()
-        return found
+async def explain(url: URL, headers: MultiMapping[str]) -> web.Response:
+    """Return the page that explains the warning or one of its files, else 404."""
+    file = read_files().get(_FILES.get(url.path, ""))
+    found = web.Response(status=404) if file is None else file.response(headers)
+    found.headers.update(HEADERS)
+    found.force_close()
+    return found
 
 
 def _address() -> str:

@@ -202,7 +202,7 @@ async def _run(
     auth = Auth(site, found)
     sys.setswitchinterval(realtime.SWITCH_INTERVAL_S)  # Zenoh's threads and those that ask share the interpreter
     serving = asyncio.create_task(HttpListener(site.tls, auth.answer, console.serve).serve(sockets[0]))
-    explaining = asyncio.create_task(HttpListener(None, phone.Door().answer, console.serve).serve(sockets[1]))
+    explaining = asyncio.create_task(HttpListener(None, phone.explain, console.serve).serve(sockets[1]))
     watching = asyncio.create_task(gateway.run())
     for each in (serving, watching):
         each.add_done_callback(lambda _: ended.set())

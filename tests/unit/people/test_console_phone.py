@@ -11,7 +11,7 @@ from yarl import URL
 
 from gateway import certs
 from gateway.people.commands.options import Reach
-from gateway.people.console.phone import Door, prepared
+from gateway.people.console.phone import explain, prepared
 from gateway.people.console.server.site import Options, site
 
 LISTEN = "192.0.2.7:8443"
@@ -61,7 +61,7 @@ def test_the_fleets_certificate_is_used_where_it_fits(tmp_path: Path, hosts: Seq
     ],
 )
 async def test_the_page_without_tls_answers_with_its_own_files_only(target: str, status: int) -> None:
-    answer = await Door().answer(URL(target), CIMultiDict({"Host": "192.0.2.7:8080"}))
+    answer = await explain(URL(target), CIMultiDict({"Host": "192.0.2.7:8080"}))
     assert isinstance(answer, web.Response)
     assert answer.status == status
     assert answer.keep_alive is False

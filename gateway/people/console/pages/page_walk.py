@@ -47,7 +47,7 @@ _log: Final = logging.getLogger(__name__)
 
 
 class PageWalks:
-    """The walks of one page, one after the other. On the event loop."""
+    """The walks of one page, one after the other, each on a thread. Called on the event loop."""
 
     def __init__(
         self,
@@ -59,129 +59,88 @@ class PageWalks:
     ) -> None:
         """`connect` opens a session under a name and blocks; it is called on a thread."""
         self._loop = asyncio.get_running_loop()
+        self._connect = partial(connect, name)
+        self._name = name
+        self._geometry, self._terrain = geometry, terrain
         self.send = send
-        self._new = partial(_WalkThread, name, partial(connect, name), geometry, terrain, self._send_later)
-        self._walk: _WalkThread | None = None
-        self._spent = -1
-        """The newest press that has been used."""
-
-    @property
-    def active(self) -> bool:
+        self.active = False
         """Whether a walk of this page may run legs."""
-        return self._walk is not None and self._walk.is_alive()
+        self._changed = threading.Condition()
+        """Held for an assignment at a time only, since the pages' loop takes it too."""
+        self._wish: tuple[WalkWish, float] | None = None
+        """The newest wish that was not used yet, and when it came."""
+        self._newest: WalkWish
+        """The newest wish that was used."""
+        self._spent = -1
+        """The newest press that is used up."""
+        self._ending = False
+        self._then: list[Callable[[], None]] = []
 
     def take(self, wish: WalkWish, token: str | None) -> None:
         """Store a fresh wish, or begin a walk by it. `token` is the page's lease; without it no walk begins."""
-        if self._walk is not None:
-            if self._walk.is_alive():
-                self._walk.take(wish)
-                return
-            self._spent, self._walk = max(self._spent, self._walk.spent), None
-        if wish.press <= self._spent or wish.sits:
+        if not self.active and (wish.press <= self._spent or wish.sits):
             return
-        self._spent = wish.press
+        with self._changed:
+            self._wish = wish, time.monotonic()
+            self._changed.notify()
+        if self.active:
+            return
+        self._newest, self._spent, self._ending = wish, wish.press, False
         if token is None:
             self.send(walk_message(wish.press, "this page does not have the lease; press Drive first"))
             return
-        walk = self._new(token, wish)
         try:
-            walk.start()
+            threading.Thread(target=self._run, args=(token,), name=self._name, daemon=True).start()
         except RuntimeError as error:  # the system allows no further thread
             self.send(walk_message(wish.press, str(error)))
         else:
-            self._walk = walk
+            self.active = True
 
     def when_over(self, then: Callable[[], None], *, sits: bool) -> None:
         """Call `then` once the legs are stopped. `sits`: sit down now; else the page's silence makes it sit."""
-        if self._walk is None or not self._walk.when_over(partial(self._later, then), sits=sits):
+        if self.active:
+            self._ending = self._ending or sits
+            self._then.append(then)
+        else:
             then()
 
     @property
     def newest_press(self) -> int:
         """The number of the newest press; only greater numbers are new presses."""
-        return max(self._spent, 0 if self._walk is None else self._walk.newest.press)
+        return max(self._spent, self._newest.press) if self.active else max(self._spent, 0)
 
-    def _send_later(self, message: Message) -> None:
-        self._later(lambda: self.send(message))
+    def _ended(self, detail: str) -> None:
+        self.active = False
+        self._spent = max(self._spent, self._newest.press)
+        self.send(walk_message(self._spent, detail))
+        then, self._then = self._then, []
+        for each in then:
+            each()
+
+    # ---- the walk's thread; `Ride` decides what it does
 
     def _later(self, call: Callable[..., None], *arguments: object) -> None:
-        """Call on the loop; for the walk's thread."""
+        """Call on the loop."""
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(call, *arguments)
 
-
-class _WalkThread(threading.Thread):
-    """One walk, from the press that begins it until its servos are stopped. `Ride` decides what it does."""
-
-    def __init__(
-        self,
-        name: str,
-        connect: Callable[[], Client],
-        geometry: Geometry,
-        terrain: str,
-        send: Callable[[Message], None],
-        token: str,
-        wish: WalkWish,
-    ) -> None:
-        super().__init__(name=name, daemon=True)
-        self._connect = connect
-        self._geometry, self._terrain = geometry, terrain
-        self._send = send
-        self._token = token
-        self._changed = threading.Condition()
-        """Held for an assignment at a time only, since the pages' loop takes it too."""
-        self._wish: tuple[WalkWish, float] | None = (wish, time.monotonic())
-        """The newest wish that was not used yet, and when it came."""
-        self._then: list[Callable[[], None]] = []
-        self._ending = False
-        self._over = False
-        self.spent = wish.press
-        """Once it is over, wishes of this press and older ones move nothing."""
-        self.newest = wish
-        """The newest wish that was used."""
-
-    # ---- called on the loop
-
-    def take(self, wish: WalkWish) -> None:
-        """Replace the wish before it."""
-        with self._changed:
-            self._wish = (wish, time.monotonic())
-            self._changed.notify()
-
-    def when_over(self, then: Callable[[], None], *, sits: bool) -> bool:
-        """Call `then` at the end; `sits`: sit down now. False if it is over: then `then` is not called."""
-        with self._changed:
-            if self._over:
-                return False
-            self._ending = self._ending or sits
-            self._then.append(then)
-            return True
-
-    # ---- its thread
-
-    def run(self) -> None:
+    def _run(self, token: str) -> None:
         """Walk until the robot sits, or an error ends it."""
         detail = ""
         try:
-            detail = self._walk()
+            detail = self._walk(token)
         except Exception as error:
             if not isinstance(error, GatewayError | ValueError | RuntimeError | zenoh.ZError):
-                _log.exception("%s: ended by a fault", self.name)
+                _log.exception("%s: ended by a fault", self._name)
             detail = str(error) or repr(error)
         finally:
-            with self._changed:
-                self._over = True
-                then = list(self._then)
-            self.spent = max(self.spent, self.newest.press)
-            self._send(walk_message(self.spent, detail))
-            for each in then:
-                each()
+            self._later(self._ended, detail)
 
-    def _walk(self) -> str:
+    def _walk(self, token: str) -> str:
         """Returns why it has ended, in words."""
         with closing(self._connect()) as client:
-            client.carry(LentLease(client, self._token))
-            gait, silences = self.newest.gait, SILENCES
+            client.carry(LentLease(client, token))
+            gait, silences = self._newest.gait, SILENCES
             walk = Walk(client, gait, self._geometry, SETPOINTS_HZ, silences=silences, once=True, terrain=self._terrain)
             walk.open()
             try:
@@ -190,7 +149,7 @@ class _WalkThread(threading.Thread):
                     self._obey(walk)
                     if time.monotonic() - reported_s >= REPORT_S:
                         reported_s = time.monotonic()
-                        self._send(walk.use(partial(self._report, walk)))
+                        self._later(self.send, walk.use(partial(self._message, walk)))
                 return walk.use(lambda ride, _: ride.detail)
             finally:
                 walk.close(sits=False)
@@ -202,18 +161,19 @@ class _WalkThread(threading.Thread):
                 self._changed.wait(WISH_WAIT_S)
             taken, self._wish = self._wish, None
         if taken is not None:
-            self.newest, came_s = taken
-            wish = _wish(self.newest)
+            self._newest, came_s = new, _ = taken
+            velocity = Velocity(new.forward_m_s, new.left_m_s, new.turn_rad_s)
+            wish = Wish(new.press, velocity, new.gait, new.height_m, new.sits)
             walk.use(lambda ride, _: ride.wish(wish, came_s))
         if self._ending:
             walk.use(Ride.leave)
 
-    def _report(self, walk: Walk, ride: Ride, _now_s: float) -> Message:
+    def _message(self, walk: Walk, ride: Ride, _now_s: float) -> Message:
         state = ride.state
         return walk_message(
-            self.newest.press,
+            self._newest.press,
             ride.detail,
-            id=self.newest.id,
+            id=self._newest.id,
             posture=state.posture,
             now=walk.now,
             gait=state.gait,
@@ -223,10 +183,5 @@ class _WalkThread(threading.Thread):
             limit=state.limit,
             lost=list(state.lost),
             ground=ground_now(state),
-            waits=self.newest.press <= ride.spent,
+            waits=self._newest.press <= ride.spent,
         )
-
-
-def _wish(wish: WalkWish) -> Wish:
-    velocity = Velocity(wish.forward_m_s, wish.left_m_s, wish.turn_rad_s)
-    return Wish(wish.press, velocity, wish.gait, wish.height_m, wish.sits)
