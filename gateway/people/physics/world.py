@@ -54,12 +54,11 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
                 geom.contype, geom.conaffinity, geom.friction = _ROBOT, _FLOOR, friction
         _lay_ground(spec, assumed.terrain, friction)
         for servo_id in SERVO_IDS:
-            name = joint_name(servo_id)
-            spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            _add_servo(spec, geometry, servo_id, max(1.0, assumed.torque_nm / TORQUE_NM))
         model = spec.compile()
     except ValueError as error:
         raise ConfigError(f"MuJoCo cannot simulate {geometry.name}: {' '.join(str(error).split())}") from error
-    _set_up_servos(model, geometry, max(1.0, assumed.torque_nm / TORQUE_NM))
+    model.actuator_forcelimited[:], model.dof_armature[6:] = 1, _ARMATURE_KGM2
     model.opt.timestep = TIMESTEP_S
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     # With the default cone a foot that is loaded creeps over the ground, far below its limit of friction.
@@ -87,22 +86,16 @@ def _lay_ground(spec: Any, terrain: Terrain, friction: list[float]) -> None:
         spec.worldbody.add_geom(name="bumps", type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname="bumps", **ground)
 
 
-def _set_up_servos(model: Any, geometry: Geometry, stiffer: float) -> None:
-    model.dof_damping[6:] = _JOINT_DAMPING
-    model.dof_armature[6:] = _ARMATURE_KGM2
-    for servo_id in SERVO_IDS:  # a horn ends at its stops
-        ends_rad = sorted(geometry.joint_rad(servo_id, end_deg) for end_deg in (0.0, 180.0))
-        model.joint(joint_name(servo_id)).range[:] = ends_rad
-    model.jnt_limited[1:] = 1
-    model.jnt_actfrclimited[:] = 0  # MuJoCo takes the URDF's effort for the joint's limit, whatever the servo is
-    model.actuator_gaintype[:] = mujoco.mjtGain.mjGAIN_FIXED
-    model.actuator_biastype[:] = mujoco.mjtBias.mjBIAS_AFFINE
-    model.actuator_gainprm[:] = 0
-    model.actuator_biasprm[:] = 0
-    model.actuator_gainprm[:, 0] = _STIFFNESS_NM_RAD * stiffer
-    model.actuator_biasprm[:, 1] = -_STIFFNESS_NM_RAD * stiffer
-    model.actuator_biasprm[:, 2] = -_DAMPING_NMS_RAD * stiffer
-    model.actuator_forcelimited[:] = 1
+def _add_servo(spec: Any, geometry: Geometry, servo_id: int, stiffer: float) -> None:
+    name = joint_name(servo_id)
+    joint = spec.joint(name)
+    joint.damping[0] = _JOINT_DAMPING
+    joint.range = sorted(geometry.joint_rad(servo_id, end_deg) for end_deg in (0.0, 180.0))  # a horn ends at its stops
+    joint.actfrclimited = False  # MuJoCo takes the URDF's effort for the joint's limit, whatever the servo is
+    stiffness, damping = _STIFFNESS_NM_RAD * stiffer, _DAMPING_NMS_RAD * stiffer
+    servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.gainprm[0], servo.biastype = stiffness, mujoco.mjtBias.mjBIAS_AFFINE
+    servo.biasprm[1:3] = -stiffness, -damping
 
 
 FALLEN_DEG: Final = 45.0
