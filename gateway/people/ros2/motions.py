@@ -19,7 +19,7 @@ from gateway.people.client.blocking import Client
 from gateway.people.client.stream import Stream
 from gateway.people.client.walk import Walk, robot_of
 from gateway.people.ros2.goals import GoalProgress
-from gateway.people.ros2.trajectory import Degrees, JointsError, Trajectory, legs_deg
+from gateway.people.ros2.trajectory import JointsError, Trajectory, legs_deg
 from gateway.people.walking.motion import DOWN, STILL, Odometry, Posture, Velocity
 from gateway.people.walking.ride import REST_S, Ride, RideTask
 from gateway.people.walking.robot import Pose
@@ -54,8 +54,7 @@ class JointCommands:
 
     def command(self, at_rad: dict[int, float]) -> None:
         """Send servo → radians, of whole legs. Raises as `Stream.send`; JointsError if they cannot start it."""
-        legs = legs_deg(self._geometry, at_rad)
-        sent = next_start(legs, self._started, whole=self._whole)
+        sent = next_start(legs_deg(self._geometry, at_rad), self._started, whole=self._whole)
         self.stream.send({**sent})
         self._started |= sent.keys()
         self._received_s = time.monotonic()
@@ -88,7 +87,7 @@ class Course:
         """When all that run have their supply; when the plan was looked at last."""
         self._make_ride = ride
         self._plan: Trajectory | None = None
-        self._at_rad: dict[int, float] = {}
+        self._at: Pose = {}
         self._sent: Pose = {}
         """The last angles that were sent to the started legs."""
         self._sending: frozenset[int] = frozenset()
@@ -103,15 +102,15 @@ class Course:
     @property
     def begun(self) -> bool:
         """Whether there is a pose to send."""
-        return self._plan is not None or bool(self._at_rad)
+        return self._plan is not None or bool(self._at)
 
     def follow(self, plan: Trajectory, now_s: float) -> None:
         """Follow `plan` from the present angles. Raises JointsError if the plan cannot begin there."""
         self._advance(now_s)
-        running_rad = self._running_rad()
-        plan.begin(running_rad, now_s)
-        self._next_start(running_rad | plan.at(now_s))
-        self._at_rad = running_rad
+        running = self._running()
+        plan.begin(self._rad(running), now_s)
+        self._next_start({**running, **legs_deg(self._geometry, plan.at(now_s))})
+        self._at = running
         self._plan, self._ride, self._rests_s, self._left = plan, None, plan.ends_s + REST_S, REPLACED
 
     def progress(self, plan: Trajectory, now_s: float) -> GoalProgress:
@@ -127,7 +126,7 @@ class Course:
         """
         if self._plan is not None and plan in (None, self._plan) and self._ride is None:
             self._advance(now_s)
-            self._at_rad = self._running_rad()
+            self._at = self._running()
             self._plan, self._rests_s, self._left = None, now_s + REST_S, "it was cancelled"
 
     def lose_sender(self, now_s: float) -> None:
@@ -143,20 +142,20 @@ class Course:
     def next(self, now_s: float) -> Pose | None:
         """Return the pose to send; None: the course is over, and running servos must be stopped."""
         self._advance(now_s)
-        if self._limp_s and self._ride is None and not self._at_rad.keys() <= self._rad(self._sent).keys():
+        if self._limp_s and self._ride is None and not self._at.keys() <= self._sent.keys():
             self._fed_s = now_s + self._limp_s
         if self._ride is None and now_s >= self._rests_s:
             self._ride = self._sitting(now_s)
             if self._ride is None:
                 return None
         if self._ride is None:
-            pose: Pose = {**self._next_start(self._at_rad)}
+            pose = self._next_start(self._at)
         else:
             step = self._ride.next(now_s)
             if step.do is not RideTask.SEND:
                 return None
             self._ride.sent(step.pose)
-            pose, self._at_rad = step.pose, self._rad(step.pose)
+            pose = self._at = step.pose
         self._sending = frozenset(pose)
         return pose
 
@@ -164,13 +163,12 @@ class Course:
         """Record that the pose was sent and its starts accepted."""
         self._sent = {**self._sent, **pose}
 
-    def _running_rad(self) -> dict[int, float]:
-        """Return the joints of the legs that have started, or are being started."""
-        legs = self._sent.keys() | self._sending
-        return {servo_id: at for servo_id, at in self._at_rad.items() if servo_id // 10 in legs}
+    def _running(self) -> Pose:
+        """Return where the legs are that have started, or are being started."""
+        return {leg: at for leg, at in self._at.items() if leg in self._sent or leg in self._sending}
 
-    def _next_start(self, at_rad: dict[int, float]) -> dict[int, Degrees]:
-        return next_start(legs_deg(self._geometry, at_rad), frozenset(self._sent), whole=self._whole)
+    def _next_start(self, pose: Pose) -> Pose:
+        return next_start(pose, frozenset(self._sent), whole=self._whole)
 
     def _rad(self, pose: Pose) -> dict[int, float]:
         return {
@@ -185,7 +183,7 @@ class Course:
                 waited_s = min(now_s, self._fed_s) - self._advanced_s
                 self._plan.postpone(waited_s)
                 self._rests_s += waited_s
-            self._at_rad = {**self._at_rad, **self._plan.at(now_s)}
+            self._at = {**self._at, **legs_deg(self._geometry, self._plan.at(now_s))}
         self._advanced_s = now_s
 
     def _sitting(self, now_s: float) -> Ride | None:
@@ -193,7 +191,7 @@ class Course:
 
         With a leg that does not run, a ride that is sent away before its first word sends nothing.
         """
-        pose = {leg: at for leg, at in legs_deg(self._geometry, self._at_rad).items() if leg in self._sent}
+        pose = {leg: at for leg, at in self._at.items() if leg in self._sent}
         try:
             ride = self._make_ride(pose)
             ride.found(ride.robot, pose, now_s)
@@ -337,7 +335,7 @@ class Walking:
         self._walk.close(sits=sits)
 
 
-def next_start(legs: dict[int, Degrees], started: frozenset[int], *, whole: bool) -> dict[int, Degrees]:
+def next_start(legs: Pose, started: frozenset[int], *, whole: bool) -> Pose:
     """Of these legs, those that run already, and one more; of a robot that starts as a `whole`, all.
 
     Raises JointsError where a leg is missing that has to start with them.
@@ -345,8 +343,7 @@ def next_start(legs: dict[int, Degrees], started: frozenset[int], *, whole: bool
     new = sorted(legs.keys() - started)
     if whole and new and legs.keys() != set(LEGS):
         raise JointsError(STARTS_WHOLE)
-    new = new if whole else new[:1]
-    return {leg: angles for leg, angles in legs.items() if leg in started or leg in new}
+    return {leg: angles for leg, angles in legs.items() if whole or leg in started or leg in new[:1]}
 
 
 Motion = JointCommands | Following | Walking
