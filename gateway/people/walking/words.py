@@ -4,6 +4,7 @@ Only the gateway's newest state shows what is true now. A driver (a `Ride`) know
 posture. An error's sentence states what has ended a drive, in the past tense, so it stays true on a screen.
 """
 
+from collections.abc import Collection
 from typing import Final
 
 from gateway.people.walking.motion import DOWN, Posture, WalkState
@@ -51,11 +52,9 @@ def ground_now(walk: WalkState) -> str:
     said = [f"Leans by {walk.tilt_deg:.1f}°, {walk.corrected_deg:.1f}° corrected"] if walk.tilt_deg is not None else []
     if walk.carrying is not None:
         legs = [leg for leg, carries in zip(LEGS, walk.carrying, strict=True) if carries]
-        said.append(
-            f"{legs_named(legs).capitalize()} carr{'ies' if len(legs) == 1 else 'y'}" if legs else "No leg carries"
-        )
+        said.append(_legs(legs, "carries", "carry") if legs else "No leg carries")
     if walk.hanging:
-        said.append(f"{legs_named(walk.hanging).capitalize()} hang{'s' if len(walk.hanging) == 1 else ''} over an edge")
+        said.append(f"{_legs(walk.hanging, 'hangs', 'hang')} over an edge")
     first, *more = said
     return "; ".join([first, *(each[0].lower() + each[1:] for each in more)])
 
@@ -107,15 +106,14 @@ def _of_legs(state: GatewayState, walk: WalkState | None) -> str:
         return "All six legs are stopped, and hold no weight"
     stopped = frozenset(LEGS) - whole
     stand = walk.posture is Posture.HALTED and stopped == frozenset(walk.lost)
-    are = "is" if len(stopped) == 1 else "are"
-    return f"{legs_named(stopped).capitalize()} {are} stopped, and the others {'stand still' if stand else 'run'}"
+    return f"{_legs(stopped, 'is', 'are')} stopped, and the others {'stand still' if stand else 'run'}"
 
 
 def _running(legs: list[int]) -> str:
     if not legs:
         return "No servo runs"
-    return (
-        "All six legs run"
-        if len(legs) == len(LEGS)
-        else f"{legs_named(legs).capitalize()} run{'s' if len(legs) == 1 else ''}"
-    )
+    return "All six legs run" if len(legs) == len(LEGS) else _legs(legs, "runs", "run")
+
+
+def _legs(legs: Collection[int], one: str, several: str) -> str:
+    return f"{legs_named(legs).capitalize()} {one if len(legs) == 1 else several}"
