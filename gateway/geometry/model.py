@@ -1,6 +1,5 @@
 """A validated geometry file: mounts and joints in metres and radians, servos in degrees."""
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple
@@ -130,11 +129,7 @@ def load(path: Path | None = None) -> Geometry:
     if len(data) > MAX_FILE_BYTES:
         raise ConfigError(f"{found}: has more than {MAX_FILE_BYTES} bytes, so it is no geometry file")
     try:
-        values = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{found}: is no JSON: {error}") from error
-    try:
-        return Geometry.model_validate(values)
+        return Geometry.model_validate_json(data)
     except ValidationError as error:
         faults = [
             f"{found}: {'.'.join(map(str, fault['loc'])) or 'the file'}: {fault['msg'].removeprefix('Value error, ')}"

@@ -42,8 +42,8 @@ def changed(change: Callable[[dict[str, Any]], object]) -> str:
     ("text", "sentence"),
     [
         (None, "No such file"),
-        ("{", "is no JSON"),
-        ("[" * 100_000, "is no JSON"),
+        ("{", "Invalid JSON"),
+        ("[" * 100_000, "Invalid JSON"),
         ("[]", "the file"),
         (" " * (MAX_FILE_BYTES + 1), "it is no geometry file"),
         (changed(lambda it: it.pop("servos")), "servos: Field required"),
