@@ -147,10 +147,11 @@ class World:
         self._level = about((0, 1, 0), -math.radians(assumed.terrain.slope_deg))
         self._up = rotated(self._level, (0, 0, 1))
         self._bumps_m = assumed.terrain.rough_m
-        self._robot = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] != 0]
+        self._robot = np.flatnonzero(self.model.geom_bodyid)
         self._places = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
         self._wanted_rad = np.zeros(len(SERVO_IDS))
-        self._kept = np.zeros(0)
+        self._kept: Any = None
+        """The positions at the last call of `fault`, if they were valid."""
         self.lie_down({})
 
     @property
@@ -194,18 +195,16 @@ class World:
         w, *axis = map(float, data.qpos[3:_FREE])
         rotation = axis[0], axis[1], axis[2], w
         # Lower ends of legs: the box of a leaning tibia is lower than its tip.
-        touching = {
-            leg for leg, touches in zip(self.feet.values(), self._at_feet().any(axis=1), strict=True) if touches
-        }
+        touching = dict(zip(self.feet.values(), map(bool, self._at_feet().any(axis=1)), strict=True))
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
         return Body(
             position_m=vector(data.qpos[:3]),
             rotation=rotation,
             velocity_m_s=vector(data.qvel[:3]),
             tilt_deg=math.degrees(math.acos(max(-1.0, min(1.0, lean)))),
-            feet=tuple(leg in touching for leg in LEGS),
-            joints_rad={servo_id: float(data.qpos[_FREE + place]) for servo_id, place in self._places.items()},
-            torques_nm={servo_id: float(data.actuator_force[place]) for servo_id, place in self._places.items()},
+            feet=tuple(touching[leg] for leg in LEGS),
+            joints_rad=dict(zip(SERVO_IDS, map(float, data.qpos[_FREE:]), strict=True)),
+            torques_nm=dict(zip(SERVO_IDS, map(float, data.actuator_force), strict=True)),
         )
 
     def feet_n(self) -> tuple[float, ...]:
@@ -227,22 +226,16 @@ class World:
         if np.all(np.isfinite(self.data.qpos)) and np.all(speeds < _ABSURD):
             self._kept = self.data.qpos.copy()
             return None
-        worst = int(np.argmax(speeds))
-        fast = (
-            f": joint {SERVO_IDS[worst - _FREE + 1]} turned at {speeds[worst]:.0f} rad/s" if worst >= _FREE - 1 else ""
-        )
-        fast = fast if np.all(np.isfinite(speeds)) else ""
-        time_s = self.time_s
-        joints_rad = {}
-        if len(self._kept):
+        worst, fast = int(np.argmax(speeds)) - _FREE + 1, ""
+        if worst >= 0 and np.all(np.isfinite(speeds)):
+            fast = f": joint {SERVO_IDS[worst]} turned at {speeds.max():.0f} rad/s"
+        if self._kept is not None:
             self.data.qpos[:] = self._kept
-            joints_rad = {servo_id: float(self._kept[_FREE + place]) for servo_id, place in self._places.items()}
-        deepest = max(self._depths(), default=None)
-        self.lie_down(joints_rad)
-        inside = f"; {deepest[1]}" if deepest is not None else ""
+        _, inside = max(self._depths(), default=(0.0, ""))
+        self.lie_down({} if self._kept is None else dict(zip(SERVO_IDS, self._kept[_FREE:], strict=True)))
         return (
-            f"the simulation exploded after {time_s:.1f} s{fast}{inside}. The robot lies down anew; look at its "
-            "geometry, mass and torque"
+            f"the simulation exploded after {self.time_s:.1f} s{fast}{inside and f'; {inside}'}. The robot lies down "
+            "anew; look at its geometry, mass and torque"
         )
 
     def _stand_at(self, x_m: float, y_m: float) -> None:
@@ -285,8 +278,7 @@ class World:
 
     def _tip(self, leg: int) -> int:
         """Return the solid sphere of a foot."""
-        body = self.model.body(f"leg_{leg}_foot").id
-        solid = [geom for geom in range(self.model.ngeom) if self.model.geom_bodyid[geom] == body]
+        solid = np.flatnonzero(self.model.geom_bodyid == self.model.body(f"leg_{leg}_foot").id)
         return int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))
 
 
