@@ -40,6 +40,7 @@ AWAKE_NS: Final = 160_000_000
 OFF_PASSES: Final = 1000
 """Passes of the firmware's loop from frame 66 to standby."""
 OUTPUTS_PER_CONVERTER: Final = 6
+_SIX: Final = (1 << OUTPUTS_PER_CONVERTER) - 1
 SERVO_MV: Final = 7400
 """Setting of converters 1 to 3 at the start."""
 BATTERY_MV: Final = 14_800
@@ -96,7 +97,8 @@ class SimulatedBoard:
     @property
     def fed(self) -> int:
         """The mask of the outputs that have supply now."""
-        return self._on & ~_outputs_of(self._off_converters) | self.stuck
+        off = sum(_SIX << OUTPUTS_PER_CONVERTER * place for place in range(3) if self._off_converters >> place & 1)
+        return self._on & ~off | self.stuck
 
     @property
     def due_ns(self) -> int:
@@ -269,8 +271,3 @@ class SimulatedBoard:
 def _numbers(values: Iterable[float]) -> bytes:
     """Return each value truncated, limited to 16 bits, big-endian."""
     return b"".join(max(0, min(int(value), 0xFFFF)).to_bytes(2, "big") for value in values)
-
-
-def _outputs_of(converters: int) -> int:
-    six = (1 << OUTPUTS_PER_CONVERTER) - 1
-    return sum(six << OUTPUTS_PER_CONVERTER * place for place in range(3) if converters >> place & 1)

@@ -212,7 +212,6 @@ class Simulation:
         self._device = device
         self._board = board = SimulatedBoard(time.monotonic_ns())
         self._adapter = SimulatedAdapter()
-        self._answers = b""
         self._silent = False
         self._draw = SimulatedDraw()
         self._drawn_anyway_ma: dict[int, float] = {}
@@ -234,7 +233,7 @@ class Simulation:
         """Do all that is due. Return when the next call is due, in ns of CLOCK_MONOTONIC."""
         now_ns = time.monotonic_ns()
         frames, answers = self._adapter.take(self._device.read())
-        self._answers += answers
+        self._device.write(answers)
         self._board.draws_ma[:] = self._draws_ma(now_ns)
         for frame in frames:
             self._note("<", frame, now_ns)
@@ -243,8 +242,6 @@ class Simulation:
         self._make_flood(now_ns)
         self._answer(self._board.advance(now_ns), now_ns)
         self._feed(now_ns)
-        self._device.write(self._answers)
-        self._answers = b""
         return min(self._board.due_ns, self._flood_due_ns) if self._flood_ns else self._board.due_ns
 
     def do(self, line: bytes) -> None:
@@ -295,7 +292,7 @@ class Simulation:
 
     def _pass_on(self, frame: CanFrame, now_ns: int) -> None:
         self._note(">", frame, now_ns)
-        self._answers += self._adapter.text(frame)
+        self._device.write(self._adapter.text(frame))
 
     def _draws_ma(self, now_ns: int) -> list[float]:
         sensed = None if self._sensed is None else self._sensed.read()

@@ -93,9 +93,10 @@ class Engine:
             self.limit, self.scaled = felt.fault, STILL
             return self.pose
         self._begin_what_is_wanted()
-        target = velocity if self.walks_at_once and not self._barred and not self.state.goes_over(velocity) else STILL
-        cap = self._capped(target)
         before, pace, slowest, holds = self.state, 1.0, 0, False
+        pending = before.sits or before.moves or self._wanted or self._next_gait or self.lost
+        target = STILL if pending or self._barred or before.goes_over(velocity) else velocity
+        cap = self._capped(target)
         for _ in range(_TRIES):
             after = before.copy()
             try:
@@ -186,12 +187,6 @@ class Engine:
         if not state.sits:
             return Posture.STANDING
         return Posture.SITTING if all(foot[2] < ways.ON_GROUND_M for foot in state.feet.values()) else Posture.LYING
-
-    @property
-    def walks_at_once(self) -> bool:
-        """Whether a velocity has an effect now: the robot stands or walks, and no other command is pending."""
-        state = self.state
-        return not (state.sits or state.moves or self._wanted or self._next_gait or self.lost)
 
     @property
     def pose(self) -> Pose:

@@ -127,7 +127,10 @@ class Distance:
         """Return the velocity now; None at the goal. Raises WalkError if the robot comes no nearer for 30 s."""
         if self._begin is None:
             self._begin, self._nearer_s = state.odometry, now_s
-        left = math.copysign(1.0, self._amount) * (self._amount - self._gone(state.odometry))
+        x_m, y_m, turned = (there - begun for there, begun in zip(state.odometry, self._begin, strict=True))
+        heading = self._begin.heading_rad
+        gone = turned if self._turns else x_m * math.cos(heading) + y_m * math.sin(heading)
+        left = math.copysign(1.0, self._amount) * (self._amount - gone)
         if left < _NEAR:
             return None
         if left < self._nearest - _NEAR:
@@ -137,11 +140,3 @@ class Distance:
         cruise, slows = (_RAD_S, SLEW_RAD_S2) if self._turns else (_M_S, SLEW_M_S2)
         speed = math.copysign(min(cruise, math.sqrt(2 * _GENTLY * slows * left)), self._amount)
         return Velocity(turn_rad_s=speed) if self._turns else Velocity(forward_m_s=speed)
-
-    def _gone(self, odometry: Odometry) -> float:
-        """Return the metres or radians travelled so far."""
-        begin = self._begin or odometry
-        if self._turns:
-            return odometry.heading_rad - begin.heading_rad
-        x_m, y_m = odometry.x_m - begin.x_m, odometry.y_m - begin.y_m
-        return x_m * math.cos(begin.heading_rad) + y_m * math.sin(begin.heading_rad)

@@ -57,7 +57,7 @@ class Footsteps(NamedTuple):
     def at(self, leg: int, part: float) -> Vector:
         begin, end = self.paths[leg]
         x, y, z = between(begin, end, smooth(part))
-        return x, y, z + self.lift_m * bump(part)
+        return x, y, z + self.lift_m * 16.0 * (part * (1.0 - part)) ** 2
 
 
 class Bend(NamedTuple):
@@ -168,11 +168,6 @@ def ease(part: float) -> float:
     """Rise from 0 to 1, without velocity at either end; less steep in the middle than `smooth`."""
     part = max(0.0, min(1.0, part))
     return part * part * (3.0 - 2.0 * part)
-
-
-def bump(part: float) -> float:
-    """Rise from 0 to 1 and fall back to 0, without velocity at either end."""
-    return 16.0 * (part * (1.0 - part)) ** 2
 
 
 def outward(swing_s: float, stance_s: float) -> float:

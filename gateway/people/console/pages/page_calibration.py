@@ -130,16 +130,6 @@ class Guide:
         """The servos whose calibration the draft changes."""
         return sorted(changed_servos(self.in_force, RobotCalibration(servos=self.draft)))
 
-    @property
-    def landing_left_out(self) -> list[int]:
-        """The servos whose angle in the landing pose is outside the draft's limits: they leave the pose."""
-        drafted = RobotCalibration(servos=self.draft)
-        return [
-            servo_id
-            for servo_id, angle_cdeg in sorted(self.in_force.landing_cdeg.items())
-            if drafted.why_not(servo_id, angle_cdeg) is not None
-        ]
-
     def now_in_force(self, calibration: RobotCalibration) -> list[int]:
         """Another calibration is in force, by this draft or by another person's change.
 
@@ -247,7 +237,9 @@ class PageCalibration:
             done = f"the landing pose of {len(stand)} servos is written"
         elif guide.changed:
             changes = {name: change_of(guide.draft[name]) for name in guide.changed}
-            payload = calibration_payload(changes, dict.fromkeys(guide.landing_left_out), revision=revision)
+            drafted, landing = RobotCalibration(servos=guide.draft), guide.in_force.landing_cdeg
+            left_out = [name for name, angle_cdeg in sorted(landing.items()) if drafted.why_not(name, angle_cdeg)]
+            payload = calibration_payload(changes, dict.fromkeys(left_out), revision=revision)
             done = "written"
         else:
             raise CalibrationError("nothing has changed, so there is nothing to write")

@@ -11,7 +11,7 @@ from contextlib import nullcontext
 from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
-from gateway.people.client.confirmed_stop import ConfirmedStop, Press, StopRequest
+from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE, ConfirmedStop, Press, StopRequest
 from gateway.people.client.dangers import confirmed_off
 from gateway.people.console.pages.page_messages import Message, json_of
 from schemas.telemetry import Ack
@@ -117,7 +117,7 @@ class Stops(Generic[W]):
         self._note = note
         self._stop = ConfirmedStop[Outgoing, W](None if lasts_s is None else round(lasts_s * 1e9))
         self._loop = asyncio.get_running_loop()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = PageTasks(REQUESTS_AT_ONCE, "requests")
         self._next: asyncio.TimerHandle | None = None
 
     @property
@@ -139,9 +139,7 @@ class Stops(Generic[W]):
         if self._next is not None:
             self._next.cancel()
         while (request := self._stop.begin(now_ns())) is not None:
-            task = self._loop.create_task(self._run(request))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._tasks.start(self._run(request))
         due_ns = self._stop.due_ns
         self._next = None if due_ns is None else self._loop.call_at(due_ns / 1e9, self._begin)
 
