@@ -216,16 +216,12 @@ class SimulatedElkapod(DuplexDevice):
     def _advance(self, now_ns: int) -> None:
         """Move the servos and discharge the battery up to now."""
         self._servos.move(now_ns)
-        self._battery.draw(self._current_a(), (now_ns - self._advanced_ns) / 1e9)
+        body, servos = self._body(), self._servos.values()
+        moving_a = MOVING_A * sum(servo.moves for servo in servos)
+        works_a = moving_a if body is None else A_PER_NM * sum(map(abs, body.torques_nm))
+        drawn_a = BASE_A + IDLE_A * sum(servo.driven for servo in servos) + works_a
+        self._battery.draw(drawn_a, (now_ns - self._advanced_ns) / 1e9)
         self._advanced_ns = now_ns
-
-    def _current_a(self) -> float:
-        body = self._body()
-        servos = self._servos.values()
-        idle_a = BASE_A + IDLE_A * sum(servo.driven for servo in servos)
-        if body is None:
-            return idle_a + MOVING_A * sum(servo.moves for servo in servos)
-        return idle_a + A_PER_NM * sum(map(abs, body.torques_nm))
 
     def _measure(self, now_ns: int) -> Measured:
         body = self._body() or self._at_rest()

@@ -148,25 +148,21 @@ class Planner:
         figure = begin.copy()
         try:
             for move in plan:
-                self._try(figure, move)
+                if not isinstance(move, Shift):
+                    stand = [leg for leg in LEGS if leg not in move.paths and figure.feet[leg][2] < ON_GROUND_M]
+                    above = figure.body.height_m > self._seat.body.height_m
+                    if above and not balanced(self._robot, figure, stand):
+                        return False
+                pose = dict(figure.pose)
+                figure.follow(self._robot, move, 0.0)
+                pairs = chain.from_iterable(zip(figure.pose[leg], pose[leg], strict=True) for leg in pose)
+                if any(abs(now - then) > _SAME_DEG for now, then in pairs):
+                    return False
+                for sample in range(1, _SAMPLES + 1):
+                    figure.follow(self._robot, move, sample / _SAMPLES)
         except WalkError:
             return False
         return True
-
-    def _try(self, figure: Figure, move: Move) -> None:
-        """Apply the move to the figure. Raises WalkError if the legs cannot follow, or the robot would fall."""
-        if not isinstance(move, Shift):
-            stand = [leg for leg in LEGS if leg not in move.paths and figure.feet[leg][2] < ON_GROUND_M]
-            above = figure.body.height_m > self._seat.body.height_m
-            if above and not balanced(self._robot, figure, stand):
-                raise WalkError("it would fall")
-        pose = dict(figure.pose)
-        figure.follow(self._robot, move, 0.0)
-        pairs = chain.from_iterable(zip(figure.pose[leg], pose[leg], strict=True) for leg in pose)
-        if any(abs(now - then) > _SAME_DEG for now, then in pairs):
-            raise WalkError("a leg is bent the other way")
-        for sample in range(1, _SAMPLES + 1):
-            figure.follow(self._robot, move, sample / _SAMPLES)
 
 
 def lying_deg(robot: Robot) -> dict[int, float]:
