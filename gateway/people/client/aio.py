@@ -10,10 +10,9 @@ import threading
 from collections.abc import Callable, Coroutine, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
-from functools import partial, update_wrapper
-from inspect import signature
+from functools import partial, wraps
 from types import FrameType
-from typing import Any, ClassVar, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
 
 from gateway.errors import LeaseLostError, ZenohError
 from gateway.people.client.blocking import Client
@@ -25,85 +24,10 @@ from gateway.people.client.walk import Terminated, Walk
 from gateway.people.walking.motion import WalkState
 from gateway.people.walking.tempo import Distance
 
-_TWICE: Final = 2
-
-
-class Interrupts:
-    """Counts signals while walks of the main thread's loop are open.
-
-    `asyncio.run` cancels its main task at the first Ctrl-C. For SIGTERM, and for Ctrl-C without that handler, this
-    cancels the task that opened it, at most twice. The third signal ends the program.
-    """
-
-    _open: ClassVar[list["Interrupts"]] = []
-    _before: ClassVar[dict[int, Any]] = {}
-    """The handler of each signal before the first walk opened."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._ours: int | None = None
-        self._task: asyncio.Task[Any] | None = None
-
-    def open(self) -> Self:
-        """Begin. Call it in the task that uses the walk."""
-        if threading.current_thread() is not threading.main_thread():
-            return self
-        self._task = asyncio.current_task()
-        if not self._open:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                before = signal.getsignal(number)
-                if callable(before) if number == signal.SIGINT else before == signal.SIG_DFL:
-                    self._before[number] = before
-                    signal.signal(number, self._received)
-        self._open.append(self)
-        return self
-
-    def close(self) -> None:
-        """End. Raises KeyboardInterrupt or Terminated if a signal has cancelled the task."""
-        if self in self._open:
-            self._open.remove(self)
-            if not self._open:
-                for number in list(self._before):
-                    self._restore(number)
-        if self._ours is not None:
-            raise KeyboardInterrupt if self._ours == signal.SIGINT else Terminated
-
-    def meant(self, error: BaseException | None) -> BaseException | None:
-        """Return the error that a blocking walk would get instead of the task's `error`."""
-        if isinstance(error, asyncio.CancelledError) and self.count == 1:
-            return KeyboardInterrupt()  # at which a walk sits
-        if isinstance(error, KeyboardInterrupt) and self.count > 1:
-            return asyncio.CancelledError()  # the second signal came before this
-        return error
-
-    @classmethod
-    def _received(cls, number: int, frame: FrameType | None) -> None:
-        before = cls._before[number]
-        for each in cls._open:
-            each.count += 1
-        if before not in (signal.SIG_DFL, signal.default_int_handler):
-            before(number, frame)
-        elif all(each.count <= _TWICE for each in cls._open):
-            for each in cls._open:
-                each._ours = number
-                if each._task is not None:
-                    each._task.get_loop().call_soon_threadsafe(each._task.cancel)
-        else:
-            cls._restore(number)
-            signal.raise_signal(number)
-
-    @classmethod
-    def _restore(cls, number: int) -> None:
-        before = cls._before.pop(number)
-        if signal.getsignal(number) == cls._received:
-            signal.signal(number, before)
-
-
 H = TypeVar("H", bound=AbstractContextManager[Any])
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
-W = TypeVar("W", bound="Twin[Any]")
 
 
 class Calls:
@@ -160,20 +84,12 @@ def waits(
 ) -> Callable[Concatenate[Twin[H], P], Coroutine[Any, Any, T]]:
     """Return the twin of a method that waits. `stops`: it may be a Stop, which never waits for questions."""
 
+    @wraps(method)
     async def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        return await twin._calls.run(partial(method, twin._own, *args, **kwargs), stops=stops)
+        asked = partial(method, twin._own, *args, **kwargs)
+        return await twin._calls.run(asked, stops=stops)
 
-    return _documented(call, method)
-
-
-def begins(method: Callable[[Any], Any]) -> Callable[[W], Coroutine[Any, Any, W]]:
-    """Return the twin of an `open` method, which returns the twin itself."""
-
-    async def call(twin: W, /) -> W:
-        await twin._calls.run(partial(method, twin._own))
-        return twin
-
-    return _documented(call, method)
+    return call
 
 
 def makes(
@@ -181,39 +97,32 @@ def makes(
 ) -> Callable[Concatenate[Twin[H], P], T]:
     """Return the twin of a method that does not wait. Functions among its arguments are called on the running loop."""
 
-    def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        arguments: Any = map(_on_this_loop, args)
-        named: Any = {name: _on_this_loop(each) for name, each in kwargs.items()}
+    def on_loop(argument: Any) -> Any:
+        put = asyncio.get_running_loop().call_soon_threadsafe
+
+        def call(report: object) -> None:
+            with suppress(RuntimeError):  # the loop is closed
+                put(argument, report)
+
+        return call if callable(argument) else argument
+
+    @wraps(method)
+    def make(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
+        arguments: Any = map(on_loop, args)
+        named: Any = {name: on_loop(each) for name, each in kwargs.items()}
         return twin_of(method(twin._own, *arguments, **named), twin._calls)
 
-    return _documented(call, method)
+    return make
 
 
 def opens(make: Callable[P, Client]) -> Callable[Concatenate["AsyncClient", P], None]:
     """Return an `__init__` with the arguments of `make`; `async with` calls `make`."""
 
+    @wraps(make.__init__)
     def init(twin: "AsyncClient", /, *args: P.args, **kwargs: P.kwargs) -> None:
-        Twin.__init__(twin, None, Calls())
-        twin._make = partial(make, *args, **kwargs)
+        twin._there, twin._make = None, partial(make, *args, **kwargs)
 
-    return _documented(init, make.__init__)
-
-
-def _documented(call: T, method: Any) -> T:
-    # Documentation tools follow `__wrapped__` to the blocking method; without it they show a coroutine.
-    copied: Any = update_wrapper(call, method)  # type: ignore[arg-type]
-    vars(copied)["__signature__"] = signature(vars(copied).pop("__wrapped__"))
-    return call
-
-
-def _on_this_loop(argument: Any) -> Any:
-    loop = asyncio.get_running_loop()
-
-    def call(report: object) -> None:
-        with suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(argument, report)
-
-    return call if callable(argument) else argument
+    return init
 
 
 class AsyncStream(Twin[Stream]):
@@ -224,10 +133,13 @@ class AsyncStream(Twin[Stream]):
     is_over: bool = same("is_over")
     start_again: Callable[[], None] = same("start_again")
     go_on_without: Callable[[Iterable[int]], None] = same("go_on_without")
-    open = begins(Stream.open)
     close = waits(Stream.close, stops=True)
     set = waits(Stream.set, stops=True)
     recover = waits(Stream.recover)
+
+    async def open(self) -> Self:
+        """See `Stream.open`."""
+        return await self.__aenter__()
 
 
 class AsyncLease(Twin[Lease]):
@@ -259,26 +171,73 @@ class AsyncWalk(Twin[Walk]):
     hold_s: float = same("hold_s")
     rest_s: float = same("rest_s")
     walk_as: Callable[[str], None] = same("walk_as")
-    open = begins(Walk.open)
     close = waits(Walk.close, stops=True)
     go = waits(Walk.go)
     stand = waits(Walk.stand)
     sit = waits(Walk.sit)
     start_again = waits(Walk.start_again)
 
+    _open: Final[list["AsyncWalk"]] = []
+    """Those of the main thread."""
+    _handlers: Final[dict[int, Any]] = {}
+    """The handlers of the signals before the first of these opened."""
+    _signals = 0
+    _cancelled_by = 0
+    """The signal for which this class has cancelled the task, or 0."""
+    _task: Any
+
+    async def open(self) -> Self:
+        """See `Walk.open`."""
+        return await super().__aenter__()
+
     async def __aenter__(self) -> Self:
-        await super().__aenter__()
-        self._interrupts = Interrupts().open()
+        await self.open()
+        self._task = asyncio.current_task()
+        if threading.current_thread() is threading.main_thread():
+            self._open.append(self)
+            for number in (signal.SIGINT, signal.SIGTERM) if len(self._open) == 1 else ():
+                before = signal.getsignal(number)
+                if callable(before) if number == signal.SIGINT else before == signal.SIG_DFL:
+                    self._handlers[number] = before
+                    signal.signal(number, self._received)
         return self
 
-    async def __aexit__(self, *raised: Any) -> None:
+    async def __aexit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if self._signals == 1 and isinstance(error, asyncio.CancelledError):
+            error = KeyboardInterrupt()  # at which a walk sits
+        elif self._signals > 1 and isinstance(error, KeyboardInterrupt):
+            error = asyncio.CancelledError()  # the second signal came before this
         try:
-            await super().__aexit__(raised[0], self._interrupts.meant(raised[1]), raised[2])
+            await super().__aexit__(kind, error, trace)
         except (asyncio.CancelledError, KeyboardInterrupt):  # another signal or cancellation
             self._own.end_now()
             raise
         finally:
-            self._interrupts.close()
+            if self in self._open:
+                self._open.remove(self)
+            for number, before in self._handlers.items() if not self._open else ():
+                if signal.getsignal(number) == self._received:
+                    signal.signal(number, before)
+            if self._cancelled_by:
+                raise KeyboardInterrupt if self._cancelled_by == signal.SIGINT else Terminated
+
+    @classmethod
+    def _received(cls, number: int, frame: FrameType | None) -> None:
+        """Count a signal, and leave it to its handler: `asyncio.run` cancels its main task at the first Ctrl-C.
+
+        Without such a handler cancel the tasks that opened the walks, twice. The third signal ends the program.
+        """
+        before = cls._handlers[number]
+        for walk in cls._open:
+            walk._signals += 1
+        if before not in (signal.SIG_DFL, signal.default_int_handler):
+            before(number, frame)
+            return
+        for walk in cls._open:
+            walk._cancelled_by = number
+            walk._task.get_loop().call_soon_threadsafe(walk._task.cancel)
+        if any(walk._signals > 1 for walk in cls._open):
+            signal.signal(number, before)
 
     async def ahead(self, metres: float) -> None:
         """See `Walk.ahead`. When cancelled, the robot stands within `hold_s` and a stride."""
