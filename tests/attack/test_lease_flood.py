@@ -63,7 +63,7 @@ def test_each_renewal_of_a_lease_is_answered(gateway: Gateway, what: str) -> Non
         token = lease.token
         assert token is not None
         with asking(gateway, LEASE, ASKED[what]):
-            assert unanswered(lambda: anna.lease_requests.renew(token)) <= MOST_LOST
+            assert unanswered(lambda: anna.requests.renew(token)) <= MOST_LOST
         assert lease.held
         assert not [event for event in heard.all if event.kind == Kind.LEASE_EXPIRED]
 

@@ -36,7 +36,7 @@ from gateway.people.client.payloads import (
 )
 from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, EstopAck, Hosts, Question
-from gateway.people.client.requests import Button, ButtonRequests, Identity, LeaseRequests
+from gateway.people.client.requests import Button, Identity, Requests
 from gateway.people.client.stream import Stream
 from gateway.people.client.subscriptions import NO_CONFIG, States, reads, reports
 from gateway.zenoh_config import client_config, get, one_line
@@ -122,10 +122,8 @@ class Client(metaclass=_Brief):
         """Joins states and the configuration. @private"""
         self.name = str(self.session.info.zid()) if source is None else source
         """The name in events: `source`, or the session's Zenoh id (which only a stream's commands contain)."""
-        self.lease_requests = LeaseRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """The requests of leases, and of tools that renew one. @private"""
-        self.button_requests = ButtonRequests(partial(self._get, again=False), Identity.of(config), self.name)
-        """The requests of buttons, and of tools that are one. @private"""
+        self.requests = Requests(partial(self._get, again=False), Identity.of(config), self.name)
+        """The requests of leases and stop buttons, and of tools that renew one. @private"""
         self._lease: Lease | None = None
         self.open_parts: list[Any] = []
         """Streams and walks to close before the client. @private"""
@@ -227,7 +225,7 @@ class Client(metaclass=_Brief):
 
     def ask_for_lease(self, source: str | None = None) -> "LeaseAck":
         """Ask the holder once for the lease, and return the answer. The holder may call `Lease.hand_over`."""
-        return self.lease_requests.as_person("ask", source)
+        return self.requests.as_person("ask", source)
 
     def carry(self, lease: Lease) -> None:
         """Put this lease into later commands. @private"""
@@ -246,7 +244,7 @@ class Client(metaclass=_Brief):
         The button counts as alive only while the program calls `alive`; see `Button`. Its name is your certificate's
         person, else `name`, else the client's.
         """
-        return Button(self.button_requests, self.estop, name)
+        return Button(self.requests, self.estop, name)
 
     # ---- commands, acknowledged
 

@@ -7,18 +7,19 @@ import math
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 import zenoh
 
 from gateway.errors import GatewayError, LeaseError, LeaseLostError, ZenohError
-from gateway.people.client.renewal import Holds, Renewal, Waiting
-from gateway.people.client.requests import LeaseRequests
-from schemas.telemetry import Ack, Event, Kind, Reason
+from gateway.people.client.renewal import Holds, Renewal
+from gateway.people.client.requests import Requests
+from schemas.telemetry import Ack, Event, GatewayState, Kind, Reason, Telemetry
 
 if TYPE_CHECKING:
+    from schemas.calibration import Calibration
     from schemas.lease import LeaseAck
 
 TTL_MS: Final = 1000.0
@@ -27,23 +28,34 @@ CONFIRM_S: Final = 1.0
 """The longest wait for an answer that a program waits for. The watchdog (0.25 s) stops its legs earlier."""
 RELEASE_S: Final = 0.5
 """The longest delay of a program's end by a release."""
-_CHANGES: Final = (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
+TRY_AGAIN_S: Final = 0.3
+"""The period of tries while waiting for a hand-over. Each event causes a try, too."""
+_CHANGES: Final = (Kind.LEASE_ASKED, Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED, Kind.LEASE_TAKEN)
 _TOKEN: Final = re.compile("[0-9a-f]{32}")
 NOT_OURS: Final = (Reason.NOT_HOLDER, Reason.NO_LEASE)
 
 
-class LeaseClient(Protocol):
-    """The client's part that a lease uses. The client's commands carry the lease."""
+class DrivingClient(Protocol):
+    """The client's part that leases, streams and walks use. The client's commands carry the lease."""
 
     name: str
-    lease_requests: LeaseRequests
+    requests: Requests
+    reset_command: str
+    open_parts: list[Any]
 
     @property
     def carried_lease(self) -> "Lease | None": ...
-
+    @property
+    def connected(self) -> bool: ...
     def carry(self, lease: "Lease") -> None: ...
-
+    def check_open(self) -> None: ...
+    def ask(self, key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack: ...
+    def publish(self, key: str, payload: Mapping[str, Any]) -> None: ...
+    def state(self, timeout_s: float | None = None) -> GatewayState: ...
+    def calibration(self) -> "Calibration": ...
+    def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]": ...
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]": ...
+    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
 
 
 class Lease:
@@ -67,7 +79,7 @@ class Lease:
 
     def __init__(
         self,
-        client: LeaseClient,
+        client: DrivingClient,
         *,
         take: bool = False,
         wait_s: float = 0.0,
@@ -133,7 +145,7 @@ class Lease:
         with self._giving:
             self._renewal.gives = True
             try:
-                ack = self._client.lease_requests.release(token, to)
+                ack = self._client.requests.release(token, to)
                 if ack.accepted:
                     self._end(Holds.HANDED_OVER)
                     return
@@ -172,7 +184,7 @@ class Lease:
         self._end(Holds.RELEASED)
         if token is not None:
             with suppress(ZenohError):
-                self._client.lease_requests.release(token, timeout_s=RELEASE_S)
+                self._client.requests.release(token, timeout_s=RELEASE_S)
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(RELEASE_S)  # Python aborts if it returns from Zenoh while the program ends
 
@@ -223,7 +235,7 @@ class Lease:
             return
         self._renewal.asked(asked_s)
         try:
-            ack = self._client.lease_requests.renew(token, timeout_s)
+            ack = self._client.requests.renew(token, timeout_s)
         except (GatewayError, zenoh.ZError):
             with self._lock:
                 self._renewal.unanswered(time.monotonic())
@@ -237,18 +249,19 @@ class Lease:
         """Take an event, on a Zenoh thread, which must not wait."""
         if event.kind == Kind.LEASE_ASKED and self.held:  # before, the request may be our own
             self._asked_by = event.source
-        if event.kind == Kind.LEASE_ASKED or event.kind in _CHANGES:
+        if event.kind in _CHANGES:
             self._news.set()
 
     # ---- the rest
 
     def _acquired(self) -> "LeaseAck":
         ack = self._request("take" if self._take else "acquire")
-        waiting = Waiting(time.monotonic() + (0.0 if self._take else self._wait_s))
-        while ack.reason == Reason.LEASE_HELD and waiting.pause_s(time.monotonic()) > 0:
-            if waiting.asks(ack.holder):
+        end_s, asked = time.monotonic() + (0.0 if self._take else self._wait_s), None
+        while ack.reason == Reason.LEASE_HELD and time.monotonic() < end_s:
+            if ack.holder != asked:
+                asked = ack.holder
                 self._request("ask")
-            self._news.wait(waiting.pause_s(time.monotonic()))
+            self._news.wait(max(0.0, min(TRY_AGAIN_S, end_s - time.monotonic())))
             self._news.clear()
             ack = self._request("acquire")
         if not ack.accepted:
@@ -257,7 +270,7 @@ class Lease:
 
     def _request(self, do: str) -> "LeaseAck":
         self._asked_s = time.monotonic()
-        return self._client.lease_requests.as_person(do, self._source)
+        return self._client.requests.as_person(do, self._source)
 
     def _end(self, how: Holds) -> None:
         with self._lock:
@@ -279,7 +292,7 @@ class LentLease(Lease):
     Commands that carry it prolong it. After a rejected one, it asks the gateway whether the lease is lost.
     """
 
-    def __init__(self, client: LeaseClient, token: str) -> None:
+    def __init__(self, client: DrivingClient, token: str) -> None:
         super().__init__(client)
         self.token = token
         self._renewal.granted(TTL_MS, -math.inf)

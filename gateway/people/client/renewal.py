@@ -18,8 +18,6 @@ RENEWALS: Final = 3
 """Renewals in each time to live, so two may be lost."""
 LEAST_ANSWER_S: Final = 0.1
 """The shortest wait for an answer to a renewal. A third of the shortest time to live (200 ms) would be less."""
-TRY_AGAIN_S: Final = 0.3
-"""The period of tries while waiting for a hand-over. Each event causes a try, too."""
 
 
 class Holds(Enum):
@@ -101,21 +99,3 @@ class Renewal:
     def _lose(self, reason: str, detail: str, holder: str | None) -> None:
         if self.holds is Holds.YES and not self.gives:
             self.lost, self.holds = LeaseLostError(reason, detail, holder), Holds.LOST
-
-
-class Waiting:
-    """Wait for a lease that another client holds: which holder to ask, and when to try again."""
-
-    def __init__(self, end_s: float) -> None:
-        self._end_s = end_s
-        self._asked: str | None = None
-
-    def asks(self, holder: str | None) -> bool:
-        """Return whether to ask this holder. Each holder is asked once."""
-        new = holder != self._asked
-        self._asked = holder
-        return new
-
-    def pause_s(self, now_s: float) -> float:
-        """Seconds until the next try; 0 once the time is over."""
-        return max(0.0, min(TRY_AGAIN_S, self._end_s - now_s))

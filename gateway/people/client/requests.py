@@ -7,11 +7,10 @@ first request, so that no emergency stop waits for them. No request keeps a toke
 import base64
 import json
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, TypeVar
 
 import zenoh
 
@@ -19,7 +18,7 @@ from gateway import certs
 from gateway.errors import ConfigError, DisconnectedError, RejectedError
 from gateway.zenoh_config import get
 from schemas.keys import BUTTON, LEASE
-from schemas.telemetry import Ack, Reason
+from schemas.telemetry import Ack, Answer, Reason
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -27,9 +26,6 @@ if TYPE_CHECKING:
     from schemas.button import ButtonAck
     from schemas.lease import LeaseAck
 
-A = TypeVar("A", "LeaseAck", "ButtonAck")
-
-_TLS: Final = "transport/link/tls"
 _ISSUE: Final = "`hexapod-gateway certs issue NAME --role operator --dir DIR`"
 
 
@@ -45,16 +41,10 @@ class Identity:
     @classmethod
     def of(cls, config: zenoh.Config) -> "Identity":
         """Read it from a configuration with absolute paths."""
-        named = {
-            name: Path(value)
-            for name, setting in (
-                ("certificate", "connect_certificate"),
-                ("key", "connect_private_key"),
-                ("ca", "root_ca_certificate"),
-            )
-            if isinstance(value := get(config, f"{_TLS}/{setting}"), str)
-        }
-        return cls(**named, verify_name=get(config, f"{_TLS}/verify_name_on_connect") is not False)
+        settings = ("connect_certificate", "connect_private_key", "root_ca_certificate", "verify_name_on_connect")
+        *files, verify_name = (get(config, f"transport/link/tls/{setting}") for setting in settings)
+        certificate, key, ca = (Path(file) if isinstance(file, str) else None for file in files)
+        return cls(certificate, key, ca, verify_name is not False)
 
     @property
     def proves(self) -> bool:
@@ -95,14 +85,22 @@ def _named(file: Path | None) -> Path:
     return file
 
 
+A = TypeVar("A", bound=Answer)
+Request = dict[str, Any]
+
+
 class Get(Protocol):
     """Queries a key, for at most `timeout_s` (None: the client's own time)."""
 
     def __call__(self, key: str, payload: str, answer: type[A], *, timeout_s: float | None) -> A: ...
 
 
-class _Requests(ABC, Generic[A]):
-    """Requests on one key. All raise DisconnectedError if no answer comes in time."""
+class Requests:
+    """The requests on `hexapod/lease/cmd` and `hexapod/button/cmd`.
+
+    All raise DisconnectedError if no answer comes in time, and those of a person ConfigError for an unusable
+    certificate or key.
+    """
 
     def __init__(self, get: Get, identity: Identity, name: str) -> None:
         """`name` is the person's name without a certificate."""
@@ -110,75 +108,63 @@ class _Requests(ABC, Generic[A]):
         self._identity = identity
         self._name = name
 
-    def person(self, name: str | None = None) -> str:
-        """Return the certificate's person, else `name`, else the client's name. Raises as `Identity.person`."""
-        return self._identity.person() if self._identity.proves else (name or self._name)
-
-    def _proved(
-        self, do: str, name: str | None, text: Callable[[str, str, str], bytes] | None = None
-    ) -> dict[str, Any]:
-        """Return the request, with a proof if there is a certificate. Raises ConfigError for an unusable key."""
-        request: dict[str, Any] = {"do": do, "source": self.person(name)}
-        if self._identity.proves:
-            nonce = self._ask({"do": "challenge"}).nonce
-            if nonce is not None:
-                request["proof"] = self._identity.prove(do, request["source"], nonce, text)
-        return request
-
-    @abstractmethod
-    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> A:
-        """Send one request and return its answer."""
-
-
-class LeaseRequests(_Requests["LeaseAck"]):
-    """The requests on `hexapod/lease/cmd`."""
-
-    def as_person(self, do: str, name: str | None = None) -> "LeaseAck":
-        """Request `do`: `acquire`, `ask` or `take`. Raises ConfigError for an unusable certificate or key."""
-        return self._ask(self._proved(do, name))
+    def as_person(self, do: str, name: str | None) -> "LeaseAck":
+        """Request `do` of the lease: `acquire`, `ask` or `take`."""
+        return self._lease(self._proved(self._lease, do, self._person(name)))
 
     def renew(self, token: str, timeout_s: float | None = None) -> "LeaseAck":
         """Prolong the lease by `ttl_ms`."""
-        return self._ask({"do": "renew", "lease": token}, timeout_s)
+        return self._lease({"do": "renew", "lease": token}, timeout_s)
 
     def release(self, token: str, to: str | None = None, timeout_s: float | None = None) -> "LeaseAck":
         """Give the lease back, or hand it over to the person `to`."""
-        return self._ask({"do": "release", "lease": token, **({} if to is None else {"to": to})}, timeout_s)
+        return self._lease({"do": "release", "lease": token, **({} if to is None else {"to": to})}, timeout_s)
 
-    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "LeaseAck":
+    def button_name(self, name: str | None = None) -> str:
+        """Return the name to register. A person may have several buttons, as `PERSON/…`."""
+        person = self._person(name)
+        return name if name is not None and name.startswith(f"{person}/") else person
+
+    def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
+        """Register a button. `sent_ms`: by the clock of later check-ins; None: this program's monotonic clock."""
+        from schemas.button import signed_text
+
+        request = self._proved(self._button, "register", self.button_name(name), signed_text)
+        return self._button({**request, "sent_ms": _or_now_ms(sent_ms)})
+
+    def check_in(
+        self, token: str, count: int, sent_ms: float | None = None, timeout_s: float | None = None
+    ) -> "ButtonAck":
+        """Check in. `count` must grow with each check-in."""
+        return self._button({"do": "alive", "button": token, "count": count, "sent_ms": _or_now_ms(sent_ms)}, timeout_s)
+
+    def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":
+        """End a button's registration."""
+        return self._button({"do": "leave", "button": token}, timeout_s)
+
+    def _person(self, name: str | None) -> str:
+        """Return the certificate's person, else `name`, else the client's name."""
+        return self._identity.person() if self._identity.proves else (name or self._name)
+
+    def _proved(
+        self,
+        ask: "Callable[[Request], LeaseAck | ButtonAck]",
+        do: str,
+        source: str,
+        text: Callable[[str, str, str], bytes] | None = None,
+    ) -> Request:
+        """Return the request, with a proof if there is a certificate."""
+        request: Request = {"do": do, "source": source}
+        if self._identity.proves and (nonce := ask({"do": "challenge"}).nonce) is not None:
+            request["proof"] = self._identity.prove(do, source, nonce, text)
+        return request
+
+    def _lease(self, request: Request, timeout_s: float | None = None) -> "LeaseAck":
         from schemas.lease import LeaseAck
 
         return self._get(LEASE, json.dumps(request), LeaseAck, timeout_s=timeout_s)
 
-
-class ButtonRequests(_Requests["ButtonAck"]):
-    """The requests on `hexapod/button/cmd`."""
-
-    def person(self, name: str | None = None) -> str:
-        """Return the name to register. A person may have several buttons, as `PERSON/…`."""
-        person = super().person(name)
-        return name if name is not None and name.startswith(f"{person}/") else person
-
-    def register(self, name: str | None = None, sent_ms: float | None = None) -> "ButtonAck":
-        """Register a button. Raises ConfigError for an unusable certificate or key.
-
-        `sent_ms`: by the clock of later check-ins; None: this program's monotonic clock.
-        """
-        from schemas.button import signed_text
-
-        return self._ask({**self._proved("register", name, signed_text), "sent_ms": _or_now_ms(sent_ms)})
-
-    def alive(
-        self, token: str, count: int, sent_ms: float | None = None, timeout_s: float | None = None
-    ) -> "ButtonAck":
-        """Check in. `count` must grow with each check-in."""
-        return self._ask({"do": "alive", "button": token, "count": count, "sent_ms": _or_now_ms(sent_ms)}, timeout_s)
-
-    def leave(self, token: str, timeout_s: float | None = None) -> "ButtonAck":
-        """End the registration."""
-        return self._ask({"do": "leave", "button": token}, timeout_s)
-
-    def _ask(self, request: dict[str, Any], timeout_s: float | None = None) -> "ButtonAck":
+    def _button(self, request: Request, timeout_s: float | None = None) -> "ButtonAck":
         from schemas.button import ButtonAck
 
         return self._get(BUTTON, json.dumps(request), ButtonAck, timeout_s=timeout_s)
@@ -187,9 +173,6 @@ class ButtonRequests(_Requests["ButtonAck"]):
 def _or_now_ms(sent_ms: float | None) -> float:
     return time.monotonic() * 1000 if sent_ms is None else sent_ms
 
-
-if TYPE_CHECKING:
-    from schemas.button import ButtonAck
 
 LIFE: Final = 600
 """A button registers again after this many `timeout_ms`. A bad crystal (200 ppm) drifts by an eighth of `timeout_ms` in
@@ -213,7 +196,7 @@ class Button:
     True
     """
 
-    def __init__(self, requests: ButtonRequests, estop: Callable[[str | None], Ack], name: str | None) -> None:
+    def __init__(self, requests: Requests, estop: Callable[[str | None], Ack], name: str | None) -> None:
         """See `Client.button`. @private"""
         self._requests = requests
         self._estop = estop
@@ -240,7 +223,7 @@ class Button:
 
         Raises RejectedError (`stale`) if the answers take longer than half of `timeout_ms`.
         """
-        self.name = self._requests.person(self._wanted)
+        self.name = self._requests.button_name(self._wanted)
         for _ in range(REGISTRATION_TRIES):
             began_s = time.monotonic()
             ack = self._requests.register(self._wanted).or_raise()
@@ -270,7 +253,7 @@ class Button:
                 self._ends_s = time.monotonic() + LIFE / 10 * self.timeout_ms / 1000
         self._count += 1
         timeout_s = self.timeout_ms / 1000 or None
-        return self._requests.alive(self._token, self._count, timeout_s=timeout_s).or_raise()
+        return self._requests.check_in(self._token, self._count, timeout_s=timeout_s).or_raise()
 
     def press(self) -> Ack:
         """Engage the emergency stop in the button's name; see `Client.estop`."""

@@ -8,17 +8,17 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from datetime import datetime
 from types import TracebackType
-from typing import Any, Final, NoReturn, Protocol, Self
+from typing import Any, Final, NoReturn, Self
 
 import zenoh
 
 from gateway.errors import DisconnectedError, GatewayError, LeaseLostError, RejectedError, StoppedError, ZenohError
 from gateway.people.client import pace, stopped
-from gateway.people.client.lease import CONFIRM_S, NOT_OURS, Lease, LeaseClient
+from gateway.people.client.lease import CONFIRM_S, NOT_OURS, DrivingClient, Lease
 from gateway.people.client.payloads import LegAngles, Setpoints, Unit, legs_angles, legs_payload, setpoints
 from gateway.people.client.stopped import ReceivedEvent
 from gateway.text import legs_named
@@ -36,26 +36,6 @@ _EVENT_S: Final = 0.1
 WHOLE: Final = "the first set() has to name all six legs: this robot's controller starts and stops all of them at once"
 """The note of a rejected start of single legs."""
 _SILENCE: Final = "if it runs, its watchdog stops the legs; if it has died, stop-servos does, where systemd runs it"
-
-
-class StreamClient(LeaseClient, Protocol):
-    """The client's part that a stream uses."""
-
-    reset_command: str
-    open_parts: list[Any]
-
-    @property
-    def connected(self) -> bool: ...
-
-    def check_open(self) -> None: ...
-
-    def ask(self, key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack: ...
-
-    def publish(self, key: str, payload: Mapping[str, Any]) -> None: ...
-
-    def state(self, timeout_s: float | None = None) -> GatewayState: ...
-
-    def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]": ...
 
 
 class Stream:
@@ -77,7 +57,7 @@ class Stream:
     [1, 2, 3, 4, 5, 6]
     """
 
-    def __init__(self, client: StreamClient, hz: float) -> None:
+    def __init__(self, client: DrivingClient, hz: float) -> None:
         """Raises ValueError unless 0 < hz ≤ 1000. @private"""
         self._client = client
         self._hz = checked_hz(hz)

@@ -7,16 +7,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import zenoh
 
 from gateway.errors import GatewayError, RejectedError, StoppedError, UnansweredError, WalkError
 from gateway.geometry import Geometry, load
 from gateway.people.client import stopped
-from gateway.people.client.lease import CONFIRM_S, Lease
+from gateway.people.client.lease import CONFIRM_S, DrivingClient, Lease
 from gateway.people.client.pace import Retries
-from gateway.people.client.stream import Stream, StreamClient, checked_hz
+from gateway.people.client.stream import Stream, checked_hz
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gaits import gait as gait_named
 from gateway.people.walking.motion import BodyPose, Posture, Velocity, WalkState
@@ -26,10 +26,7 @@ from gateway.people.walking.tempo import Distance
 from gateway.people.walking.ways import LONGEST_S
 from gateway.people.walking.words import Newest
 from schemas.robot import LEGS
-from schemas.telemetry import GatewayState, Reason, Telemetry
-
-if TYPE_CHECKING:
-    from schemas.calibration import Calibration
+from schemas.telemetry import GatewayState, Reason
 
 T = TypeVar("T")
 
@@ -42,13 +39,6 @@ class Terminated(SystemExit):
 
     def __init__(self) -> None:
         super().__init__(128 + signal.SIGTERM)
-
-
-class WalkClient(StreamClient, Protocol):
-    """The client's part that a walk uses."""
-
-    def calibration(self) -> "Calibration": ...
-    def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]": ...
 
 
 def _silence(name: str, text: str) -> Any:
@@ -90,7 +80,7 @@ class Walk:
 
     def __init__(
         self,
-        client: WalkClient,
+        client: DrivingClient,
         gait: str,
         geometry: Geometry | Path | str | None,
         hz: float,
@@ -482,7 +472,7 @@ class Walk:
                 ride.failed(error if isinstance(error, GatewayError) else WalkError(str(error)))
 
 
-def robot_of(client: WalkClient, geometry: Geometry, state: GatewayState) -> Robot:
+def robot_of(client: DrivingClient, geometry: Geometry, state: GatewayState) -> Robot:
     """Return the robot with its limits and calibration. Raises WalkError if geometry and calibration both mirror it."""
     calibration = None
     with suppress(UnansweredError):  # an older gateway has none

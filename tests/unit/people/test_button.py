@@ -6,7 +6,8 @@ from typing import cast
 import pytest
 
 from gateway.client import RejectedError
-from gateway.people.client.requests import LIFE, REGISTRATION_TRIES, Button, ButtonRequests
+from gateway.people.client.requests import LIFE, REGISTRATION_TRIES, Button
+from gateway.people.client.requests import Requests as ClientRequests
 from schemas.button import ButtonAck
 from schemas.telemetry import Ack, Reason
 
@@ -22,13 +23,13 @@ class Requests:
     denied: Reason | None = None
     asked: list[str] = field(default_factory=list)
 
-    def person(self, _name: str | None) -> str:
+    def button_name(self, _name: str | None) -> str:
         return "kitchen"
 
     def register(self, _name: str | None) -> ButtonAck:
         return self._answer("register", self.denied)
 
-    def alive(self, token: str, count: int, *, timeout_s: float | None) -> ButtonAck:
+    def check_in(self, token: str, count: int, *, timeout_s: float | None) -> ButtonAck:
         assert timeout_s == TIMEOUT_MS / 1000
         return self._answer(f"alive {token} {count}")
 
@@ -47,7 +48,7 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> Requests:
 
 
 def button(requests: Requests) -> Button:
-    return Button(cast(ButtonRequests, requests), lambda _: Ack(accepted=True), None)
+    return Button(cast(ClientRequests, requests), lambda _: Ack(accepted=True), None)
 
 
 def test_it_registers_anew_before_its_clock_may_have_fallen_behind(requests: Requests) -> None:

@@ -98,7 +98,7 @@ class PageLease:
         self.send({"type": "lease", **answer, "mine": self.mine, "id": request.id})
 
     async def _asked(self, request: DriveRequest) -> LeaseAck:
-        requests, token = self._client().lease_requests, self.token
+        requests, token = self._client().requests, self.token
         if request.do in ("renew", "release"):
             if token is None:
                 return LeaseAck(accepted=False, reason=Reason.NOT_HOLDER, detail="this page does not have the lease")
@@ -112,7 +112,7 @@ class PageLease:
         self.token, self.mine = None, False
         if token is not None and mine:
             with suppress(GatewayError):  # a lease that stays unreleased expires
-                await asyncio.to_thread(self._client().lease_requests.release, token, None, RELEASE_S)
+                await asyncio.to_thread(self._client().requests.release, token, None, RELEASE_S)
 
 
 CHECK_IN_S: Final = 1.0
@@ -156,7 +156,7 @@ class StopButton:
         self._task = None
 
     def _ask(self, message: StopButtonRequest) -> ButtonAck:
-        requests = self._client().button_requests
+        requests = self._client().requests
         if message.do == "register":
             return requests.register(self.name, message.sent_ms)
         token = self._token or NO_TOKEN
@@ -164,4 +164,4 @@ class StopButton:
             self._token = None
             return requests.leave(token, CHECK_IN_S)
         self._count += 1
-        return requests.alive(token, self._count, message.sent_ms, CHECK_IN_S)
+        return requests.check_in(token, self._count, message.sent_ms, CHECK_IN_S)
