@@ -10,11 +10,12 @@ A press remains when its page is gone.
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
+from gateway.people.client.dangers import Remark, StopStatus
 from schemas.telemetry import Ack
 
 P = TypeVar("P")
@@ -136,50 +137,62 @@ class ConfirmedStop(Generic[P, W]):
 
 
 class UntilConfirmed:
-    """Requests a Stop on threads of its own, by the rules of `ConfirmedStop`.
+    """A Stop key: requests the Stop on threads of its own, by the rules of `ConfirmedStop`.
 
     The threads exist from the beginning, so a press needs no new one. Every exception from a request counts as no
     answer.
     """
 
-    def __init__(self, request: Callable[[], Ack], note: Callable[[Ack | Exception], bool]) -> None:
-        """`note` gets each request's answer or error, in order. It must not wait. It returns whether to go on."""
+    def __init__(self, request: Callable[[], Ack], on_change: Callable[[], object]) -> None:
+        """`on_change` is called after each change of `status`. It must neither wait nor raise."""
         self._request = request
-        self._note = note
+        self._on_change = on_change
         self._stop = ConfirmedStop[object, None]()
+        self.status = StopStatus()
         self._changed = threading.Condition(threading.Lock())
         """Its lock is held only briefly, so that a press does not wait."""
-        self._noting = threading.Lock()
         for _ in range(REQUESTS_AT_ONCE):
             threading.Thread(target=self._serve, name="stop", daemon=True).start()
 
     def press(self) -> None:
         """Request the Stop now. Never waits."""
-        with self._changed:
-            self._stop.press(self, None, None, time.monotonic_ns())
-            self._changed.notify()
+        with self.changes() as status:
+            now_ns = time.monotonic_ns()
+            self._stop.press(self, None, None, now_ns)
+            status.press(now_ns)
 
     def take_back(self) -> None:
         """Drop all presses: the person who pressed has reset the robot."""
-        with self._changed:
+        with self.changes() as status:
             self._stop.take_back()
+            status.reset()
 
-    @property
-    def since_ns(self) -> int | None:
-        """When the oldest unconfirmed press arrived (monotonic ns), or None."""
+    @contextmanager
+    def changes(self) -> Iterator[StopStatus]:
+        """Yield the status, for a change by one thread at a time."""
         with self._changed:
-            return self._stop.since_ns
+            yield self.status
+            self._changed.notify()  # a request may be due
+        self._on_change()
+
+    def remark(self, now_ns: int) -> Remark | None:
+        """See `StopStatus.remark`."""
+        with self._changed:
+            return self.status.remark(now_ns)
 
     def _serve(self) -> None:
         while True:
             request = self._next()
-            outcome: Ack | Exception
-            try:
-                outcome = self._request()
-            except Exception as error:
-                outcome = error
-            with self._noting:  # otherwise an earlier failure could be noted after the answer
-                self._end(request, outcome)
+            ack: Ack | None = None
+            with suppress(Exception):
+                ack = self._request()
+            with self.changes() as status:
+                now_ns = time.monotonic_ns()
+                waited = self._stop.ended(request, now_ns, answered=ack is not None)
+                if waited and ack is None:
+                    status.unanswered()
+                elif waited and ack is not None:
+                    status.confirm(ack, self._stop.since_ns, now_ns)
 
     def _next(self) -> StopRequest[None]:
         with self._changed:
@@ -187,14 +200,3 @@ class UntilConfirmed:
                 due_ns = self._stop.due_ns
                 self._changed.wait(None if due_ns is None else max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
             return request
-
-    def _end(self, request: StopRequest[None], outcome: Ack | Exception) -> None:
-        with self._changed:
-            waited = self._stop.ended(request, time.monotonic_ns(), answered=isinstance(outcome, Ack))
-            self._changed.notify()  # the next may be due
-        wanted = True
-        with suppress(Exception):  # an exception would end this thread, and the next press needs it
-            wanted = not waited or self._note(outcome)
-        if not wanted:
-            with self._changed:
-                self._stop.take_back(request)

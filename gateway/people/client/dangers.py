@@ -5,35 +5,18 @@
 
 from typing import Final, Literal, NamedTuple
 
+from gateway.people.client.stopped import ALL_STOPPED, STOPPED_LEGS
 from schemas.robot import LEGS
 from schemas.telemetry import Ack, AnyKind, GatewayState, Kind, Mode, PowerReport
 
 Tone = Literal["bad", "warn", "plain"]
 
-_BAD: Final = frozenset(
-    {
-        Kind.WATCHDOG_EXPIRED,
-        Kind.OVERFLOW,
-        Kind.ESTOP_ENGAGED,
-        Kind.BUS_FAULT,
-        Kind.BUS_MEDDLED,
-        Kind.CONTROLLER_SILENT,
-        Kind.CONTROLLER_RESTARTED,
-        Kind.FALLEN,
-        Kind.STOPPED_OUTSIDE,
-        Kind.BUTTON_SILENT,
-        Kind.STOPPING,
-        Kind.POWER_CUT,
-        Kind.POWER_UNCONFIRMED,
-        Kind.POWER_FAULT,
-        Kind.SERVO_DRAWS,
-        Kind.OFF_BUTTON,
-    }
-)
+_BAD: Final = {
+    *(*ALL_STOPPED, *STOPPED_LEGS, Kind.BUS_MEDDLED, Kind.BUTTON_SILENT),
+    *(Kind.POWER_CUT, Kind.POWER_UNCONFIRMED, Kind.POWER_FAULT, Kind.SERVO_DRAWS),
+}
 """Events of a stop that nobody commanded leg by leg, or of one that may not have worked."""
-_WARN: Final = frozenset(
-    {Kind.COMMAND_REJECTED, Kind.BATTERY_LOW, Kind.SERVO_SILENT, Kind.ESTOP_KEPT, Kind.ESTOP_NOT_KEPT}
-)
+_WARN: Final = {Kind.COMMAND_REJECTED, Kind.BATTERY_LOW, Kind.SERVO_SILENT, Kind.ESTOP_KEPT, Kind.ESTOP_NOT_KEPT}
 
 UNCONFIRMED: Final = "STOP is not confirmed: switch the power off by hand."
 PATIENCE_NS: Final = 300_000_000
@@ -135,14 +118,13 @@ class StopStatus:
         """The result of the latest confirmed request."""
         self.power = PowerAlarm()
         """Whether the power board confirms it. The shell passes states and events to it."""
-        self._pressed_ns = 0
         self._tries = 0
 
     def press(self, now_ns: int) -> None:
         """A Stop key was pressed."""
         self.outcome = None
         if self.wanted_ns is None:
-            self.wanted_ns = self._pressed_ns = now_ns
+            self.wanted_ns = now_ns
             self._tries = 0
 
     def unanswered(self) -> None:
@@ -152,20 +134,18 @@ class StopStatus:
     def confirm(self, ack: Ack, newer_ns: int | None, now_ns: int) -> None:
         """The gateway confirms the presses before `newer_ns`; None: all of them."""
         frames = ack.stop_frames or 0
-        took_ms = (now_ns - self._pressed_ns) / 1e6
-        self.wanted_ns = newer_ns
+        took_ms = (now_ns - (now_ns if self.wanted_ns is None else self.wanted_ns)) / 1e6
+        self.wanted_ns, self._tries = newer_ns, 0
         self.power.answered(ack)
-        if newer_ns is not None:
-            self._pressed_ns, self._tries = newer_ns, 0
-        if frames >= len(LEGS) and ack.latency_us is not None:
+        is_whole = frames >= len(LEGS) and ack.latency_us is not None
+        if is_whole:
             text = (
                 f"STOPPED: {frames} Stop frames written within {ack.latency_us:.0f} µs of the request, "
                 f"confirmed {took_ms:.0f} ms after the key{confirmed_off(ack)}"
             )
-            self.outcome = Remark(text, False, now_ns)
         else:
             text = f"LATCHED, BUT ONLY {frames} OF {len(LEGS)} STOP FRAMES WERE WRITTEN: switch the servos' power off"
-            self.outcome = Remark(text, True, now_ns)
+        self.outcome = Remark(text, not is_whole, now_ns)
 
     def reset(self) -> None:
         """The person asks for the reset, so no Stop is wanted."""

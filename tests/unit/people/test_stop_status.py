@@ -1,6 +1,7 @@
 """What means danger: a Stop that a key has requested, one that the power board does not confirm, and events."""
 
 import re
+import time
 from pathlib import Path
 from queue import SimpleQueue
 from typing import cast
@@ -119,17 +120,22 @@ class Gateway:
     """Answers when the test says so; each request is of another thread."""
 
     def __init__(self) -> None:
-        self.wanted = True
         self.requests: SimpleQueue[SimpleQueue[Ack | Exception]] = SimpleQueue()
-        self.noted: SimpleQueue[Ack | Exception] = SimpleQueue()
-        self.stops = UntilConfirmed(self._estop, self._note)
+        self.changes: SimpleQueue[None] = SimpleQueue()
+        self.key = UntilConfirmed(self._estop, lambda: self.changes.put(None))
 
     def asked(self) -> "SimpleQueue[Ack | Exception]":
         return self.requests.get(timeout=LATE_S)
 
     def pressed(self) -> "SimpleQueue[Ack | Exception]":
-        self.stops.press()
+        self.key.press()
+        self.changes.get(timeout=LATE_S)
         return self.asked()
+
+    def answer(self, request: "SimpleQueue[Ack | Exception]", outcome: Ack | Exception) -> str:
+        request.put(outcome)
+        self.changes.get(timeout=LATE_S)
+        return text(self.key.status, time.monotonic_ns())
 
     def _estop(self) -> Ack:
         answer: SimpleQueue[Ack | Exception] = SimpleQueue()
@@ -139,44 +145,28 @@ class Gateway:
             raise outcome
         return outcome
 
-    def _note(self, outcome: Ack | Exception) -> bool:
-        self.noted.put(outcome)
-        if isinstance(outcome, MemoryError):
-            raise outcome
-        return self.wanted
-
 
 def test_it_is_requested_again_until_it_is_confirmed_whatever_goes_wrong() -> None:
     gateway = Gateway()
-    gateway.stops.press()
-    faults: list[Ack | Exception] = [
-        MemoryError(),
-        RuntimeError("can't start new thread"),
-        DisconnectedError("no answer"),
-    ] * 2
-    for outcome in (*faults, WRITTEN):
-        gateway.asked().put(outcome)
-        assert gateway.noted.get(timeout=LATE_S) is outcome
-    assert gateway.stops.since_ns is None
+    faults: list[Exception] = [MemoryError(), RuntimeError("can't start new thread"), DisconnectedError("no answer")]
+    request = gateway.pressed()
+    for fault in faults * 2:
+        assert gateway.answer(request, fault).startswith("NOT STOPPED, NO ANSWER")
+        request = gateway.asked()
+    assert gateway.answer(request, WRITTEN).startswith("STOPPED")
+    assert gateway.key.status.wanted_ns is None
 
 
 def test_what_nobody_wants_any_more_is_not_requested_again_and_the_next_press_is() -> None:
     gateway = Gateway()
-    gateway.wanted = False
-    gateway.pressed().put(DisconnectedError("no answer"))
-    assert isinstance(gateway.noted.get(timeout=LATE_S), DisconnectedError)
     earlier, later = gateway.pressed(), gateway.pressed()
-    earlier.put(DisconnectedError("no answer"))
-    assert isinstance(gateway.noted.get(timeout=LATE_S), DisconnectedError)
-    later.put(WRITTEN)
-    assert gateway.noted.get(timeout=LATE_S) is WRITTEN, "it was pressed after what nobody wants"
-    first = gateway.pressed()
-    gateway.stops.take_back()
-    assert gateway.stops.since_ns is None
-    second = gateway.pressed()
-    first.put(DisconnectedError("from before the reset"))
-    second.put(WRITTEN)
-    assert gateway.noted.get(timeout=LATE_S) is WRITTEN
+    assert gateway.answer(earlier, DisconnectedError("no answer")).startswith("NOT STOPPED")
+    gateway.key.take_back()
+    gateway.changes.get(timeout=LATE_S)
+    assert gateway.key.remark(0) is None
+    assert gateway.answer(later, DisconnectedError("from before the reset")) == ""
+    assert gateway.answer(gateway.pressed(), WRITTEN).startswith("STOPPED"), "it was pressed after the reset"
+    assert gateway.requests.empty()
 
 
 # ---- a Stop that the power board does not confirm, and events

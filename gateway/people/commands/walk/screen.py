@@ -11,8 +11,8 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -23,8 +23,7 @@ from rich.text import Text
 from gateway.errors import GatewayError, LeaseError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import UntilConfirmed
-from gateway.people.client.dangers import ALARM, Remark, StopStatus
-from gateway.people.client.subscriptions import reads, reports, subscribed
+from gateway.people.client.dangers import ALARM, Remark
 from gateway.people.client.walk import Walk
 from gateway.people.commands import reach
 from gateway.people.commands.reach import Connection
@@ -34,8 +33,7 @@ from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import STILL, Velocity
 from gateway.people.walking.words import ground_now
 from gateway.text import visible
-from schemas import keys as wire
-from schemas.telemetry import Ack, Event, GatewayState, Mode
+from schemas.telemetry import Event, GatewayState, Mode
 
 FRAME_S: Final = 0.1
 """Ages count up, so it draws ten times a second."""
@@ -149,14 +147,9 @@ class WalkScreen:
         self._legs_stopped = True
         """Whether the Stops at the end are confirmed, or none was needed."""
         self._failures: list[str] = []
-        self._lock = threading.Lock()
-        """The lock of the shown picture. Held for moments only."""
         self._changed = threading.Event()
         """Set to draw soon."""
-        self._stop = StopStatus()
-        self._stops = UntilConfirmed(client.estop, self._stop_answered)
-        self._noted = threading.Event()
-        """Whether `_stop` knows of the newest press."""
+        self._stop = UntilConfirmed(client.estop, self._changed.set)
         self._ended = threading.Event()
         self._wake = -1
         # The terminal's own size: exported COLUMNS and LINES do not follow a change of the window.
@@ -168,14 +161,10 @@ class WalkScreen:
         """Drive until q (the robot sits down first), Ctrl-C or a signal (it stops at once). Return the exit code."""
         self._walk.open()
         self._walk.hold_s, self._walk.rest_s = KEYS_HOLD_S, KEYS_REST_S
-        take_state = reads(self._client.states.join, self._take_state)
-        taken = {wire.STATE: take_state, wire.EVENT: reports(Event, self._take_event)}
+        self._client.on_state(self._take_state)
+        self._client.on_event(self._take_event)
         terminal, drawer = sys.stdin.fileno(), threading.Thread(target=self._draw, name="draw", daemon=True)
-        with (
-            subscribed(self._client.session, taken),
-            keys_at_once(terminal),
-            wake_on_signals() as (woken, self._wake),
-        ):
+        with keys_at_once(terminal), wake_on_signals() as (woken, self._wake):
             threading.Thread(target=self._drive, name="drive", daemon=True).start()
             drawer.start()
             try:
@@ -193,22 +182,15 @@ class WalkScreen:
                     drawer.join(DRAWER_END_S)
         return 1 if self._failures else 0
 
-    @contextmanager
-    def _changes(self) -> Iterator[None]:
-        """Hold the lock for a change of what is shown, and have it drawn soon."""
-        with self._lock:
-            yield
-        self._changed.set()
-
     # ---- received, on threads of Zenoh's
 
     def _take_state(self, state: GatewayState) -> None:
-        with self._changes():
-            self._stop.power.received_state(state, time.monotonic_ns())
+        with self._stop.changes() as status:
+            status.power.received_state(state, time.monotonic_ns())
 
     def _take_event(self, event: Event) -> None:
-        with self._changes():
-            self._stop.power.received_event(event.kind)
+        with self._stop.changes() as status:
+            status.power.received_event(event.kind)
 
     # ---- keys
 
@@ -230,7 +212,9 @@ class WalkScreen:
         """Act on one reading. Return whether to go on. If a key requests the emergency stop, the others do nothing."""
         if STOP_KEYS.isdisjoint(keys):
             return all(map(self._press, keys))
-        self._request_stop()
+        self._stop.press()
+        self._pad.release()
+        self._message = ""
         return True
 
     def _press(self, key: str) -> bool:
@@ -244,26 +228,6 @@ class WalkScreen:
             self._act(key.lower())
         return True
 
-    def _request_stop(self) -> None:
-        """Request the emergency stop without waiting, and repeat the request until it is confirmed."""
-        self._noted.clear()
-        self._stops.press()  # first: the request must not wait for the lock
-        with self._changes():
-            self._stop.press(time.monotonic_ns())
-        self._noted.set()
-        self._pad.release()
-        self._message = ""
-
-    def _stop_answered(self, outcome: Ack | Exception) -> bool:
-        """Record the answer to a request. Return whether to go on. Runs on a thread that requests Stops."""
-        self._noted.wait()
-        with self._changes():
-            if not isinstance(outcome, Ack):
-                self._stop.unanswered()
-                return self._stop.wanted_ns is not None
-            self._stop.confirm(outcome, self._stops.since_ns, time.monotonic_ns())
-        return True
-
     def _act(self, key: str) -> None:
         walk = self._walk
         if key == "t":
@@ -271,9 +235,7 @@ class WalkScreen:
         elif key == "c":
             self._todo.put(walk.sit)
         elif key == "g":
-            with self._changes():  # here, in the order of the keys: must not take back a later Stop
-                self._stops.take_back()
-                self._stop.reset()
+            self._stop.take_back()  # here, in the order of the keys: must not take back a later Stop
             self._todo.put(self._go_on)
         elif key in _GAITS:
             self._todo.put(lambda: walk.walk_as(_GAITS[key]))
@@ -328,7 +290,8 @@ class WalkScreen:
             self._failures.append(why)
             os.write(self._wake, b".")
             self._ended.wait()
-        last = NOT_STOPPED if self._stop.wanted_ns is not None else self._stop.power.sentence
+        status = self._stop.status
+        last = NOT_STOPPED if status.wanted_ns is not None else status.power.sentence
         last = last or ("" if self._legs_stopped else _UNCONFIRMED)
         with suppress(OSError):  # the terminal is gone; in one that is stuck this waits, as drawing does
             for line in (*(f"hexapod-gateway: {failure}" for failure in self._failures), *([last] if last else [])):
@@ -336,13 +299,8 @@ class WalkScreen:
 
     def _picture(self, columns: int, rows: int) -> Text:
         title = f"walk · {visible(' '.join(self._client.robot[1:]))} · {visible(self._holder)} drives"
-        with self._lock:
-            stop = self._stop.remark(time.monotonic_ns())
-        lines = [
-            Text(title, "bold"),
-            *([] if stop is None else [Text(stop.text, stop.style)]),
-            *self._lines(),
-        ]
+        stop = self._stop.remark(time.monotonic_ns())
+        lines = [Text(title, "bold"), *([] if stop is None else [Text(stop.text, stop.style)]), *self._lines()]
         wrapped = [row for line in lines for row in line.wrap(self._console, max(1, columns))]
         return fitted(wrapped, columns, rows, stop)
 
