@@ -10,12 +10,10 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
-from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 import zenoh
@@ -34,12 +32,36 @@ _ENDPOINT: Final = re.compile(r"(?P<link>tcp|tls)/(?P<host>\[[^\]]+\]|[^:#?\[\]]
 _OLDEST_YEAR: Final = 2024
 """No certificate of this project is older, so an earlier clock was never set."""
 
-_NOT_YET_VALID, _EXPIRED = 9, 10  # OpenSSL's X509_V_ERR_…
 _SETS_CLOCK: Final = "timedatectl set-ntp true"
 _CLOCK: Final = f"set the clock ({_SETS_CLOCK})"
-_UNKNOWN_CA: Final = (2, 18, 19, 20, 21)
-_WRONG_PURPOSE: Final = 26
+_GIVE_CERTIFICATE: Final = "give --zenoh-config NAME.json5, which `hexapod-gateway certs issue` made"
+_NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, all its files together"
+_NO_TLS: Final = "does the gateway use certificates? Without them it is tcp/…, and on its own machine only"
 _WRONG_HOST: Final = (62, 64)
+_DISTRUSTED: Final = {
+    9: ("is not valid yet", f"{_CLOCK} here"),
+    10: ("has expired", f"{certs.renewal('gateway')}, and copy gateway.pem to the robot; or {_CLOCK} here"),
+    26: (
+        "is no robot's, such as a laptop's",
+        "on the robot, with its folder of certificates: sudo hexapod-gateway setup --certs FOLDER",
+    ),
+} | dict.fromkeys(
+    (2, 18, 19, 20, 21),
+    ("is of another CA than yours", "is it the right robot? Take certificates from the folder that made the robot's"),
+)
+"""What is wrong with the robot's certificate, and its fix, by OpenSSL's X509_V_ERR_…"""
+_ALERTS: Final = {
+    "UNKNOWN_CA": (
+        "the robot does not know the CA of your certificate",
+        "get one from the folder that made the robot's (`hexapod-gateway certs issue`)",
+    ),
+    "EXPIRED": (
+        "your certificate has expired, or is not valid yet, by the robot's clock",
+        f"{certs.renewal('NAME')}; or set the robot's clock ({_SETS_CLOCK})",
+    ),
+    "CERTIFICATE_REQUIRED": ("the robot wants a certificate, and you show none", _GIVE_CERTIFICATE),
+}
+"""What is wrong with our certificate, and its fix, by a word in the reason of a robot's alert."""
 
 
 class Stage(StrEnum):
@@ -81,18 +103,19 @@ def diagnose_all(
 ) -> dict[str, list[Finding]]:
     """Return the findings of `diagnose` for each endpoint, in parallel. The last is the stage that was reached."""
     end_s = time.monotonic() + timeout_s
-    found: dict[str, list[Finding]] = {}
-    threads = []
-    for endpoint in dict.fromkeys(endpoints):
-        findings: list[Finding] = []
-        found[endpoint] = findings
-        arguments = (findings, diagnose(endpoint, identity, end_s))
-        # A daemon: the end of the program does not wait for it.
-        threads.append(threading.Thread(target=_note, args=arguments, name=f"diagnose {endpoint}", daemon=True))
-        threads[-1].start()
+    found: dict[str, list[Finding]] = {endpoint: [] for endpoint in endpoints}
+
+    def find(endpoint: str) -> None:
+        for finding in diagnose(endpoint, identity, end_s):
+            found[endpoint].append(finding)  # one by one: the caller reads those before the end of its time
+
+    # Daemons: the end of the program does not wait for them.
+    threads = [threading.Thread(target=find, args=(each,), name=f"diagnose {each}", daemon=True) for each in found]
+    for thread in threads:
+        thread.start()
     for thread in threads:
         thread.join(max(0.0, end_s - time.monotonic()) + _MARGIN_S)
-    late = Finding(Stage.TCP, "nothing is known within the time", "try again, with a longer --timeout")
+    late = Finding(Stage.NAME, "no name server answers within the time", "check the name; or dial its address")
     return {endpoint: list(findings) or [late] for endpoint, findings in found.items()}
 
 
@@ -100,13 +123,11 @@ _MARGIN_S: Final = 0.05
 """Extra time for a finding about a timeout."""
 
 
-def _note(found: list[Finding], findings: Iterator[Finding]) -> None:
-    for finding in findings:
-        found.append(finding)  # one by one: the caller reads those before the end of its time
-
-
 def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Finding]:
-    """Connect to `endpoint` stage by stage until one fails, at most until `end_s` (monotonic)."""
+    """Connect to `endpoint` stage by stage until one fails, at most until `end_s` (monotonic).
+
+    Only the resolver may take longer: getaddrinfo has no timeout.
+    """
     parsed = _ENDPOINT.fullmatch(endpoint)
     if parsed is None:
         fix = f"dial it so, such as {DEFAULT_ENDPOINT}"
@@ -118,9 +139,11 @@ def diagnose(endpoint: str, identity: Identity, end_s: float) -> Iterator[Findin
         yield Finding(Stage.ENDPOINT, "Zenoh dials no IPv6 address over TLS", fix)
         return
     try:
-        addresses = _resolve(host, port, end_s)
-    except OSError as error:
-        yield _unresolved(host, error)
+        addresses = [(family, at) for family, *_, at in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+    except (OSError, UnicodeError) as error:
+        mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
+        fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"
+        yield Finding(Stage.NAME, f"{host} is unknown ({getattr(error, 'strerror', error)})", fix)
         return
     yield Finding(Stage.NAME, f"{host} is {', '.join(dict.fromkeys(str(address[0]) for _, address in addresses))}")
     try:
@@ -155,14 +178,6 @@ def own_expiry(config: zenoh.Config) -> str | None:
     return None
 
 
-def role(certificate: Path) -> str:
-    """Return the role in a certificate's common name; "" if the file cannot be read."""
-    try:
-        return certs.folder.describe(certificate).role
-    except ConfigError:
-        return ""
-
-
 def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) -> Finding:
     """Return the finding at `now` for a certificate that is valid from `begin` to `end`."""
     if now < begin:
@@ -177,52 +192,17 @@ def validity(name: str, begin: dt.datetime, end: dt.datetime, now: dt.datetime) 
     return Finding(Stage.CERTIFICATE, f"{name} is good until {end:%Y-%m-%d}")
 
 
-# ---- name and TCP
-
-_Addresses = list[tuple[socket.AddressFamily, tuple[Any, ...]]]
-
-
-def _resolve(host: str, port: int, end_s: float) -> _Addresses:
-    """Return the host's addresses. Raises TimeoutError if no resolver answers in time; getaddrinfo has no timeout."""
-    answer: SimpleQueue[_Addresses | OSError] = SimpleQueue()
-
-    def ask() -> None:
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        except OSError as error:
-            answer.put(error)
-        else:
-            answer.put([(family, address) for family, _, _, _, address in found])
-
-    threading.Thread(target=ask, name=f"resolve {host}", daemon=True).start()
-    try:
-        resolved = answer.get(timeout=_left_s(end_s))
-    except Empty:
-        raise TimeoutError from None
-    if isinstance(resolved, OSError):
-        raise resolved
-    return resolved
-
-
-def _unresolved(host: str, error: OSError) -> Finding:
-    mdns = "is the robot on, and in this network? Names in .local need mDNS (avahi) here and there"
-    fix = f"{mdns if host.endswith('.local') else 'check the name'}; or dial its address"
-    if isinstance(error, TimeoutError):
-        return Finding(Stage.NAME, f"no name server answers for {host}", fix)
-    return Finding(Stage.NAME, f"{host} is unknown ({error.strerror})", fix)
-
-
-def _connect(addresses: _Addresses, end_s: float) -> socket.socket:
+def _connect(addresses: Iterable[tuple[socket.AddressFamily, Any]], end_s: float) -> socket.socket:
     """Return a connection to the first address that accepts one. Raises the last address's error."""
-    fault: OSError = OSError("no address")
-    for place, (family, address) in enumerate(addresses):
+    fault, left = OSError("no address"), len(list(addresses))
+    for family, address in addresses:
         probe = socket.socket(family, socket.SOCK_STREAM)
         try:
-            probe.settimeout(_left_s(end_s) / (len(addresses) - place))
+            probe.settimeout(_left_s(end_s) / left)
             probe.connect(address)
         except OSError as error:
             probe.close()
-            fault = error
+            fault, left = error, left - 1
         else:
             return probe
     raise fault
@@ -269,12 +249,6 @@ def _tls(connection: socket.socket, host: str, identity: Identity, end_s: float)
         yield Finding(Stage.TLS, "the port ends the connection instead of speaking TLS", _NO_TLS)
 
 
-_NEW_BUNDLE: Final = "unzip the bundle of `hexapod-gateway certs issue` again, all its files together"
-_SHOWS_NONE: Final = "the robot wants a certificate, and you show none"
-_GIVE_CERTIFICATE: Final = "give --zenoh-config NAME.json5, which `hexapod-gateway certs issue` made"
-_NO_TLS: Final = "does the gateway use certificates? Without them it is tcp/…, and on its own machine only"
-
-
 def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
     """Return the finding about our certificate, by the robot's alert or its absence."""
     secured.settimeout(min(_ALERT_S, _left_s(end_s)))
@@ -291,42 +265,21 @@ def _after_handshake(secured: ssl.SSLSocket, end_s: float) -> Finding:
 
 def _distrusted(host: str, error: ssl.SSLCertVerificationError) -> Finding:
     """Return the finding for a robot's certificate that we reject."""
-    code, fix = error.verify_code, f"{_CLOCK} here"
-    if code in _WRONG_HOST:
+    if error.verify_code in _WRONG_HOST:
         fix = f"dial it by a name that it has (hexapod-gateway certs list --dir DIR), or make it one with --host {host}"
         return Finding(Stage.TLS, f"the robot's certificate does not name {host}", fix)
-    sentence = f"does not do ({error.verify_message})"
-    if code == _EXPIRED:
-        sentence = "has expired"
-        fix = f"{certs.renewal('gateway')}, and copy gateway.pem to the robot; or {fix}"
-    elif code == _NOT_YET_VALID:
-        sentence = "is not valid yet"
-    elif code in _UNKNOWN_CA:
-        sentence = "is of another CA than yours"
-        fix = "is it the right robot? Take certificates from the folder that made the robot's"
-    elif code == _WRONG_PURPOSE:
-        sentence = "is no robot's, such as a laptop's"
-        fix = "on the robot, with its folder of certificates: sudo hexapod-gateway setup --certs FOLDER"
-    else:
-        fix = _NEW_BUNDLE
+    unknown = f"does not do ({error.verify_message})", _NEW_BUNDLE
+    sentence, fix = _DISTRUSTED.get(error.verify_code, unknown)
     return Finding(Stage.CERTIFICATE, f"the robot's certificate {sentence}", fix)
 
 
 def _alert(error: ssl.SSLError) -> Finding:
     """Return the finding for a robot that rejects our certificate, or uses no TLS."""
     reason = error.reason or ""
-    if "UNKNOWN_CA" in reason:
-        sentence = "the robot does not know the CA of your certificate"
-        fix = "get one from the folder that made the robot's (`hexapod-gateway certs issue`)"
-    elif "EXPIRED" in reason:
-        sentence = "your certificate has expired, or is not valid yet, by the robot's clock"
-        fix = f"{certs.renewal('NAME')}; or set the robot's clock ({_SETS_CLOCK})"
-    elif "CERTIFICATE_REQUIRED" in reason:
-        sentence, fix = _SHOWS_NONE, _GIVE_CERTIFICATE
-    elif "ALERT" in reason:
-        sentence, fix = f"the robot does not take your certificate ({reason})", _NEW_BUNDLE
-    else:
+    if "ALERT" not in reason and not any(word in reason for word in _ALERTS):
         return Finding(Stage.TLS, f"the port speaks no TLS ({reason or error.strerror})", _NO_TLS)
+    unknown = f"the robot does not take your certificate ({reason})", _NEW_BUNDLE
+    sentence, fix = next((found for word, found in _ALERTS.items() if word in reason), unknown)
     return Finding(Stage.CERTIFICATE, sentence, fix)
 
 
