@@ -2,7 +2,7 @@
 
 from array import array
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -83,10 +83,11 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     """
     times_ns = records.times_ns
     taken = array("L", (index for index, ns in enumerate(times_ns) if incident.begin_ns <= ns <= incident.end_ns))
-    decisions = _Decisions(records, taken)
-    starts = (records[index] for index in taken if records.kinds[index] == form.START)
+    decided_at, in_commands = _decisions(records, taken)
     notes_before = [_noted(incident.wall_ns(incident.zero_ns), INCIDENT, incident.name)]
-    notes_before += (note for start in starts for note in _stops_before(start, incident))
+    for index in taken:
+        if records.kinds[index] == form.START:
+            notes_before += _stops_before(records[index], incident)
     notes = deque(sorted(notes_before, key=lambda note: note.time_ns))
     calibration = records.calibration_at(incident.begin_ns)
     if calibration is not None:  # so that the frames can be read, which have the servos' own angles
@@ -96,8 +97,8 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     last: int | None = None  # the place in `records` of what a gateway wrote that has not recorded its end
     ended = False
     before_ns = incident.begin_ns
-    for place in sorted(range(len(taken)), key=lambda place: times_ns[taken[place]]):
-        record = records[taken[place]]
+    for index in sorted(taken, key=times_ns.__getitem__):
+        record = records[index]
         if killed_ns is not None and record.ns > killed_ns:
             yield _killed(incident.wall_ns(killed_ns))
             killed_ns = last = None
@@ -105,47 +106,36 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
         while notes and notes[0].time_ns <= wall_ns:
             yield notes.popleft()
         if isinstance(record.content, rec.Start):
-            if last is not None and last < taken[place]:  # the gateway before it, whose end is an incident of its own
+            if last is not None and last < index:  # the gateway before it, whose end is an incident of its own
                 yield _killed(incident.wall_ns(before_ns))
             ended = False
         ended = ended or isinstance(record.content, rec.End)
-        last, before_ns = None if ended else taken[place], record.ns
-        topic_and_report = _message(
-            record, decisions.of(place), _time(wall_ns), has_command=decisions.has_command(place)
-        )
-        if topic_and_report is not None:
-            topic, report = topic_and_report
-            yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns)
+        last, before_ns = None if ended else index, record.ns
+        if not in_commands[index]:
+            yield from _messages(record, records[decided_at[index]] if decided_at[index] else None, wall_ns)
     yield from notes
     if killed_ns is not None:
         yield _killed(incident.wall_ns(killed_ns))
 
 
-class _Decisions:
-    """The decision on each command: an accepted command names its frame, any other has a Decision."""
+def _decisions(records: Records, taken: Iterable[int]) -> tuple[Sequence[int], Sequence[int]]:
+    """Return for each record the place of the decision on it (0: none), and whether it is the Decision on another.
 
-    def __init__(self, records: Records, taken: Sequence[int]) -> None:
-        self._records = records
-        self._by = array("L", bytes(len(taken) * array("L").itemsize))  # of each command: 1 + the place in `records`
-        self._has_command = bytearray(len(taken))  # of each Decision: whether it is a command's here
-        waiting: dict[int | str, int] = {}
-        for place, index in enumerate(taken):
-            match records[index].content:
-                case rec.CommandRecord(number=number, key=key):
-                    waiting[number or key] = place
-                case rec.Decision(number=number, key=key) if (number or key) in waiting:
-                    self._by[waiting.pop(number or key)] = index + 1
-                    self._has_command[place] = True
-                case rec.FrameWritten(number=number) if number in waiting:
-                    self._by[waiting.pop(number)] = index + 1
-
-    def of(self, place: int) -> rec.Record | None:
-        """Return the frame or Decision of the command at this place; None: unknown."""
-        return self._records[self._by[place] - 1] if self._by[place] else None
-
-    def has_command(self, place: int) -> bool:
-        """Return whether the record at this place is included in a command's message."""
-        return bool(self._has_command[place])
+    An accepted command names its frame, any other has a Decision.
+    """
+    decided_at = array("L", bytes(array("L").itemsize * len(records)))
+    in_commands = bytearray(len(records))
+    waiting: dict[int | str, int] = {}
+    for index in taken:
+        match records[index].content:
+            case rec.CommandRecord(number=number, key=key):
+                waiting[number or key] = index
+            case rec.Decision(number=number, key=key) if (number or key) in waiting:
+                decided_at[waiting.pop(number or key)] = index
+                in_commands[index] = True
+            case rec.FrameWritten(number=number) if number in waiting:
+                decided_at[waiting.pop(number)] = index
+    return decided_at, in_commands
 
 
 def _stops_before(start: rec.Record, incident: Incident) -> Iterator[RecordedMessage]:
@@ -166,66 +156,65 @@ def _noted(wall_ns: int, what: str, detail: str) -> RecordedMessage:
     return RecordedMessage(RECORDER, note.model_dump(mode="json"), wall_ns)
 
 
-def _message(
-    record: rec.Record, decided: rec.Record | None, time: datetime, *, has_command: bool
-) -> tuple[str, Report] | None:
-    source: str | None = None
-    key: str | None = None
-    match record.content:
-        case rec.CommandRecord() as command:
-            return command.key if command.key in keys.COMMAND_KEYS else RECORDER, CommandInBox(
-                time=time,
-                number=command.number,
-                verb=command.verb,
-                source=command.source,
-                sent_ms=command.sent_ms,
-                targets=tuple(
-                    TargetInBox(
-                        id=servo_id, op=op.op.name.lower(), angle_deg=None if op.op is Op.STOP else op.angle_cdeg / 100
-                    )
-                    for servo_id, op in command.targets
-                ),
-                verdict=None if decided is None else getattr(decided.content, "verdict", ACCEPTED),
-                decided_ms=None if decided is None else (decided.ns - record.ns) / 1e6,
+def _messages(record: rec.Record, decided: rec.Record | None, wall_ns: int) -> Iterator[RecordedMessage]:
+    """Yield the record's message, if it has one. `decided`: the frame or Decision of a command."""
+    time, topic, content = _time(wall_ns), RECORDER, record.content
+    report: Report
+    match content:
+        case rec.CommandRecord(key=key):
+            topic = key if key in keys.COMMAND_KEYS else RECORDER
+            targets = tuple(
+                TargetInBox(
+                    id=servo, op=op.op.name.lower(), angle_deg=None if op.op is Op.STOP else op.angle_cdeg / 100
+                )
+                for servo, op in content.targets
             )
-        case rec.FrameWritten() as frame:
-            return keys.FRAME, FrameInBox(
+            verdict = None if decided is None else getattr(decided.content, "verdict", ACCEPTED)
+            decided_ms = None if decided is None else (decided.ns - record.ns) / 1e6
+            found = content._asdict() | {"targets": targets, "verdict": verdict, "decided_ms": decided_ms}
+            report = CommandInBox(time=time, **found)
+        case rec.FrameWritten(data, cause, transfer_ns, late_ns):
+            topic = keys.FRAME
+            report = FrameInBox(
                 time=time,
                 monotonic_ns=record.ns,
-                bytes=frame.data.hex(),
-                cause=frame.cause,
-                transfer_us=frame.transfer_ns / 1000,
-                late_us=frame.late_ns / 1000 if frame.late_ns else None,
+                bytes=data.hex(),
+                cause=cause,
+                transfer_us=transfer_ns / 1000,
+                late_us=late_ns / 1000 if late_ns else None,
             )
-        case rec.Calibrated() | rec.BodyState() | rec.EventPublished() as published:
-            return _published(published, time)
-        case rec.Decision(number=0, verdict=detail, key=key, source=source) if not has_command:
-            what = "rejected"
+        case rec.Calibrated(calibration):
+            topic, report = keys.CALIBRATION, calibration
+        case rec.BodyState(values):
+            topic, report = keys.TELEMETRY, report_of(values, time, 0.0)
+        case rec.EventPublished():
+            topic, report = keys.EVENT, Event(time=time, **content._asdict())
+        case _ if (note := _note(content, time)) is not None:
+            report = note
+        case _:
+            return
+    yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns)
+
+
+def _note(content: rec.Content, time: datetime) -> Note | None:
+    """Return the note of what happened to the gateway itself."""
+    match content:
+        case rec.Decision(0, detail, key, source):
+            return Note(time=time, what="rejected", detail=detail, source=source, key=key)
+        case rec.LeftOut(count, source):
+            return Note(time=time, what="left_out", detail=f"{count} records", source=source)
         case rec.Start(facts=facts):
             what = "start"
             detail = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
-        case rec.End(why=detail):
+        case rec.End(detail):
             what = "end"
-        case rec.ModeChange(mode=detail):
+        case rec.ModeChange(detail):
             what = "mode"
-        case rec.Lag(lag_ns=lag_ns):
+        case rec.Lag(lag_ns):
             what, detail = "lag", f"{lag_ns / 1e6:.1f} ms"
-        case rec.LeftOut(count=count, source=source):
-            what, detail = "left_out", f"{count} records"
         case _:
             return None
-    return RECORDER, Note(time=time, what=what, detail=detail, source=source, key=key)
-
-
-def _published(content: rec.Calibrated | rec.BodyState | rec.EventPublished, time: datetime) -> tuple[str, Report]:
-    """Records that are also published on a key of their own."""
-    match content:
-        case rec.Calibrated(calibration=calibration):
-            return keys.CALIBRATION, calibration
-        case rec.BodyState(values=values):
-            return keys.TELEMETRY, report_of(values, time, 0.0)
-        case rec.EventPublished() as event:
-            return keys.EVENT, Event(time=time, **event._asdict())
+    return Note(time=time, what=what, detail=detail)
 
 
 def _time(wall_ns: int) -> datetime:

@@ -54,17 +54,6 @@ class FrameWritten(NamedTuple):
     number: int = 0
 
 
-class CarriedOut(NamedTuple):
-    """A command and the frame that it was accepted with, in one record; the transfer ended at `frame_ns`.
-
-    The record's time is the command's arrival. Readers get two records, the command's and the frame's.
-    """
-
-    command: CommandRecord
-    frame: FrameWritten
-    frame_ns: int
-
-
 class ModeChange(NamedTuple):
     """The gateway's mode from now on."""
 

@@ -12,7 +12,7 @@ import stat
 import struct
 from array import array
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,24 +45,54 @@ class NoRingError(GatewayError):
     """The black box cannot be read."""
 
 
-@dataclass(eq=False)
 class Records:
-    """Records in the order in which they were written. Each is decoded at its use."""
+    """Decodable records of several files, in the order in which they were written. Each is decoded again at its use."""
 
-    times_ns: Sequence[int]
-    kinds: Sequence[int]
-    read: Callable[[int], rec.Record]
-    """Makes the record at a place from 0 on. Their times and types are known without that."""
-    calibrations: Sequence[tuple[int, Calibration]] = ()
-    """Those that were in force from a time on, besides the changes among the records."""
-    gaps: Collection[int] = ()
-    """The places before which the ring has overwritten records that no copy has."""
+    def __init__(self) -> None:
+        self.times_ns = array("q")
+        self.kinds = bytearray()
+        self.gaps: set[int] = set()
+        """The places before which the ring has overwritten records that no copy has."""
+        self.newest = 0
+        """Sequence number of the newest record taken."""
+        self._files: list[_Slots] = []
+        self._places = array("B")  # in `_files`
+        self._numbers = array("Q")
+        self._parts = bytearray()
+        self._in_headers: list[tuple[int, Calibration]] = []
+
+    def take(self, file: "_Slots", numbers: Iterable[int]) -> int:
+        """Add these records of a file. Return how many cannot be decoded."""
+        damaged, begin = 0, len(self)
+        self._files.append(file)
+        for place, number in enumerate(numbers):
+            if not place and self.newest and number > self.newest + 1:
+                self.gaps.add(len(self))
+            self.newest = number
+            try:
+                kind, found = file.decoded(number)
+            except form.DamagedRingError:
+                damaged += 1
+                continue
+            for part, record in enumerate(found):
+                self._places.append(len(self._files) - 1)
+                self._numbers.append(number)
+                self._parts.append(part)
+                self.times_ns.append(record.ns)
+                self.kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
+        calibration = file.in_force
+        if calibration is not None and self.kinds.find(form.CALIBRATION, begin) < 0:
+            self._in_headers.append((self.times_ns[begin] if begin < len(self) else 0, calibration))
+        return damaged
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
     def __getitem__(self, index: int) -> rec.Record:
-        return self.read(range(len(self.times_ns))[index])
+        return self._files[self._places[index]].decoded(self._numbers[index])[1][self._parts[index]]
+
+    def __iter__(self) -> Iterator[rec.Record]:
+        return map(self.__getitem__, range(len(self)))
 
     def calibration_at(self, ns: int) -> Calibration | None:
         """Return the calibration in force at `ns`; None: unknown."""
@@ -91,10 +121,7 @@ class Records:
         places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
         changes = [self[index] for index in places]
         found = [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, rec.Calibrated)]
-        return sorted([*self.calibrations, *found], key=lambda each: each[0])
-
-    def __iter__(self) -> Iterator[rec.Record]:
-        return map(self.read, range(len(self)))
+        return sorted([*self._in_headers, *found], key=lambda each: each[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +144,7 @@ def read(path: Path) -> Content:
         ring = _Slots(data)
     except form.DamagedRingError as error:
         raise NoRingError(f"{path}: {error}") from error
-    found = _Decoded()
+    found = Records()
     with suppress(OSError):
         for file in copies_of(path.resolve()):  # oldest first; of each its records that are older than all of the ring
             with suppress(NoRingError, form.DamagedRingError):  # cut off, or another user's
@@ -125,7 +152,7 @@ def read(path: Path) -> Content:
                 found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
     numbers = tuple(ring.numbers(ring.oldest, ring.newest + 1))
     damaged = ring.damaged + found.take(ring, numbers)
-    return Content(found.records(), damaged, ring.newest - ring.oldest + 1 - len(numbers), written)
+    return Content(found, damaged, ring.newest - ring.oldest + 1 - len(numbers), written)
 
 
 def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
@@ -149,52 +176,6 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
         raise NoRingError(f"{path}: {error.strerror}") from error
     finally:
         os.close(fd)
-
-
-class _Decoded:
-    """Decodable records of several files, in their order."""
-
-    def __init__(self) -> None:
-        self._files: list[_Slots] = []
-        self._places = array("B")  # in `_files`
-        self._numbers = array("Q")
-        self._parts = bytearray()
-        self._times_ns = array("q")
-        self._kinds = bytearray()
-        self._gaps: set[int] = set()
-        self._calibrations: list[tuple[int, Calibration]] = []
-        self.newest = 0
-        """Sequence number of the newest record taken."""
-
-    def take(self, file: "_Slots", numbers: Iterable[int]) -> int:
-        """Add these records of a file. Returns how many cannot be decoded."""
-        damaged, begin = 0, len(self._numbers)
-        self._files.append(file)
-        for place, number in enumerate(numbers):
-            if not place and self.newest and number > self.newest + 1:
-                self._gaps.add(len(self._numbers))
-            self.newest = number
-            try:
-                kind, found = file.decoded(number)
-            except form.DamagedRingError:
-                damaged += 1
-                continue
-            for part, record in enumerate(found):
-                self._places.append(len(self._files) - 1)
-                self._numbers.append(number)
-                self._parts.append(part)
-                self._times_ns.append(record.ns)
-                self._kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
-        calibration = file.in_force
-        if calibration is not None and self._kinds.find(form.CALIBRATION, begin) < 0:
-            self._calibrations.append((self._times_ns[begin] if begin < len(self._numbers) else 0, calibration))
-        return damaged
-
-    def records(self) -> Records:
-        return Records(self._times_ns, self._kinds, self._read, self._calibrations, self._gaps)
-
-    def _read(self, index: int) -> rec.Record:
-        return self._files[self._places[index]].decoded(self._numbers[index])[1][self._parts[index]]
 
 
 class _Slots:
@@ -229,15 +210,15 @@ class _Slots:
     def in_force(self) -> Calibration | None:
         """The calibration in the header; None: it has none, or an impossible one."""
         try:
-            content = decode(form.CALIBRATION, 0, header.calibration(self._data[: form.HEADER_BYTES]))
+            ((_, _, content),) = decode(form.CALIBRATION, 0, 0, header.calibration(self._data[: form.HEADER_BYTES]))
         except form.DamagedRingError:
             return None
         return content.calibration if isinstance(content, rec.Calibrated) else None
 
     def decoded(self, number: int) -> tuple[int, list[rec.Record]]:
-        """Return a record's type and what it states, with what continues it: a record, or two, if it was CARRIED_OUT.
+        """Return a record's type and what it states, with what continues it (itself MORE, which states nothing).
 
-        Empty where it is MORE, or a type of a later version. Raises DamagedRingError.
+        Raises DamagedRingError.
         """
         slot = last = self._slot(number)
         if slot.kind == form.MORE:
@@ -248,11 +229,7 @@ class _Slots:
             if last.kind != form.MORE or len(rest) > form.MAX_TEXT:
                 raise form.DamagedRingError("a continued record is cut off")
             rest += last.rest
-        content = decode(slot.kind, slot.ns, rest)
-        if isinstance(content, rec.CarriedOut):
-            command = rec.Record(number, slot.ns, content.command)
-            return slot.kind, [command, rec.Record(number, content.frame_ns, content.frame)]
-        return slot.kind, [] if content is None else [rec.Record(number, slot.ns, content)]
+        return slot.kind, decode(slot.kind, number, slot.ns, rest)
 
     def _slot(self, number: int) -> form.Slot:
         slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))
@@ -261,13 +238,17 @@ class _Slots:
         return slot
 
 
-def decode(kind: int, ns: int, rest: bytes) -> rec.Content | rec.CarriedOut | None:
-    """Return a record's content; None: a type of a later version. Raises form.DamagedRingError if `rest` is damaged."""
-    reader = _READERS.get(kind)
+def decode(kind: int, number: int, ns: int, rest: bytes) -> list[rec.Record]:
+    """Return what a record states: nothing if its type is of a later version, two records if it was CARRIED_OUT.
+
+    Raises form.DamagedRingError if `rest` is damaged.
+    """
     try:
         if kind == form.CARRIED_OUT:
-            return _carried_out(ns, rest)
-        return None if reader is None else reader(rest)
+            command, frame, after_ns = _carried_out(rest)
+            return [rec.Record(number, ns, command), rec.Record(number, ns + after_ns, frame)]
+        reader = _READERS.get(kind)
+        return [] if reader is None else [rec.Record(number, ns, reader(rest))]
     except (struct.error, ValueError, IndexError, RecursionError) as error:
         raise form.DamagedRingError(str(error)) from error
 
@@ -316,13 +297,13 @@ def _frame(rest: bytes) -> rec.FrameWritten:
     )
 
 
-def _carried_out(ns: int, rest: bytes) -> rec.CarriedOut:
+def _carried_out(rest: bytes) -> tuple[rec.CommandRecord, rec.FrameWritten, int]:
+    """Return a command, the frame that it was accepted with, and the ns from its arrival to the transfer's end."""
     after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
     if length > len(data):
         raise form.DamagedRingError(f"a frame of {length} bytes")
     command = _command(rest[form.CARRIED_OUT_HEAD.size :])
-    frame = rec.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number)
-    return rec.CarriedOut(command, frame, ns + after_ns)
+    return command, rec.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number), after_ns
 
 
 def _event(rest: bytes) -> rec.EventPublished:
