@@ -8,11 +8,11 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Final
+from typing import Any, Final, TextIO
 
 import zenoh
 from pydantic import BaseModel, ValidationError
@@ -25,7 +25,6 @@ from gateway.people.client.live import is_of_physics
 from gateway.people.client.subscriptions import States, subscribed
 from gateway.people.commands.reach import Connection
 from gateway.people.recorder.drawing import DESCRIPTION, DRAWN, LOG, Drawing, definition, encode, log_line
-from gateway.people.ros2.commanded import CommandedJoints
 from gateway.people.ros2.messages import LOG_WARN, Message
 from gateway.people.terminal import clear_line, hint, on_end_signals, say, show_line
 from schemas.calibration import Calibration
@@ -73,6 +72,7 @@ class Recording(ServerListener):
             self._channels[topic] = create(topic, message_encoding="cdr", schema=schema)
         self._asked = False  # a new viewer, for the robot's description
         self._file: foxglove.MCAPWriter | None = None
+        self._table: TextIO | None = None
         self._server: foxglove.websocket.WebSocketServer | None = None
 
     def open_file(self, path: Path, about: Mapping[str, Any], time_ns: int, *, overwrite: bool = False) -> None:
@@ -86,6 +86,14 @@ class Recording(ServerListener):
         self._file.write_metadata(METADATA, {name: json.dumps(value) for name, value in found.items()})
         self.draw((self.drawing.description(), *self.drawing.picture(time_ns)), time_ns)
         self.flush()
+
+    def open_table(self, path: Path, *, overwrite: bool = False) -> None:
+        """Begin a table: a row for each frame and each state. Raises FileExistsError, OSError.
+
+        It has seconds since 1970, and degrees; empty where a servo is off.
+        """
+        self._table = path.open("w" if overwrite else "x", newline="", encoding="ascii")
+        csv.writer(self._table).writerow(["time_s", *(f"servo_{servo_id}_deg" for servo_id in SERVO_IDS)])
 
     def serve(self, port: int) -> int:
         """Serve viewers on this machine, and return the port. Raises AddressTakenError if `port` is in use."""
@@ -107,6 +115,10 @@ class Recording(ServerListener):
         data = json.dumps(report, separators=(",", ":"), ensure_ascii=False).encode()
         self._channels[key].log(data, log_time=time_ns)
         self.draw(self.drawing.take(key, report, time_ns), time_ns)
+        if self._table is not None and key in (STATE, FRAME):
+            joints = self.drawing.joints
+            angles = (joints.deg.get(each) if joints.running.get(each) else None for each in SERVO_IDS)
+            csv.writer(self._table).writerow([f"{time_ns / 1e9:.6f}", *angles])
 
     def draw(self, drawn: Iterable[tuple[str, Message]], time_ns: int) -> None:
         """Record messages for viewers, by topic."""
@@ -124,26 +136,30 @@ class Recording(ServerListener):
         if self._asked:
             self._asked = False
             self.draw([self.drawing.description()], time.time_ns())
-        if self._file is not None:
-            try:
+        if self._table is not None:
+            self._table.flush()
+        with _as_os_error():
+            if self._file is not None:
                 self._file.flush()
-            except RuntimeError as error:
-                raise OSError(str(error)) from error
 
     def close(self) -> None:
-        """Write the file's index and end the server. Raises OSError if the file cannot be written."""
+        """Write the file's index, end the table and the server. Raises OSError if a file cannot be written."""
         if self._server is not None:
             self._server.stop()
-        if self._file is not None:
-            try:
+        if self._table is not None:
+            self._table.close()
+        with _as_os_error():
+            if self._file is not None:
                 self._file.close()
-            except RuntimeError as error:
-                raise OSError(str(error)) from error
 
 
-def about(state: GatewayState) -> dict[str, Any]:
-    """Return the versions and settings in a state, for the file's metadata."""
-    return state.model_dump(mode="json", include={"version", "protocol", "simulated", "spi", "watchdog", "limits"})
+@contextmanager
+def _as_os_error() -> Iterator[None]:
+    """Raise what Foxglove's SDK raises for a file that cannot be written."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise OSError(str(error)) from error
 
 
 FLUSH_S: Final = 0.1
@@ -157,25 +173,15 @@ MOST_WAITING: Final = 100_000
 _NAMES: Final = {STATE: "states", EVENT: "events", FRAME: "frames"}
 
 
-class Table:
-    """A row for each frame and each state: seconds since 1970, and degrees; empty where a servo is off."""
-
-    def __init__(self, path: Path, *, overwrite: bool) -> None:
-        """Raises FileExistsError, OSError."""
-        self.file = path.open("w" if overwrite else "x", newline="", encoding="ascii")
-        self._writer = csv.writer(self.file)
-        self._writer.writerow(["time_s", *(f"servo_{servo_id}_deg" for servo_id in SERVO_IDS)])
-
-    def add(self, joints: CommandedJoints, time_ns: int) -> None:
-        angles = (joints.deg.get(each) if joints.running.get(each) else None for each in SERVO_IDS)
-        self._writer.writerow([f"{time_ns / 1e9:.6f}", *angles])
-
-
 class ReportQueue:
     """A queue from Zenoh's threads to the recorder. At most MOST_WAITING reports wait, which limits memory."""
 
-    def __init__(self, physics: str | None = None) -> None:
-        """`physics`: Zenoh id of the body's publisher in the newest state; later states replace it."""
+    def __init__(self, states: States, physics: str | None = None) -> None:
+        """`states` joins states with their configuration.
+
+        `physics`: Zenoh id of the body's publisher in the newest state; later states replace it.
+        """
+        self._states = states
         self._physics = physics
         self._waiting: SimpleQueue[tuple[str, bytes, int] | None] = SimpleQueue()
         self._since_1970_ns = time.time_ns() - time.monotonic_ns()
@@ -185,20 +191,12 @@ class ReportQueue:
         """The count of invalid reports."""
 
     @contextmanager
-    def receives(self, session: zenoh.Session, states: States) -> Iterator[None]:
-        """Subscribe, and queue what is received. `states` joins states with their configuration."""
+    def receives(self, session: zenoh.Session) -> Iterator[None]:
+        """Subscribe, and queue what is received."""
 
         def receive(key: str, sample: zenoh.Sample) -> None:
             if key == SIM_BODY and not is_of_physics(sample, self._physics):
                 self.invalid += 1
-            elif key == STATE:
-                try:
-                    state = states.join(sample.payload.to_bytes())
-                except ValidationError:
-                    self.invalid += 1
-                else:
-                    if state is not None:
-                        self.put(key, state.model_dump_json().encode())
             else:
                 self.put(key, sample.payload.to_bytes())
 
@@ -219,21 +217,25 @@ class ReportQueue:
     def get(self, timeout_s: float) -> tuple[str, dict[str, Any], int] | None:
         """Return the next entry's key, report and arrival (ns since 1970); None: the queue has ended.
 
-        Raises queue.Empty if no entry arrives within `timeout_s`, or if the entry is invalid.
+        Raises queue.Empty if no entry arrives within `timeout_s`, if the entry is invalid, or if it is a state whose
+        configuration is unknown.
         """
         found = self._waiting.get(timeout=max(0.0, timeout_s))
         if found is None:
             return None
         key, payload, time_ns = found
         try:
-            REPORTS[key].model_validate_json(payload)
+            if key != STATE:
+                REPORTS[key].model_validate_json(payload)
+                return key, json.loads(payload), time_ns
+            state = self._states.join(payload)
         except ValidationError:
             self.invalid += 1
             raise Empty from None
-        report = json.loads(payload)
-        if key == STATE:
-            self._physics = report.get("physics")
-        return key, report, time_ns
+        if state is None:
+            raise Empty
+        self._physics = state.physics
+        return key, state.model_dump(mode="json"), time_ns
 
     def now_ns(self) -> int:
         """Return ns since 1970, by a clock that never jumps."""
@@ -254,18 +256,17 @@ def record(
     recording = Recording(load(geometry))
     with connect() as client:
         state = client.state()
-        with ExitStack() as opened:
-            if live_port is not None:
-                port = recording.serve(live_port)
-                say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
-            rows = _open(recording, opened, path, state, table=table, overwrite=overwrite)
-            reports = ReportQueue(state.physics)
-            if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
-                reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
-            if client.states.config is not None:
-                reports.put(CONFIG, client.states.config.model_dump_json().encode())
-            opened.enter_context(reports.receives(client.session, client.states))
-            opened.enter_context(on_end_signals(reports.end))
+        if live_port is not None:
+            port = recording.serve(live_port)
+            say(f"In Foxglove or Lichtblick, open the Foxglove WebSocket ws://{HOST}:{port}; Ctrl-C ends")
+        if path is not None:
+            _open(recording, path, state, table=table, overwrite=overwrite)
+        reports = ReportQueue(client.states, state.physics)
+        if state.calibration.revision:  # so that the frames can be read; the default, and an older gateway, have 0
+            reports.put(CALIBRATION, client.calibration().model_dump_json().encode())
+        if client.states.config is not None:
+            reports.put(CONFIG, client.states.config.model_dump_json().encode())
+        with reports.receives(client.session), on_end_signals(reports.end):
             if path is not None and state.telemetry.frames is False:
                 hint(
                     "The gateway publishes no frames, so the recording will have none: set telemetry.frames = true in "
@@ -273,32 +274,26 @@ def record(
                 )
             if path is not None:
                 hint(f"recording into {path}; Ctrl-C ends it")
-            return _Recorder(recording, rows, reports, path).run(seconds)
+            return _Recorder(recording, reports, path).run(seconds)
 
 
-def _open(
-    recording: Recording, opened: ExitStack, path: Path | None, state: GatewayState, *, table: bool, overwrite: bool
-) -> Table | None:
+def _open(recording: Recording, path: Path, state: GatewayState, *, table: bool, overwrite: bool) -> None:
     """Open the files. Raises ConfigError."""
-    if path is None:
-        return None
     for each in (path, path.with_suffix(".csv"))[: 1 + table]:
         if each.exists() and not overwrite:
             raise ConfigError(f"{each}: exists; name another file, or overwrite it with --force")
+    about = state.model_dump(mode="json", include={"version", "protocol", "simulated", "spi", "watchdog", "limits"})
     try:
-        recording.open_file(path, about(state), time.time_ns(), overwrite=overwrite)
-        rows = Table(path.with_suffix(".csv"), overwrite=overwrite) if table else None
+        recording.open_file(path, about, time.time_ns(), overwrite=overwrite)
+        if table:
+            recording.open_table(path.with_suffix(".csv"), overwrite=overwrite)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
-    if rows is not None:
-        opened.callback(rows.file.close)
-    return rows
 
 
 class _Recorder:
-    def __init__(self, recording: Recording, table: Table | None, reports: ReportQueue, path: Path | None) -> None:
+    def __init__(self, recording: Recording, reports: ReportQueue, path: Path | None) -> None:
         self._recording = recording
-        self._table = table
         self._reports = reports
         self._path = path
         self._begun_s = self._received_s = time.monotonic()
@@ -318,7 +313,11 @@ class _Recorder:
                 f"once there is room, `mcap recover {self._path} -o FILE` makes a whole file of it"
             ) from error
         clear_line()
-        self._report()
+        say(f"{self._path or 'live'}: {self._summary()}")
+        if self._reports.dropped:
+            hint(f"{self._reports.dropped} reports are missing: the disk was too slow.")
+        if self._reports.invalid:
+            hint(f"{self._reports.invalid} messages on the gateway's keys were no reports, and are not in the file.")
         return 0
 
     def _write_until(self, end_s: float | None) -> None:
@@ -327,8 +326,6 @@ class _Recorder:
             if now_s >= flush_s:
                 flush_s = now_s + FLUSH_S
                 self._recording.flush()
-                if self._table is not None:
-                    self._table.file.flush()
             if now_s >= progress_s:
                 progress_s = now_s + _PROGRESS_S
                 show_line(self._summary())
@@ -348,8 +345,6 @@ class _Recorder:
             self._silent = False
             self._warn("the gateway publishes again")
         self._recording.add(key, report, time_ns)
-        if self._table is not None and key in (STATE, FRAME):
-            self._table.add(self._recording.drawing.joints, time_ns)
 
     def _warn(self, sentence: str) -> None:
         hint(sentence)
@@ -360,10 +355,3 @@ class _Recorder:
         counts = ", ".join(f"{self._counts[key]} {name}" for key, name in _NAMES.items())
         size = f", {self._path.stat().st_size / 1e6:.1f} MB" if self._path and self._path.exists() else ""
         return f"{time.monotonic() - self._begun_s:.1f} s, {counts}{size}"
-
-    def _report(self) -> None:
-        say(f"{self._path or 'live'}: {self._summary()}")
-        if self._reports.dropped:
-            hint(f"{self._reports.dropped} reports are missing: the disk was too slow.")
-        if self._reports.invalid:
-            hint(f"{self._reports.invalid} messages on the gateway's keys were no reports, and are not in the file.")

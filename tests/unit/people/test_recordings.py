@@ -5,18 +5,17 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 from queue import Empty
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import pytest
+import zenoh
 from mcap.reader import make_reader
 
 from gateway.geometry import load
 from gateway.model.frames import stop_leg
-from gateway.people.recorder.drawing import (
-    DRAWN,
-    Drawing,
-)
-from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, ReportQueue, Table
+from gateway.people.client.subscriptions import States
+from gateway.people.recorder.drawing import DRAWN
+from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, ReportQueue
 from gateway.people.ros2.messages import Message
 from schemas import keys
 from schemas.robot import SERVO_IDS
@@ -139,23 +138,25 @@ def test_a_file_that_exists_is_overwritten_on_request_only_and_who_writes_it_kee
 
 
 def test_a_table_has_the_commanded_angles_and_a_gap_where_a_servo_is_off(path: Path) -> None:
-    drawing, table = Drawing(load()), Table(path.with_suffix(".csv"), overwrite=False)
+    recording = Recording(load())
+    recording.open_table(path.with_suffix(".csv"))
     start = {"bytes": "060220015a00"}  # servo 32, Start, 90 degrees
     for number, report in enumerate((start, {"bytes": stop_leg(3).to_bytes().hex()})):
-        list(drawing.take(keys.FRAME, report, START_NS + number))
-        table.add(drawing.joints, START_NS + number)
-    table.file.flush()
+        recording.add(keys.FRAME, report, START_NS + number)
+    recording.close()
     with path.with_suffix(".csv").open(newline="") as file:
         on, off = csv.DictReader(file)
     assert on.pop("time_s") == "1700000000.000000"
     assert {name: angle for name, angle in on.items() if angle} == {"servo_32_deg": "90.0"}
     assert list(on) == [f"servo_{servo_id}_deg" for servo_id in SERVO_IDS]
     assert set(off.values()) == {"", off["time_s"]}
-    table.file.close()
+
+
+NO_STATES: Final = States(cast(zenoh.Session, None))
 
 
 def test_the_queue_leaves_out_what_is_no_report() -> None:
-    queue = ReportQueue()
+    queue = ReportQueue(NO_STATES)
     queue.put(keys.STATE, b"{}")
     queue.put(keys.EVENT, b"nonsense")
     queue.put(keys.EVENT, event(Kind.STOPPING, "it ends").model_dump_json().encode())
@@ -175,7 +176,7 @@ def test_the_queue_leaves_out_what_is_no_report() -> None:
 
 
 def test_a_queue_that_nobody_reads_does_not_grow() -> None:
-    queue = ReportQueue()
+    queue = ReportQueue(NO_STATES)
     for _ in range(MOST_WAITING + 3):
         queue.put(keys.EVENT, b"{}")
     assert queue.dropped == 3
