@@ -5,8 +5,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import datetime
-from enum import Enum, auto
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,11 +25,6 @@ OPEN_AGAIN_S: Final = 0.3
 STATE_ANSWER_S: Final = 0.6
 CLOSE_S: Final = 0.5
 """The longest wait for the session to close; with a frozen gateway Zenoh takes ten seconds."""
-SAME_START_S: Final = 0.1
-"""Two states of one gateway agree on its start within this time. No gateway restarts this quickly."""
-LATE_S: Final = 1.0
-"""The longest delay of a state that arrives after a newer one."""
-
 ERRORS: Final = (GatewayError, zenoh.ZError, ValidationError, RuntimeError)
 """The exceptions of a session and its queries."""
 
@@ -51,43 +44,6 @@ def set_upright(client: Client) -> Ack:
         return client.ask(keys.SIM_UPRIGHT, {})
     except UnansweredError as error:
         raise UnansweredError("no simulated body answers: set upright is for `run --sim=physics`") from error
-
-
-# ---- which gateway it is
-
-
-class Order(Enum):
-    """A state's relation to the newest state before it."""
-
-    NEXT = auto()
-    RESTARTED = auto()  # the gateway was restarted between the two
-    OVERTAKEN = auto()  # an answer that is older than a state received before it
-
-
-class Starts:
-    """Recognises a restarted gateway by its time of start and its uptime. Pure.
-
-    Its uptime is not enough: after a silence, the new gateway may have run for longer than the old one had. Its time of
-    start is not enough: setting the clock (a Pi's after its boot) moves that of a running gateway.
-    """
-
-    def __init__(self) -> None:
-        self._began_s = self._uptime_s = 0.0
-        self._received_ns: int | None = None
-
-    def judge(self, time: datetime, uptime_s: float, received_ns: int) -> Order:
-        """Return the order of a state with this `time` and `uptime_s`, received at `received_ns` (monotonic)."""
-        began_s = time.timestamp() - uptime_s
-        order = Order.NEXT
-        if self._received_ns is not None:
-            older = uptime_s < self._uptime_s
-            apart_s = (received_ns - self._received_ns) / 1e9
-            if (older or uptime_s < apart_s + LATE_S) and abs(began_s - self._began_s) >= SAME_START_S:
-                order = Order.RESTARTED
-            elif older:
-                return Order.OVERTAKEN
-        self._began_s, self._uptime_s, self._received_ns = began_s, uptime_s, received_ns
-        return order
 
 
 # ---- a connection that stays

@@ -5,7 +5,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from typing import Final, NamedTuple, NoReturn
@@ -15,7 +15,7 @@ from gateway.allowance import NS_PER_S
 from gateway.people.client import diagnosis
 from gateway.people.client.blocking import Client, several_answer
 from gateway.people.client.dangers import PowerAlarm, power_now
-from gateway.people.client.live import Live, Order, Receiver, Starts
+from gateway.people.client.live import Live, Receiver
 from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.terminal import hint, on_end_signals, say
@@ -119,117 +119,119 @@ class NewsLine(NamedTuple):
         return f"{self.time.astimezone():%H:%M:%S} {visible(self.kind):18} {visible(self.text)}"
 
 
-class StatusChanges:
-    """The changes in states and events. Pure: `now_ns` is monotonic, `wall` is for people."""
+SAME_START_S: Final = 0.1
+"""Two states of one gateway agree on its start within this time. No gateway restarts this quickly."""
+LATE_S: Final = 1.0
+"""The longest delay of a state that arrives after a newer one."""
 
-    def __init__(self) -> None:
+
+class Follower(Receiver):
+    """Shows a line for each change in states and events, on the receiving threads: a slow reader delays only this
+    program."""
+
+    def __init__(self, show: Callable[[NewsLine], None], now_ns: Callable[[], int] = time.monotonic_ns) -> None:
+        self._show = show
+        self._now_ns = now_ns
+        self._lock = threading.Lock()
+        """Held while the lines of one report are shown."""
         self._known: dict[str, str] = {}
         self._alarm = PowerAlarm()
-        self._starts = Starts()
+        self._newest: tuple[float, float, int] | None = None
+        """The gateway's start (s since 1970), its uptime (s), and when it was received, by the newest state."""
         self._received_ns: int | None = None
         self._silent = False
         self._said: set[str] = set()
-        """Sentences that were printed since the gateway fell silent."""
-
-    def received_state(self, state: GatewayState, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        """Yield a line for each sentence that differs from the state before."""
-        yield from self._received(now_ns, wall)
-        order = self._starts.judge(state.time, state.uptime_s, now_ns)
-        if order is Order.OVERTAKEN:
-            return
-        if order is Order.RESTARTED:
-            yield change(wall, "gateway", "The gateway was started again.")
-        self._alarm.received_state(state, now_ns)
-        yield from self._changed({**topics(state), "alarm": self._alarm.sentence}, wall)
-
-    def received_event(self, event: Event, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        """Yield the event's line."""
-        yield from self._received(now_ns, wall)
-        who = [event.source] if event.source is not None and event.source not in event.detail else []
-        text = ": ".join([*who, *([str(event.reason)] if event.reason is not None else []), event.detail])
-        text += f" (and {event.left_out} more that are left out)" if event.left_out else ""
-        yield NewsLine(event.time, str(event.kind), text, event.model_dump_json())
-        self._alarm.received_event(event.kind)
-        yield from self._changed({"alarm": self._alarm.sentence}, wall)
-
-    def received_token(self, alive: bool, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        """Take an appearance (`alive`) or a loss of the gateway's liveliness token."""
-        yield from self._received(now_ns, wall) if alive else self._is_silent(wall)
-
-    def poll(self, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        """Yield a line if the gateway has fallen silent. Call several times a second."""
-        if self._received_ns is not None and now_ns - self._received_ns > SILENT_AFTER_NS:
-            yield from self._is_silent(wall)
-
-    def note(self, text: str, wall: datetime) -> Iterator[NewsLine]:
-        """Yield a sentence about the connection, once until something is received again."""
-        if text not in self._said:
-            self._said.add(text)
-            yield change(wall, "gateway", text)
-
-    @property
-    def receives(self) -> bool:
-        """Whether the gateway publishes, as far as is known."""
-        return self._received_ns is not None and not self._silent
-
-    def _changed(self, sentences: dict[str, str], wall: datetime) -> Iterator[NewsLine]:
-        for what, sentence in sentences.items():
-            before, self._known[what] = self._known.get(what, ""), sentence
-            if sentence not in ("", before):
-                yield change(wall, what, sentence)
-
-    def _received(self, now_ns: int, wall: datetime) -> Iterator[NewsLine]:
-        if self._silent and self._received_ns is not None:
-            away_s = (now_ns - self._received_ns) / NS_PER_S
-            yield change(wall, "gateway", f"The gateway publishes again, after {away_s:.1f} s.")
-        if not self.receives:
-            self._said.clear()
-        self._received_ns, self._silent = now_ns, False
-
-    def _is_silent(self, wall: datetime) -> Iterator[NewsLine]:
-        if self.receives:
-            self._silent = True
-            yield change(wall, "gateway", "The gateway is SILENT: what the robot does is not known.")
-
-
-def change(wall: datetime, what: str, sentence: str) -> NewsLine:
-    """Return the line of a change without an event. `what` names its subject."""
-    report = {"time": wall.isoformat(), "kind": "change", "what": what, "detail": sentence}
-    return NewsLine(wall, what, sentence, json.dumps(report, ensure_ascii=False))
-
-
-class _Follower(Receiver):
-    """Prints what is received, on the receiving threads: a slow reader delays only this program."""
-
-    def __init__(self, show: Callable[[NewsLine], None]) -> None:
-        self._show = show
-        self._lock = threading.Lock()
-        self.changes = StatusChanges()
-
-    def say(self, lines: Iterator[NewsLine]) -> None:
-        """Show these lines together, in order."""
-        with self._lock:
-            for line in lines:
-                self._show(line)
+        """Sentences that were shown since the gateway fell silent."""
 
     def received_state(self, state: GatewayState, received_ns: int) -> None:
-        self.say(self.changes.received_state(state, received_ns, _wall()))
+        """Show each sentence that differs from the state before."""
+        with self._lock:
+            self._received(received_ns)
+            if self._is_next(state, received_ns):
+                self._alarm.received_state(state, received_ns)
+                self._changed({**topics(state), "alarm": self._alarm.sentence})
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         del left_out  # always 0: no event is dropped
-        self.say(self.changes.received_event(event, time.monotonic_ns(), _wall()))
+        with self._lock:
+            self._received(self._now_ns())
+            who = [event.source] if event.source is not None and event.source not in event.detail else []
+            text = ": ".join([*who, *([str(event.reason)] if event.reason is not None else []), event.detail])
+            text += f" (and {event.left_out} more that are left out)" if event.left_out else ""
+            self._show(NewsLine(event.time, str(event.kind), text, event.model_dump_json()))
+            self._alarm.received_event(event.kind)
+            self._changed({"alarm": self._alarm.sentence})
 
     def received_token(self, alive: bool) -> None:
-        self.say(self.changes.received_token(alive, time.monotonic_ns(), _wall()))
+        with self._lock:
+            if alive:
+                self._received(self._now_ns())
+            else:
+                self._is_silent()
 
     def answered(self, client: Client) -> None:
         count = len(client.answerers(keys.STATE, _OTHERS_S))
         if count > 1:
-            self.say(self.changes.note(several_answer(count, keys.STATE), _wall()))
+            self.note(several_answer(count, keys.STATE))
 
     def diagnosed(self, reasons: list[str]) -> None:
-        for each in reasons if not self.changes.receives else ():
-            self.say(self.changes.note(each, _wall()))
+        for each in reasons if self._received_ns is None or self._silent else ():
+            self.note(each)
+
+    def note(self, text: str) -> None:
+        """Show a sentence about the connection, once until something is received again."""
+        with self._lock:
+            if text not in self._said:
+                self._said.add(text)
+                self._change("gateway", text)
+
+    def poll(self) -> None:
+        """Show if the gateway has fallen silent. Call several times a second."""
+        with self._lock:
+            if self._received_ns is not None and self._now_ns() - self._received_ns > SILENT_AFTER_NS:
+                self._is_silent()
+
+    def _is_next(self, state: GatewayState, received_ns: int) -> bool:
+        """Return whether a state is newer than the newest before it. Show if the gateway was restarted between the two.
+
+        Its uptime is not enough for that: after a silence, the new gateway may have run for longer than the old one
+        had. Its time of start is not enough: setting the clock (a Pi's after its boot) moves that of a running gateway.
+        """
+        began_s, uptime_s = state.time.timestamp() - state.uptime_s, state.uptime_s
+        if self._newest is not None:
+            before_began_s, before_uptime_s, before_ns = self._newest
+            older, apart_s = uptime_s < before_uptime_s, (received_ns - before_ns) / NS_PER_S
+            if (older or uptime_s < apart_s + LATE_S) and abs(began_s - before_began_s) >= SAME_START_S:
+                self._change("gateway", "The gateway was started again.")
+            elif older:
+                return False
+        self._newest = began_s, uptime_s, received_ns
+        return True
+
+    def _changed(self, sentences: dict[str, str]) -> None:
+        for what, sentence in sentences.items():
+            before, self._known[what] = self._known.get(what, ""), sentence
+            if sentence not in ("", before):
+                self._change(what, sentence)
+
+    def _received(self, now_ns: int) -> None:
+        if self._silent and self._received_ns is not None:
+            away_s = (now_ns - self._received_ns) / NS_PER_S
+            self._change("gateway", f"The gateway publishes again, after {away_s:.1f} s.")
+        if self._silent or self._received_ns is None:
+            self._said.clear()
+        self._received_ns, self._silent = now_ns, False
+
+    def _is_silent(self) -> None:
+        if self._received_ns is not None and not self._silent:
+            self._silent = True
+            self._change("gateway", "The gateway is SILENT: what the robot does is not known.")
+
+    def _change(self, what: str, sentence: str) -> None:
+        """Show a change without an event. `what` names its subject."""
+        wall = datetime.now().astimezone()
+        report = {"time": wall.isoformat(), "kind": "change", "what": what, "detail": sentence}
+        self._show(NewsLine(wall, what, sentence, json.dumps(report, ensure_ascii=False)))
 
 
 def follow(reach: Reach, *, as_json: bool) -> NoReturn:
@@ -250,7 +252,7 @@ def follow(reach: Reach, *, as_json: bool) -> NoReturn:
 
     source = "hexapod-gateway status"
     client = partial(Client, connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s, explain=False)
-    follower = _Follower(show)
+    follower = Follower(show)
     # With a link, the gateway is frozen, or there is none behind the router.
     unreached = partial(why.unreached, connect, zenoh_config)
     link = Live(client, follower, lambda found: [] if found is not None and found.connected else unreached())
@@ -259,11 +261,7 @@ def follow(reach: Reach, *, as_json: bool) -> NoReturn:
     with on_end_signals(ended.set):
         link.start()
         while not ended.wait(_POLL_S):
-            follower.say(follower.changes.poll(time.monotonic_ns(), _wall()))
+            follower.poll()
         link.close()
     # The interpreter's own end aborts while a thread is inside Zenoh, which may take ten seconds.
     os._exit(0)
-
-
-def _wall() -> datetime:
-    return datetime.now().astimezone()

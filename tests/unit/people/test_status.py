@@ -1,20 +1,19 @@
 """`hexapod-gateway status`: the state in sentences."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import timedelta
 
 import pytest
 
 from gateway import certs
 from gateway.people.client.dangers import UNCONFIRMED
-from gateway.people.commands.status import SILENT_AFTER_NS, NewsLine, StatusChanges, sentences
+from gateway.people.commands.status import SILENT_AFTER_NS, Follower, NewsLine, sentences
 from schemas.telemetry import (
     Battery,
     ButtonsReport,
     CalibrationReport,
     CertificateReport,
     ControllerReport,
-    Event,
     GatewayState,
     LeaseReport,
     Mode,
@@ -59,37 +58,40 @@ def test_a_controller_that_answers_and_its_battery(alive: bool, age_ms: float | 
 
 
 class Followed:
-    """What is printed, 100 ms after each other."""
+    """What is shown, 100 ms after each other."""
 
     def __init__(self) -> None:
-        self.changes = StatusChanges()
-        self.now_ns = 0
         self.lines: list[NewsLine] = []
+        self.follower = Follower(self.lines.append, lambda: self.now_ns)
+        self.now_ns = 0
 
-    def _take(self, lines: Iterator[NewsLine]) -> list[str]:
-        found = list(lines)
-        self.lines += found
-        return [line.text for line in found]
+    def _shown(self, count: int) -> list[str]:
+        return [line.text for line in self.lines[count:]]
 
     def state(self, published: GatewayState | None = None, changed: Mapping[str, object] | None = None) -> list[str]:
         """A state comes, of a gateway that has been up since the beginning."""
+        count = len(self.lines)
         self.now_ns += 100 * NS_PER_MS
         if published is None:
             published = state(self.now_ns / 1e9)
-        return self._take(self.changes.received_state(published.model_copy(update=changed or {}), self.now_ns, WALL))
-
-    def event(self, published: Event) -> list[str]:
-        return self._take(self.changes.received_event(published, self.now_ns, WALL))
+        self.follower.received_state(published.model_copy(update=changed or {}), self.now_ns)
+        return self._shown(count)
 
     def token(self, alive: bool) -> list[str]:
-        return self._take(self.changes.received_token(alive, self.now_ns, WALL))
+        count = len(self.lines)
+        self.follower.received_token(alive)
+        return self._shown(count)
 
     def look(self, after_ns: int) -> list[str]:
+        count = len(self.lines)
         self.now_ns += after_ns
-        return self._take(self.changes.poll(self.now_ns, WALL))
+        self.follower.poll()
+        return self._shown(count)
 
-    def note(self, text: str) -> list[str]:
-        return self._take(self.changes.note(text, WALL))
+    def diagnosed(self, text: str) -> list[str]:
+        count = len(self.lines)
+        self.follower.diagnosed([text])
+        return self._shown(count)
 
 
 @pytest.fixture
@@ -127,7 +129,7 @@ def test_each_change_is_a_line_once(followed: Followed, changed: dict[str, objec
 
 
 def test_no_source_controls_the_terminal(followed: Followed) -> None:
-    followed.event(rejected("\x1b[2Janna", "a\nb"))
+    followed.follower.received_event(rejected("\x1b[2Janna", "a\nb"))
     assert followed.lines[0].plain.endswith(r"command_rejected   \x1b[2Janna: invalid: a\nb")
 
 
@@ -154,7 +156,9 @@ def test_an_answer_that_was_overtaken_changes_nothing(followed: Followed) -> Non
 
 
 def test_why_nothing_comes_is_said_once_until_something_does(followed: Followed) -> None:
-    assert followed.note("nobody listens there") == ["nobody listens there"]
-    assert followed.note("nobody listens there") == []
+    assert followed.diagnosed("nobody listens there") == ["nobody listens there"]
+    assert followed.diagnosed("nobody listens there") == []
     followed.state()
-    assert followed.note("nobody listens there") == ["nobody listens there"]
+    assert followed.diagnosed("nobody listens there") == [], "it publishes"
+    followed.token(alive=False)
+    assert followed.diagnosed("nobody listens there") == ["nobody listens there"]
