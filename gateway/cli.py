@@ -215,7 +215,7 @@ def stop(reach: Reach) -> None:
     """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
     from gateway.people.commands import send
 
-    sys.exit(send.send_stop(send.connection(reach, "stop")))
+    sys.exit(send.stop(send.connection(reach, "stop")))
 
 
 @app.command()
@@ -368,7 +368,7 @@ def send_leg(
     """Start, set or stop a leg: `send leg 3 start 90 45 120 --hold 5`."""
     from gateway.people.commands import send
 
-    sys.exit(send.send_leg(send.connection(reach), leg, op, angles or [], hold_s=hold))
+    sys.exit(send.send(send.connection(reach), "leg", leg, op, angles or [], hold_s=hold))
 
 
 @send_app.command("legs")
@@ -386,7 +386,7 @@ def send_legs(
     """Start, set or stop all six legs: `send legs start 90 45 120 --hold 5`."""
     from gateway.people.commands import send
 
-    sys.exit(send.send_legs(send.connection(reach), op, angles or [], hold_s=hold))
+    sys.exit(send.send(send.connection(reach), "legs", 0, op, angles or [], hold_s=hold))
 
 
 @send_app.command("servo")
@@ -402,7 +402,8 @@ def send_servo(
     """Start, set or stop one servo: `send servo 32 start 90`."""
     from gateway.people.commands import send
 
-    sys.exit(send.send_servo(send.connection(reach), servo_id, op, angle, hold_s=hold))
+    angles = [] if angle is None else [angle]
+    sys.exit(send.send(send.connection(reach), "servo", servo_id, op, angles, hold_s=hold))
 
 
 def main() -> None:

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Final
 
 from gateway.errors import ConfigError, GatewayError, LeaseError
@@ -19,7 +18,7 @@ from gateway.people.terminal import hint, say
 from gateway.zenoh_config import client_config
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
-from schemas.telemetry import Ack, GatewayState, Mode
+from schemas.telemetry import Ack, GatewayState, Mode, WatchdogReport
 
 HOLD_PERIOD_S = 0.05
 """A fifth of the default watchdog timeout."""
@@ -32,109 +31,111 @@ _MOST_PERSON: Final = 40
 
 
 def connection(by: Reach, command: str = "send") -> Connection:
-    """Return a connection whose commands have the sender's name in events and states."""
-    person = person_of(by.connect, by.zenoh_config)[:_MOST_PERSON]
-    return by.connection(f"{person} (hexapod-gateway {command})")
+    """Return a connection whose commands have the sender's name: the certificate's person, or this machine's user."""
+    person = me()
+    if by.zenoh_config is not None:
+        identity = Identity.of(client_config(by.connect, by.zenoh_config))
+        with suppress(ConfigError):
+            person = identity.person() if identity.proves else person
+    return by.connection(f"{person[:_MOST_PERSON]} (hexapod-gateway {command})")
 
 
-def person_of(connect: str | None, zenoh_config: Path | None) -> str:
-    """Return the certificate's person; without one, this machine's user."""
-    if zenoh_config is not None:
-        identity = Identity.of(client_config(connect, zenoh_config))
-        if identity.proves:
-            with suppress(ConfigError):
-                return identity.person()
-    return me()
+def send(connect: Connection, kind: str, number: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
+    """Start, set or stop (`op`) a `leg`, a `servo` or all `legs` (`kind`), repeat it for `hold_s`, print the result.
 
-
-def send_leg(connect: Connection, leg: int, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
-    """Start, set or stop (`op`) a leg. Returns the exit code. Raises ConfigError for another number of angles."""
-    _check_count(f"leg {leg}", op, len(angles_deg), {len(JOINTS)}, "3 angles")
-    return _send(connect, keys.leg_command(leg), leg_payload(op, tuple(angles_deg)), moves=op != "stop", hold_s=hold_s)
-
-
-def send_legs(connect: Connection, op: str, angles_deg: Sequence[float], *, hold_s: float) -> int:
-    """Start, set or stop all six legs, with three angles for each leg or all 18. Returns and raises as `send_leg`."""
-    _check_count("legs", op, len(angles_deg), {len(JOINTS), len(SERVO_IDS)}, "3 angles, or 18")
-    pose = dict.fromkeys(LEGS, tuple(angles_deg)) if len(angles_deg) <= len(JOINTS) else list(angles_deg)
-    return _send(connect, keys.LEGS_COMMAND, legs_payload(op, pose), moves=op != "stop", hold_s=hold_s)
-
-
-def send_servo(connect: Connection, servo_id: int, op: str, angle_deg: float | None, *, hold_s: float) -> int:
-    """Start, set or stop a servo. Returns and raises as `send_leg`, also for an id that does not exist."""
-    _check_count(f"servo {servo_id}", op, int(angle_deg is not None), {1}, "one angle", " 90")
+    Returns the exit code. Raises ConfigError for another number of angles, or an id that does not exist.
+    """
+    counts, takes, example = ({0}, "no angles", "") if op == "stop" else _TAKES[kind]
+    if len(angles_deg) not in counts:
+        shown = command(f"send {kind}{f' {number}' if number else ''} {op}{example}")
+        raise ConfigError(f"{op} takes {takes}, and there are {len(angles_deg)}; for example: {shown}")
     try:
-        key = keys.servo_command(servo_id)
+        key = _KEYS[kind](number)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    return _send(connect, key, servo_payload(op, angle_deg), moves=op != "stop", hold_s=hold_s)
+    payload, moves = _payload(kind, op, tuple(angles_deg)), op != "stop"
+    # A repeated start would undo somebody else's Stop.
+    again = _payload(kind, "set", tuple(angles_deg)) if moves else payload
 
-
-def _check_count(what: str, op: str, given: int, counts: set[int], takes: str, example: str = " 90 45 120") -> None:
-    """Raise ConfigError for another number of angles than `op` takes."""
-    if op == "stop":
-        counts, takes, example = {0}, "no angles", ""
-    if given not in counts:
-        shown = command(f"send {what} {op}{example}")
-        raise ConfigError(f"{op} takes {takes}, and there are {given}; for example: {shown}")
-
-
-def send_stop(connect: Connection) -> int:
-    """Stop all six legs. Returns the exit code."""
-    with connect() as client:
-        code = command_report(client.stop(), "all six legs are stopped", client.state)
-        _warn_of_others(client, keys.LEGS_COMMAND)
-        return code
-
-
-def _send(connect: Connection, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
-    """Send an acknowledged command, repeat it for `hold_s`, and print the result. Returns the exit code."""
-    with connect() as client:
+    def hold(client: Client) -> int:
         try:
             with reach.drives(client, hold_s, moves=moves):
-                code = _send_for(client, key, payload, moves=moves, hold_s=hold_s)
+                code = command_report(client.ask(key, payload, again=not moves), "accepted", client.state)
+                end = time.monotonic() + hold_s
+                while code == 0 and time.monotonic() < end:
+                    time.sleep(HOLD_PERIOD_S)
+                    ack = client.ask(key, again)
+                    if not ack.accepted:
+                        code = command_report(ack, "", client.state)
+                if code == 0 and moves:
+                    _hint_watchdog(client.state().watchdog, hold_s)
         except LeaseError as error:
             code = reach.rejected(error)
-        _warn_of_others(client, key)
         return code
 
-
-def _send_for(client: Client, key: str, payload: dict[str, object], *, moves: bool, hold_s: float) -> int:
-    code = command_report(client.ask(key, payload, again=not moves), "accepted", client.state)
-    end = time.monotonic() + hold_s
-    again = _set_instead_of_start(payload)
-    while code == 0 and time.monotonic() < end:
-        time.sleep(HOLD_PERIOD_S)
-        ack = client.ask(key, again)
-        if not ack.accepted:
-            code = command_report(ack, "", client.state)
-    if code == 0 and moves:
-        watchdog = client.state().watchdog
-        timeout = f"{watchdog.timeout_ms:g} ms"
-        lands = f", once the robot has landed in {watchdog.landing_ms:g} ms" if watchdog.landing_ms else ""
-        hint(
-            f"Held for {hold_s:g} s. The watchdog stops it after {timeout}{lands}."
-            if hold_s
-            else f"The watchdog stops it {timeout} after a command{lands}; --hold S repeats it for S seconds."
-        )
-    return code
+    return _ask(connect, key, hold)
 
 
-def _set_instead_of_start(payload: Any) -> Any:
-    """The payload with sets for its starts: a repeated start would undo somebody else's Stop."""
-    if isinstance(payload, list):
-        return [_set_instead_of_start(each) for each in payload]
-    if isinstance(payload, dict):
-        return {name: _set_instead_of_start(each) for name, each in payload.items()}
-    return "set" if payload == "start" else payload
+_KEYS: Final[dict[str, Callable[[int], str]]] = {
+    "leg": keys.leg_command,
+    "legs": lambda _: keys.LEGS_COMMAND,
+    "servo": keys.servo_command,
+}
+_TAKES: Final = {
+    "leg": ({len(JOINTS)}, "3 angles", " 90 45 120"),
+    "legs": ({len(JOINTS), len(SERVO_IDS)}, "3 angles, or 18", " 90 45 120"),
+    "servo": ({1}, "one angle", " 90"),
+}
+"""How many angles a start or set takes, in words, and an example."""
+
+
+def _payload(kind: str, op: str, angles_deg: tuple[float, ...]) -> dict[str, Any]:
+    if kind == "legs":
+        return legs_payload(op, dict.fromkeys(LEGS, angles_deg) if len(angles_deg) <= len(JOINTS) else angles_deg)
+    return leg_payload(op, angles_deg) if kind == "leg" else servo_payload(op, next(iter(angles_deg), None))
+
+
+def _hint_watchdog(watchdog: WatchdogReport, hold_s: float) -> None:
+    timeout = f"{watchdog.timeout_ms:g} ms"
+    lands = f", once the robot has landed in {watchdog.landing_ms:g} ms" if watchdog.landing_ms else ""
+    hint(
+        f"Held for {hold_s:g} s. The watchdog stops it after {timeout}{lands}."
+        if hold_s
+        else f"The watchdog stops it {timeout} after a command{lands}; --hold S repeats it for S seconds."
+    )
+
+
+def stop(connect: Connection) -> int:
+    """Stop all six legs. Returns the exit code."""
+    done = "all six legs are stopped"
+    return _ask(connect, keys.LEGS_COMMAND, lambda client: command_report(client.stop(), done, client.state))
 
 
 def estop(connect: Connection) -> int:
     """Engage the emergency stop. Returns 0 if all six Stops were written and a power board, if any, confirmed."""
+    return _ask(connect, keys.ESTOP, lambda client: estop_report(client.estop(), client.state))
+
+
+def reset(connect: Connection) -> int:
+    """End the latest emergency stop. Returns the exit code."""
+
+    def end(client: Client) -> int:
+        state = client.state()
+        was = "reset" if state.mode == Mode.ESTOPPED else "no emergency stop was engaged"
+        ack = client.ask(keys.RESET, {"estop": state.estop})
+        return command_report(ack, f"{was}; nothing moves until it is started again", client.state)
+
+    return _ask(connect, keys.RESET, end)
+
+
+def _ask(connect: Connection, key: str, ask: Callable[[Client], int]) -> int:
+    """Return the exit code of `ask`. After its result, which must not wait, warn if other programs answer on `key`."""
     with connect() as client:
-        code = estop_report(client.estop(), client.state)
-        _warn_of_others(client, keys.ESTOP)
-    return code
+        code = ask(client)
+        count = len(client.answerers(key, _OTHERS_S))
+        if count > 1:
+            hint(several_answer(count, key))
+        return code
 
 
 def estop_report(ack: Ack, fetch_state: Callable[[], GatewayState]) -> int:
@@ -164,24 +165,6 @@ def _alarm(ack: Ack, fetch_state: Callable[[], GatewayState]) -> str:
         with suppress(GatewayError):
             alarm.received_state(fetch_state(), 0)
     return alarm.sentence
-
-
-def reset(connect: Connection) -> int:
-    """End the latest emergency stop. Returns the exit code."""
-    with connect() as client:
-        state = client.state()
-        was = "reset" if state.mode == Mode.ESTOPPED else "no emergency stop was engaged"
-        ack = client.ask(keys.RESET, {"estop": state.estop})
-        code = command_report(ack, f"{was}; nothing moves until it is started again", client.state)
-        _warn_of_others(client, keys.RESET)
-        return code
-
-
-def _warn_of_others(client: Client, key: str) -> None:
-    """Warn if other programs answer, too. Call it after the result, which must not wait."""
-    count = len(client.answerers(key, _OTHERS_S))
-    if count > 1:
-        hint(several_answer(count, key))
 
 
 def command_report(ack: Ack, accepted: str, fetch_state: Callable[[], GatewayState]) -> int:
