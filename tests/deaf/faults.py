@@ -1,9 +1,8 @@
 """Bytes of a recorded scene lost: what becomes of it on the simulated controller."""
 
 import copy
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gateway.model.framing import ZERO, Framing
@@ -14,35 +13,6 @@ from tests.support.robot import MS
 
 GIVEN_UP_NS = 2_000 * MS
 """By then a controller has given up a receive under way."""
-
-
-@dataclass(slots=True)
-class Tally:
-    """What became of some faults."""
-
-    faults: int = 0
-    without_effect: int = 0
-    missed_first_stops: int = 0
-    stops_after_repeat: int = 0
-    """Servos that were on after a repeated Stop for them: none."""
-    deaf_ms: float = 0.0
-    corruptions: int = 0
-    on_for_good: int = 0
-    """Faults after which servos are on that only a reset or the supply's switch stops."""
-    dead: int = 0
-    unasked: set[str] = field(default_factory=set)
-
-    def add(self, watcher: Watcher, left_on: frozenset[int]) -> None:
-        """A fault that has been watched to its end."""
-        self.faults += 1
-        self.without_effect += not (watcher.missed or watcher.unasked)
-        self.missed_first_stops += watcher.missed_first_stops
-        self.stops_after_repeat += watcher.stops_after_repeat
-        self.deaf_ms = max(self.deaf_ms, watcher.deaf_ns / MS)
-        self.corruptions += watcher.controller.corruptions.total()
-        self.on_for_good += bool(left_on)
-        self.dead += watcher.controller.dead is not None
-        self.unasked |= watcher.unasked
 
 
 class _Clock:
@@ -72,44 +42,33 @@ class Fault(NamedTuple):
         return changed
 
 
-def lose_bytes(log: list[Written], *, every: int = 1, tick_phase_ns: int = 0, run: int = 1, since_ns: int = 0) -> Tally:
+def lose_bytes(
+    log: list[Written], *, every: int = 1, tick_phase_ns: int = 0, run: int = 1, since_ns: int = 0
+) -> list[Watcher]:
     """Lose a run from each byte on that is written from then on; with `every`, from one in so many."""
-    places = (
-        (index, position)
+    places = [
+        Fault(index, position, run)
         for index, written in enumerate(log)
         if written.at_ns >= since_ns
         for position in range(len(written.data))
-    )
-    tally = Tally()
-    faults = (Fault(*place, run) for number, place in enumerate(places, 1) if number % every == 0)
-    for _, watcher, left_on in _played(log, faults, tick_phase_ns):
-        tally.add(watcher, left_on)
-    return tally
+    ]
+    return list(_played(log, places[every - 1 :: every], tick_phase_ns))
 
 
-def lose_transfers(log: list[Written], *, every: int) -> dict[str, Tally]:
+def lose_transfers(log: list[Written], *, every: int) -> dict[str, list[Watcher]]:
     """Lose transfers, by what they are: one of each kind in so many."""
-    numbers: Counter[str] = Counter()
-    faults = []
+    faults: defaultdict[str, list[Fault]] = defaultdict(list)
     for index, written in enumerate(log):
-        kind = _kind(written.data)
-        numbers[kind] += 1
-        if numbers[kind] % every == 0:
-            faults.append(Fault(index, 0, len(written.data)))
-    tallies: dict[str, Tally] = {kind: Tally() for kind in numbers}
-    for fault, watcher, left_on in _played(log, faults):
-        tallies[_kind(log[fault.transfer].data)].add(watcher, left_on)
-    return tallies
+        faults[_kind(written.data)].append(Fault(index, 0, len(written.data)))
+    return {kind: list(_played(log, places[every - 1 :: every])) for kind, places in faults.items()}
 
 
 def _kind(data: bytes) -> str:
     return "a zero" if data == ZERO else "an announcement" if len(data) == 1 else "a body"
 
 
-def _played(
-    log: list[Written], faults: Iterable[Fault], tick_phase_ns: int = 0
-) -> Iterator[tuple[Fault, Watcher, frozenset[int]]]:
-    """Each fault, watched to its end, and the servos that nothing stops any more. Faults come in the log's order."""
+def _played(log: list[Written], faults: Iterable[Fault], tick_phase_ns: int = 0) -> Iterator[Watcher]:
+    """Watch each fault to its end. Faults come in the log's order."""
     clock = _Clock()
     controller = Controller(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
     watcher = Watcher(controller)
@@ -125,8 +84,9 @@ def _played(
         controller.transfers.clear()
         faulty: Watcher = copy.deepcopy(watcher, {id(clock): clock})
         faulty.fault_ns = clock.now_ns
-        left_on = _play_on(log, fault, states, clock, faulty)
-        yield fault, faulty, left_on
+        faulty.left_on = _play_on(log, fault, states, clock, faulty)
+        faulty.controller.transfers.clear()
+        yield faulty
     assert not watcher.missed, "without a fault, all is executed"
 
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from gateway.model.frames import Frame
 from gateway.robot.protocol import BatchReport, Wire
-from gateway.robot.spi.bus import Bus
 from tests.deaf.minute import Message
 from tests.support.robot import MS, Robot
 
@@ -20,33 +19,25 @@ class Written(NamedTuple):
     """Whether it is part of a repeated run of Stops."""
 
 
-class _MarkedBus(Bus):
-    """A bus that says of each batch whether it repeats Stops."""
-
-    repeating = False
-
-    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
-        self.repeating = preamble
-        try:
-            return super().write(frames, preamble=preamble)
-        finally:
-            self.repeating = False
-
-
 class _Recorded(Robot):
     def __init__(self) -> None:
         self.log: list[Written] = []
         super().__init__({"spi": {"framing": "length-prefixed"}})
 
     def wire(self) -> Wire:
-        take = self.controller.take
+        bus, take, repeats = super().wire(), self.controller.take, False
+        write = bus.write
+
+        def marked(frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
+            nonlocal repeats
+            repeats = preamble
+            return write(frames, preamble=preamble)
 
         def recorded(data: bytes) -> None:
-            self.log.append(Written(self.now_ns(), data, bus.repeating and len(data) > 1))
+            self.log.append(Written(self.now_ns(), data, repeats and len(data) > 1))
             take(data)
 
-        self.controller.take = recorded  # type: ignore[method-assign]
-        self.bus = bus = _MarkedBus(self.settings.spi, self._open, clock=self.now_ns, pause=self._pause)
+        bus.write, self.controller.take = marked, recorded  # type: ignore[method-assign]
         return bus
 
 

@@ -27,11 +27,14 @@ class Watcher:
     """Whether anything was executed since the fault that was not written so: at first, what half a body says."""
     stops_after_repeat: int = 0
     """Servos that were on after a repeated Stop for them: none."""
+    left_on: frozenset[int] = frozenset()
+    """At the end of all: the servos that only a reset or the supply's switch stops."""
     unasked: set[str] = field(default_factory=set)
     """What servos did that no frame said: started or moved, and by what."""
     _executed: int = 0
     _state: State = field(default_factory=lambda: dict.fromkeys(SERVO_IDS))
-    _astray: set[int] = field(default_factory=set)
+    astray: set[int] = field(default_factory=set)
+    """Servos that do what no frame said."""
 
     def saw(self, now_ns: int, data: bytes, *, repeat: bool) -> None:
         """What was written just now."""
@@ -41,7 +44,7 @@ class Watcher:
         said = _said(data)
         before, now = self._state, pulses(self.controller)
         self._state = now
-        if executed == 1 and not self._astray and now == _after(before, said):
+        if executed == 1 and not self.astray and now == _after(before, said):
             return
         how = "by half a body" if not self.misread else "out of sync"
         for servo_id in SERVO_IDS:
@@ -61,14 +64,10 @@ class Watcher:
         """Whether one servo does what no frame said, or has ended to."""
         op, angle_us = said or (None, None)
         if now is None or (op is not None and now == angle_us and (before is not None or op is Op.START)):
-            self._astray.discard(servo_id)
-        elif now != before and servo_id not in self._astray:
-            self._astray.add(servo_id)
+            self.astray.discard(servo_id)
+        elif now != before and servo_id not in self.astray:
+            self.astray.add(servo_id)
             self.unasked.add(f"{'started' if before is None else 'moved'} {how}")
-
-    @property
-    def astray(self) -> bool:
-        return bool(self._astray)
 
 
 def pulses(controller: Controller) -> State:
