@@ -240,7 +240,7 @@ def events(configuration: Configuration, state: "State", now_ns: int) -> Iterato
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
         for whose, token in parts.tokens(configuration.drivers, lease):
-            by = "anna" if "anna's" in channel else None
+            by = next((name for name in ("anna", "ben") if f"{name}'s" in channel), None)
             timed = 1.0 if "with a time" in channel else None
             command = Command(targets, key=channel, source=by, number=number, lease=token, sent_ms=timed)
             yield f"{channel} command {which}{whose}", command

@@ -4,12 +4,14 @@ The oracle judges every step; the controller says which servos are really energi
 deadlines, and any transfer may fail.
 """
 
+from collections import defaultdict
+from collections.abc import Iterable
 from dataclasses import replace
 
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
@@ -24,23 +26,58 @@ from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind, Mode
 from tests.support.faulty_controller import FaultyController
 from tests.support.history import demand, is_coalesced
-from tests.support.model_check import pending
+from tests.support.model_check import State, pending
+from tests.support.model_check import events as candidates
 from tests.support.oracle import Oracle
+from tests.support.small_robots import Configuration, Targets
 from tests.support.transitions import TRANSITIONS
 
 pytestmark = pytest.mark.full
 
 MOVES = st.builds(ServoOp, st.sampled_from([Op.START, Op.START, Op.SET]), st.sampled_from([0, 45_00, 90_00, 180_00]))
 OPS = st.one_of(MOVES, MOVES, st.just(STOP))
+WHO = st.sampled_from(["", " anna's", " ben's"])
 FEW_LEGS = st.sampled_from([1, 1, 2, 2, 3, 6])
 """Mostly the same ones, so that commands meet."""
-BUS_FAULTS = [Kind.BUS_FAULT, Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED]
+
+
+def targets_of(legs: Iterable[int], op: ServoOp, other: ServoOp) -> Targets:
+    return tuple((servo_id, op if leg % 2 else other) for leg in sorted(legs) for servo_id in servo_ids_of(leg))
+
+
+SERVO = st.tuples(st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), OPS)
+COMMANDS = st.one_of(
+    st.builds(lambda who, target: (f"servo/{target[0]}{who}", (target,)), WHO, SERVO),
+    st.builds(
+        lambda who, leg, ops: (f"leg/{leg}{who}", tuple(zip(servo_ids_of(leg), ops, strict=True))),
+        WHO, FEW_LEGS, st.one_of(st.tuples(OPS, OPS, OPS), OPS.map(lambda op: (op, op, op))),
+    ),
+    st.builds(
+        lambda who, legs, op, other: (f"legs{who}", targets_of(legs, op, other)),
+        WHO, st.sets(FEW_LEGS, min_size=1), OPS, OPS,
+    ),
+    st.builds(
+        lambda who, cdeg: (f"legs{who}", targets_of(LEGS, *[ServoOp(Op.START, cdeg)] * 2)),
+        WHO, st.sampled_from([10_00, 80_00]),
+    ),
+)  # fmt: skip
+BODIES = st.tuples(st.sampled_from([None, 0, 30_00, 30_01, 180_00]), st.sampled_from([6900, 7000, 7140]))
+BOARDS = st.builds(
+    events.PowerSeen,
+    st.sampled_from([True, True, True, False]),
+    st.sampled_from([(), (), (), ((11, "overcurrent"),), ((12, "overcurrent"), (21, "overcurrent"))]),
+    st.sampled_from([frozenset(SERVO_IDS), frozenset(SERVO_IDS), frozenset({11, 12, 13, 21}), frozenset[int]()]),
+    st.sampled_from([frozenset[int](), frozenset[int](), frozenset({11}), frozenset({33, 62})]),
+    st.sampled_from(["", "", "", "it is not confirmed"]),
+)
 WAITS_NS = st.one_of(
     st.just(0),
     st.integers(1, 25 * NS_PER_MS),
     st.sampled_from([NS_PER_MS, 20 * NS_PER_MS, 40 * NS_PER_MS]),
     st.integers(0, 700 * NS_PER_MS),
 )
+OFTEN: dict[type[events.Event], int] = {events.Command: 12, events.BusOpened: 8, events.TimePassed: 3, events.Reset: 3}
+"""Of what can happen, how many times as often as another kind."""
 RULES = st.builds(
     Rules,
     timeout_ns=st.sampled_from([20, 50, 250]).map(lambda ms: ms * NS_PER_MS),
@@ -91,9 +128,6 @@ CHANGES = st.builds(
     ),
     landing=st.dictionaries(st.sampled_from(["11", "62"]), st.sampled_from([None, 0.0, 50.0]), max_size=1),
 )
-DRIVERS = st.sampled_from(["anna", "ben"])
-WHOSE = st.sampled_from(["now", "now", "now", "before", "nobody's"])
-"""Of the lease as it is now, as it was before, or of none."""
 
 
 def is_handover(effect: events.Effect) -> bool:
@@ -131,12 +165,12 @@ class SupervisorMachine(RuleBasedStateMachine):
             supervisor.calibrating.load(calibration, fault)
         self.oracle = Oracle(rules, calibration=calibration, fault=fault)
         self.controller = FaultyController(Framing.PLAIN, clock=lambda: self.now_ns)
-        self.number = self.tokens = 0
-        self.carries = "now"
+        self.number = 1
         self.instant_ns: int | None = None
         if self.now_ns > 1:  # else it may be opened later, or not at all
             self.step(events.BusOpened())
-            self.the_board_is_seen(alive=True, refused=(), lost=frozenset(), fed=frozenset(), doubt="", wait_ns=0)
+            if rules.power:
+                self.step(events.PowerSeen(alive=True))
 
     def step(self, event: events.Event, wait_ns: int = 0) -> None:
         """One step as the service takes it: write the frames, and tell of a transfer that failed. Or none, in a mode in
@@ -168,162 +202,56 @@ class SupervisorMachine(RuleBasedStateMachine):
         if fault is not None:
             self.step(events.BusFailed(str(fault)))
 
-    def command(self, channel: str, targets: tuple[tuple[int, ServoOp], ...], wait_ns: int) -> None:
-        self.number += 1
-        source = ("anna", "ben", None)[self.number % 3]
-        self.step(
-            events.Command(targets, key=channel, number=self.number, source=source, lease=self.token(self.carries)),
-            wait_ns,
-        )
-
-    def token(self, whose: str) -> str | None:
-        """None where there is no such lease."""
-        lease = self.oracle.lease
-        return {"now": lease.token, "before": lease.old_token, "nobody's": None}[whose]
-
-    @rule(whose=WHOSE)
-    def commands_carry(self, whose: str) -> None:
-        """From now on."""
-        self.carries = whose
-
-    @rule(do=st.sampled_from(["acquire", "acquire", "ask", "take"]), name=DRIVERS, wait_ns=WAITS_NS)
-    def wants_the_lease(self, do: events.LeaseDo, name: str, wait_ns: int) -> None:
-        self.tokens += 1
-        self.step(events.LeaseRequest(do, name, fresh_token=f"{self.tokens:032x}"), wait_ns)
-
-    @rule(whose=WHOSE, to=st.one_of(st.none(), st.none(), DRIVERS), renew=st.booleans(), wait_ns=WAITS_NS)
-    def keeps_or_releases_it(self, whose: str, to: str | None, renew: bool, wait_ns: int) -> None:
-        do: events.LeaseDo = "renew" if renew else "release"
-        self.step(events.LeaseRequest(do, token=self.token(whose), to=None if renew else to), wait_ns)
-
-    @rule(servo_id=st.one_of(st.sampled_from([11, 12, 21]), st.sampled_from(SERVO_IDS)), op=OPS, wait_ns=WAITS_NS)
-    def command_servo(self, servo_id: int, op: ServoOp, wait_ns: int) -> None:
-        self.command(f"servo/{servo_id}", ((servo_id, op),), wait_ns)
-
-    @rule(leg=FEW_LEGS, ops=st.one_of(st.tuples(OPS, OPS, OPS), OPS.map(lambda op: (op, op, op))), wait_ns=WAITS_NS)
-    def command_leg(self, leg: int, ops: tuple[ServoOp, ServoOp, ServoOp], wait_ns: int) -> None:
-        self.command(f"leg/{leg}", tuple(zip(servo_ids_of(leg), ops, strict=True)), wait_ns)
-
-    @rule(legs=st.sets(FEW_LEGS, min_size=1), op=OPS, other=OPS, wait_ns=WAITS_NS)
-    def command_legs(self, legs: set[int], op: ServoOp, other: ServoOp, wait_ns: int) -> None:
-        ops = {leg: op if leg % 2 else other for leg in legs}
-        targets = tuple((servo_id, ops[leg]) for leg in sorted(legs) for servo_id in servo_ids_of(leg))
-        self.command("legs", targets, wait_ns)
-
-    @rule(angle_cdeg=st.sampled_from([10_00, 80_00]), wait_ns=st.integers(0, 19 * NS_PER_MS))
-    def start_everything(self, angle_cdeg: int, wait_ns: int) -> None:
-        op = ServoOp(Op.START, angle_cdeg)
-        self.command("legs", tuple((servo_id, op) for leg in LEGS for servo_id in servo_ids_of(leg)), wait_ns)
-
     @rule(
-        change=CHANGES,
-        older=st.sampled_from([None, None, 0, 1]),
-        default=st.sampled_from([False] * 9 + [True]),
-        wait_ns=WAITS_NS,
-    )
-    def calibrate(self, change: CalibrationCommand, older: int | None, default: bool, wait_ns: int) -> None:
-        self.number += 1
-        revision = None if older is None else self.supervisor.calibrating.in_force.revision - older
-        lease = self.token(self.carries)
-        self.step(
-            events.Calibrate(number=self.number, change=change, revision=revision, accept_default=default, lease=lease),
-            wait_ns,
-        )
-
-    @precondition(lambda self: self.oracle.calibration.on_its_way is not None)
-    @rule(fault=st.sampled_from([None, None, "the disk is full"]), wait_ns=WAITS_NS)
-    def the_disk_answers(self, fault: str | None, wait_ns: int) -> None:
-        way = self.oracle.calibration.on_its_way
-        self.step(events.CalibrationSaved(0 if way is None else way.number, fault), wait_ns)
-
-    @rule(
-        tilt_cdeg=st.sampled_from([None, 0, 30_00, 30_01, 180_00]),
-        battery_mv=st.sampled_from([6900, 7000, 7140]),
-        wait_ns=WAITS_NS,
-    )
-    def the_body_is_measured(self, tilt_cdeg: int | None, battery_mv: int, wait_ns: int) -> None:
-        self.step(events.BodyMeasured(tilt_cdeg, battery_mv), wait_ns)
-
-    @rule(
-        alive=st.sampled_from([True, True, True, False]),
-        refused=st.sampled_from([(), (), (), (11,), (12, 21)]),
-        lost=st.sampled_from([frozenset(), frozenset(), frozenset({11}), frozenset({33, 62})]),
-        fed=st.sampled_from([frozenset(SERVO_IDS), frozenset(SERVO_IDS), frozenset({11, 12, 13, 21}), frozenset()]),
-        doubt=st.sampled_from(["", "", "", "it is not confirmed"]),
-        wait_ns=WAITS_NS,
-    )
-    def the_board_is_seen(
+        command=COMMANDS, change=CHANGES, body=BODIES, board=BOARDS, rarely=st.integers(0, 99), data=st.data(),
+        instant=st.sampled_from([*[""] * 8, "begins", "ends"]), fails=st.sampled_from([*[None] * 40, 0, 1, 3]),
+    )  # fmt: skip
+    def something_happens(
         self,
-        alive: bool,
-        refused: tuple[int, ...],
-        lost: frozenset[int],
-        fed: frozenset[int],
-        doubt: str,
-        wait_ns: int,
+        command: tuple[str, Targets],
+        change: CalibrationCommand,
+        body: tuple[int | None, int],
+        board: events.PowerSeen,
+        rarely: int,
+        data: st.DataObject,
+        instant: str,
+        fails: int | None,
     ) -> None:
-        if self.supervisor._rules.power:
-            why = tuple((servo_id, "overcurrent") for servo_id in refused)
-            self.step(events.PowerSeen(alive, why, fed, lost, doubt), wait_ns)
+        """One of what the model check tries: mostly commands while all goes well.
 
-    @rule(wait_ns=WAITS_NS)
-    def time_passes(self, wait_ns: int) -> None:
-        self.step(events.TimePassed(), wait_ns)
-
-    @precondition(lambda self: self.supervisor.due_ns is not None)
-    @rule(late_ns=st.sampled_from([0, 0, 1, NS_PER_MS]))
-    def wake_up_when_due(self, late_ns: int) -> None:
-        due_ns = self.supervisor.due_ns
-        assert due_ns is not None
-        self.step(events.TimePassed(), max(0, due_ns - self.now_ns) + late_ns)
-        assert self.supervisor.due_ns is None or self.supervisor.due_ns > self.now_ns, "waking up makes progress"
-
-    @rule(rarely=st.integers(0, 3), wait_ns=WAITS_NS)
-    def emergency_stop(self, rarely: int, wait_ns: int) -> None:
-        if rarely == 0:
-            self.step(events.EmergencyStop("somebody"), wait_ns)
-
-    @rule(newer=st.sampled_from([0, 0, 0, -1, 1, None]), wait_ns=WAITS_NS)
-    def reset(self, newer: int | None, wait_ns: int) -> None:
+        What comes from the beginning of an instant to its end was collected together, and takes time to deal with.
+        """
+        if instant:
+            self.now_ns += 1
+            self.instant_ns = self.now_ns if instant == "begins" else None
+        if fails is not None:
+            self.controller.fail_next(fails)
+        rules, mode, due_ns = self.supervisor._rules, self.supervisor.mode, self.supervisor.due_ns
+        about = Configuration(
+            "any robot",
+            rules,
+            (command,),
+            drivers=("anna", "ben"),
+            changes=(change,),
+            bodies=(body,),
+            boards=(board,) if rules.power else (),
+            unread=(command[1],) if all(op is STOP for _, op in command[1]) else (),
+            calm=rarely > 10 and mode in (Mode.IDLE, Mode.ACTIVE),
+            ends=rarely < 3,
+        )
+        found = defaultdict[type[events.Event], list[events.Event]](list)
+        for _, event in candidates(about, State(self.supervisor, self.oracle, number=self.number), self.now_ns):
+            found[type(event)] += [event] * (type(event) in TRANSITIONS[mode])
         self.number += 1
-        estop = None if newer is None else self.supervisor.latch.number + newer
-        self.step(events.Reset(number=self.number, estop=estop, lease=self.token(self.carries)), wait_ns)
-
-    @rule()
-    def an_instant_begins(self) -> None:
-        """What comes from now on was collected together, and takes time to deal with."""
-        self.now_ns += 1
-        self.instant_ns = self.now_ns
-
-    @rule()
-    def an_instant_ends(self) -> None:
-        """What comes from now on came one by one."""
-        self.now_ns += 1
-        self.instant_ns = None
-
-    @rule(rarely=st.integers(0, 3), at_work=st.booleans(), wait_ns=WAITS_NS)
-    def stop_servos(self, rarely: int, at_work: bool, wait_ns: int) -> None:
-        if rarely == 0 or not at_work:
-            self.step(events.StoppedOutside(at_work), wait_ns)
-
-    @rule(wait_ns=WAITS_NS)
-    def bus_opens(self, wait_ns: int) -> None:
-        if events.BusOpened in TRANSITIONS[self.supervisor.mode]:
+        kind = data.draw(st.sampled_from([kind for kind in found for _ in range(OFTEN.get(kind, 1)) if found[kind]]))
+        event, wait_ns, wakes_up = data.draw(st.sampled_from(found[kind])), data.draw(WAITS_NS), False
+        if kind is events.TimePassed and due_ns is not None and rarely % 2:
+            wait_ns, wakes_up = max(0, due_ns - self.now_ns) + rarely % 5 // 3, True
+        if kind is events.BusOpened:
             self.controller.fail_next(0)
-        self.step(events.BusOpened(), wait_ns)
-
-    @rule(rarely=st.integers(0, 5), kind=st.sampled_from(BUS_FAULTS), wait_ns=WAITS_NS)
-    def bus_fails(self, rarely: int, kind: Kind, wait_ns: int) -> None:
-        if rarely == 0:
-            self.step(events.BusFailed("a test's fault", kind), wait_ns)
-
-    @rule(count=st.sampled_from([0, 0, 0, 1, 3]))
-    def transfers_will_fail(self, count: int) -> None:
-        self.controller.fail_next(count)
-
-    @rule(rarely=st.integers(0, 29), wait_ns=WAITS_NS)
-    def shut_down(self, rarely: int, wait_ns: int) -> None:
-        if rarely == 0:
-            self.step(events.ShutDown(), wait_ns)
+        self.step(event, wait_ns)
+        due_ns = self.supervisor.due_ns
+        assert not wakes_up or due_ns is None or due_ns > self.now_ns, "waking up makes progress"
 
     @invariant()
     def the_robot_is_as_everybody_believes(self) -> None:
@@ -346,4 +274,4 @@ class SupervisorMachine(RuleBasedStateMachine):
 
 
 TestSupervisorMachine = SupervisorMachine.TestCase
-TestSupervisorMachine.settings = settings(max_examples=150, stateful_step_count=60, deadline=None)
+TestSupervisorMachine.settings = settings(max_examples=100, stateful_step_count=50, deadline=None)
