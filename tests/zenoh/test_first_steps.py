@@ -38,8 +38,8 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
             other.listen()
         child = Child(["setsid", *start], env, cwd=REPOSITORY)
         try:
-            child.wait_for_output(READY, 30)
-            address = child.wait_for_output(LINK, 30).removeprefix(LINK)
+            child.wait_for_output(READY)
+            address = child.wait_for_output(LINK).removeprefix(LINK)
             port = int(address.removeprefix("http://127.0.0.1:").partition("/")[0])
             assert port > 8080
             child.wait_for_output(f"Port 8080 is taken by another program, so the console listens on {port}.")
