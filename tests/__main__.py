@@ -39,7 +39,7 @@ SAMPLE: Final = 30
 MUTANTS_S: Final = 240
 """No mutants of a further file are tried after this time; those of the current file are finished."""
 TOGETHER: Final = "not alone and not attended and not searches"
-_PYTEST: Final = (sys.executable, "-m", "pytest")
+_PYTEST: Final = (sys.executable, "-m", "pytest", "--durations=10")
 _FAILED: Final = Path(".pytest_cache") / "v" / "cache" / "lastfailed"
 
 

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck
 from hypothesis import settings as hypothesis_settings
 
-from tests.support import failures, schedule, seconds
+from tests.support import failures, schedule
 from tests.support.descendants import Run
 from tests.support.lacks import skip_where_lacking
 
@@ -27,8 +27,6 @@ hypothesis_settings.register_profile(
 )
 hypothesis_settings.register_profile("quick", hypothesis_settings.get_profile("any machine"), max_examples=20)
 hypothesis_settings.load_profile("any machine")
-MANY = 1000
-"""Reports, of which each test makes three."""
 _NICE = os.getpriority(os.PRIO_PROCESS, 0)
 _MEMORY = "/dev/shm"  # noqa: S108  where Linux keeps what is in memory
 
@@ -128,12 +126,3 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """pytest's hook."""
     failures.add(report)
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """pytest's hook: what took the time, above the closing line of a run of many tests."""
-    cases = [each for kind in ("passed", "failed", "skipped", "") for each in terminalreporter.stats.get(kind, [])]
-    if len(cases) > MANY:
-        terminalreporter.section("seconds")
-        for line in seconds.report(cases):
-            terminalreporter.line(line)
