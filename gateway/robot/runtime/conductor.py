@@ -354,8 +354,7 @@ class Conductor:
             self._engaged = engaged
             reports.estop_since = reports.estop_since or wall_clock() if engaged else None
             self.on_latch()
-        if self.supervisor.mode is not reports.published_mode:
-            reports.publish_mode()
+        reports.publish_mode()
         self._arm()
 
     # ---- the bus

@@ -17,32 +17,10 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
-from schemas import keys
+from schemas import keys, telemetry
 from schemas.robot import SERVO_IDS
 from schemas.state import Payloads
-from schemas.telemetry import (
-    ButtonsReport,
-    CalibrationReport,
-    CertificateReport,
-    CommandCounts,
-    ConfigReport,
-    ControllerReport,
-    GatewayState,
-    Kind,
-    LeaseReport,
-    LegReport,
-    LimitsReport,
-    LoopLag,
-    Mode,
-    RevocationsReport,
-    ServoLimitsReport,
-    ServoReport,
-    SpiReport,
-    StopLatency,
-    TelemetryReport,
-    WatchdogReport,
-    WireReport,
-)
+from schemas.telemetry import Kind, Mode
 
 logger: Final = logging.getLogger(__name__)
 
@@ -56,7 +34,7 @@ class StateReports:
         supervisor: Supervisor,
         bus: Wire,
         events: EventPublisher,
-        telemetry: LatestTelemetry,
+        measurements: LatestTelemetry,
         *,
         simulated: bool,
         physics: str | None,
@@ -66,7 +44,7 @@ class StateReports:
         self._supervisor = supervisor
         self._bus = bus
         self._events = events
-        self._telemetry = telemetry
+        self._measurements = measurements
         self._simulated = simulated
         self._physics = physics
         self._calibration_kept = calibration_kept
@@ -75,19 +53,19 @@ class StateReports:
         self._limits = limits_of(settings)
         wire = settings.wire
         can = wire.capabilities._replace(whole_robot=settings.starts_whole)
-        self._wire = WireReport(name=wire.name, supply_starts=wire.supply_starts, **can._asdict())
+        self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.supply_starts, **can._asdict())
         self.measures = wire.capabilities.measures
         self.protocol = settings.protocol
-        self.certificate: CertificateReport | None = None
+        self.certificate: telemetry.CertificateReport | None = None
         """The certificate in use that expires first, or None."""
         self._missing: tuple[str, ...] = ()
         self.estop_since: datetime | None = None
         """When the emergency stop was engaged; None: it is not engaged."""
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
-        self.revocations: RevocationsReport | None = None
+        self.revocations: telemetry.RevocationsReport | None = None
         self.payloads = Payloads()
-        self._published: ConfigReport | None = None
+        self._published: telemetry.ConfigReport | None = None
         self.published_mode: Mode | None = None
         """The mode last published; None until the start is announced."""
 
@@ -126,14 +104,14 @@ class StateReports:
         """Answer a `get` with the configuration."""
         reply(self.payloads.of(self.state())[1].model_dump_json().encode())
 
-    def state(self) -> GatewayState:
+    def state(self) -> telemetry.GatewayState:
         """Return the state now."""
         supervisor, bus, metrics, now_ns = self._supervisor, self._bus, self._events.metrics, self._events.clock()
         settings = self._settings
         buttons = supervisor.buttons
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
-        return GatewayState(
+        return telemetry.GatewayState(
             mode=supervisor.mode,
             time=wall_clock(),
             uptime_s=(now_ns - self._started_ns) / 1e9,
@@ -142,62 +120,62 @@ class StateReports:
             simulated=self._simulated,
             physics=self._physics,
             legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
-            commands=CommandCounts(
+            commands=telemetry.CommandCounts(
                 accepted=metrics.accepted,
                 rejected=metrics.rejected.total(),
                 coalesced=metrics.coalesced,
                 overflows=metrics.overflows,
                 lost=metrics.lost,
             ),
-            spi=SpiReport(
+            spi=telemetry.SpiReport(
                 device="simulated controller" if self._simulated else settings.device,
                 framing=settings.framing,
                 frames=bus.frames,
                 errors=bus.errors,
             ),
-            watchdog=WatchdogReport(
+            watchdog=telemetry.WatchdogReport(
                 timeout_ms=settings.watchdog.timeout_ms,
                 landing_ms=settings.watchdog.landing_ms,
                 expirations=supervisor.watchdog.expirations,
-                stop_latency_us=StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
+                stop_latency_us=telemetry.StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
             estop=supervisor.latch.number,
             estop_source=self._events.estop_source,
             estop_since=self.estop_since,
             estop_fault=self.estop_fault,
             incident=self._events.recorder.incident,
-            loop_lag_us=LoopLag(
+            loop_lag_us=telemetry.LoopLag(
                 p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
             ),
             lease=_lease(supervisor.lease, now_ns),
-            buttons=ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names),
-            calibration=CalibrationReport(
+            buttons=telemetry.ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names),
+            calibration=telemetry.CalibrationReport(
                 revision=supervisor.calibrating.in_force.revision,
                 fault=supervisor.calibrating.fault,
                 kept=self._calibration_kept,
             ),
-            telemetry=TelemetryReport(frames=settings.telemetry.frames),
+            telemetry=telemetry.TelemetryReport(frames=settings.telemetry.frames),
             certificate=self.certificate,
             missing_endpoints=self._missing,
             revocations=self.revocations,
             limits=self._limits,
             wire=self._wire,
-            controller=ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
-            battery=self._telemetry.battery,
-            power=self._telemetry.power(),
+            controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
+            battery=self._measurements.battery,
+            power=self._measurements.power(),
         )
 
 
-def limits_of(settings: Settings) -> LimitsReport:
+def limits_of(settings: Settings) -> telemetry.LimitsReport:
     """Return the settings' limits as the state reports them."""
     limits = settings.limits
     each = {name: limits.servos.get(name, ServoLimits()) for name in map(str, SERVO_IDS)}
-    servos = {name: ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}
-    return LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
+    servos = {name: telemetry.ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}
+    return telemetry.LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
 
 
-def _lease(lease: RobotLease, now_ns: int) -> LeaseReport:
-    return LeaseReport(
+def _lease(lease: RobotLease, now_ns: int) -> telemetry.LeaseReport:
+    return telemetry.LeaseReport(
         holder=lease.holder,
         verified=lease.verified,
         held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
@@ -206,9 +184,9 @@ def _lease(lease: RobotLease, now_ns: int) -> LeaseReport:
     )
 
 
-def _leg(leg: Leg, now_ns: int) -> LegReport:
+def _leg(leg: Leg, now_ns: int) -> telemetry.LegReport:
     first, second, third = map(_servo, leg.servos)
-    return LegReport(
+    return telemetry.LegReport(
         leg=leg.number,
         watchdog=leg.watchdog,
         age_ms=None if leg.commanded_ns is None else (now_ns - leg.commanded_ns) / 1e6,
@@ -217,11 +195,11 @@ def _leg(leg: Leg, now_ns: int) -> LegReport:
     )
 
 
-def _servo(servo: Servo) -> ServoReport:
+def _servo(servo: Servo) -> telemetry.ServoReport:
     target_cdeg = servo.angle_cdeg if servo.target_cdeg is None else servo.target_cdeg
     if servo.waiting is not None and servo.waiting.op is not Op.STOP:
         target_cdeg = servo.waiting.angle_cdeg
-    return ServoReport(
+    return telemetry.ServoReport(
         id=servo.servo_id,
         running=servo.running,
         angle_deg=None if servo.angle_cdeg is None else servo.angle_cdeg / 100,
