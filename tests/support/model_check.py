@@ -77,9 +77,9 @@ _KNOWN: Final = (
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
-    (_ROBOT.legs, "_changed stopping _silent _first_stops _fed"),  # these count within a step
+    (_ROBOT.legs, "stopping _silent _first_stops _fed"),  # these count within a step
     (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
-    (Leg, "due_ns repeat_ns runs rests"),  # these follow, too
+    (Leg, "runs"),  # these follow, too
     (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),
     (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
@@ -359,17 +359,8 @@ def take(supervisor: Supervisor, oracle: Oracle, event: Event, now_ns: int, inst
     allowed = TRANSITIONS[mode][type(event)]
     demand(supervisor.mode in allowed, f"{type(event).__name__} leads {mode} to {supervisor.mode}")
     oracle.judge(event, now_ns, effects, supervisor, instant_ns)
-    if isinstance(event, Command):  # after all others, every leg is looked at
-        kept = _what_follows(supervisor.legs)
-        supervisor.legs.plan(now_ns)
-        demand(kept == _what_follows(supervisor.legs), f"the legs that were not looked at have not changed: {kept}")
     if isinstance(event, TimePassed) and due_ns is not None and due_ns <= now_ns:
         demand(bool(effects) or supervisor.due_ns != due_ns, "waking up at the deadline changes something")
-
-
-def _what_follows(legs: Legs) -> tuple[object, ...]:
-    """When what is due next, and whether anything runs."""
-    return legs.due_ns, legs.repeat_ns, legs.at_rest
 
 
 def check(

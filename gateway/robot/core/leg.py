@@ -259,13 +259,8 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     landed_ns: int = 0
     """The progress of its frames in the landing, in ns of the landing's time."""
     unfed_ns: int | None = None
-    """When one of its starts began to wait for power, or None; as of the last `Legs.plan`, like the following."""
-    due_ns: int = NEVER
-    """When its next deadline, rate slot or repeated Stop is due."""
-    repeat_ns: int = NEVER
+    """When one of its starts began to wait for power, or None; as of the last `Legs.plan`, like `runs`."""
     runs: bool = False
-    rests: bool = True
-    """Whether no servo runs or waits to be started."""
 
     @property
     def waits_to_start(self) -> bool:

@@ -66,8 +66,6 @@ class Legs:
         self.rest = RestStops(rules)
         self._first_stops: set[int] = set()
         """The servos that get a first Stop in this step."""
-        self._changed: list[Leg] | None = None
-        """The only legs that this step has changed; None: any may have changed."""
         self.stopping: set[int] = set()
         """The servos that get a Stop in this step."""
         self._silent = False
@@ -97,9 +95,10 @@ class Legs:
         self.stopping, self._first_stops, self._silent = set(), set(), False
 
     def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
-        """End a step: compute what is due next, and whether anything runs, for the legs that changed."""
-        for leg in self._all if self._changed is None else self._changed:
-            repeat_ns = NEVER
+        """End a step: compute what is due next, and whether anything runs."""
+        due_ns = repeat_ns = NEVER
+        at_rest, rests = True, False
+        for leg in self._all:
             runs = waits = armed = False
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
@@ -109,32 +108,24 @@ class Legs:
                     armed = armed or servo.will_run
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
-            due_ns = NEVER if leg.commanded_ns is None or not armed else leg.commanded_ns + self._rules.timeout_ns
+            leg_ns = NEVER if leg.commanded_ns is None or not armed else leg.commanded_ns + self._rules.timeout_ns
             if self._fed is not None:
-                due_ns, waits = note_supply(leg, self._held(leg), now_ns, due_ns if runs else NEVER, self._rules)
+                leg_ns, waits = note_supply(leg, self._held(leg), now_ns, leg_ns if runs else NEVER, self._rules)
             if self.landing is not None and runs:
-                due_ns = self._land_due_ns(self.landing, leg)
+                leg_ns = self._land_due_ns(self.landing, leg)
             if waits:
                 next_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
                 slot_ns = self._queue.due_ns(leg.number, next_ns)
-                if slot_ns is not None and slot_ns < due_ns:
-                    due_ns = slot_ns
-            leg.due_ns, leg.repeat_ns = due_ns if due_ns < repeat_ns else repeat_ns, repeat_ns
-            leg.runs, leg.rests = runs, not armed
-        self._changed = None
-        due_ns = repeat_ns = NEVER
-        at_rest, rests = True, False
-        for leg in self._all:
-            due_ns = leg.due_ns if leg.due_ns < due_ns else due_ns
-            repeat_ns = leg.repeat_ns if leg.repeat_ns < repeat_ns else repeat_ns
-            at_rest = at_rest and not leg.runs
-            rests = rests or leg.rests
+                if slot_ns is not None and slot_ns < leg_ns:
+                    leg_ns = slot_ns
+            due_ns = leg_ns if leg_ns < due_ns else due_ns
+            leg.runs, at_rest, rests = runs, at_rest and not runs, rests or not armed
         if at_rest or self.at_rest or self.rest.due_ns is None:
             self.rest.plan(now_ns, at_rest=at_rest, stopped=bool(self._first_stops))
             self._first_stops = set()
         if rests and self.rest.due_ns is not None:
-            due_ns = self.rest.due_ns if self.rest.due_ns < due_ns else due_ns
             repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
+        due_ns = repeat_ns if repeat_ns < due_ns else due_ns
         self.due_ns = None if due_ns == NEVER else due_ns
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
         self.at_rest = at_rest
@@ -175,7 +166,6 @@ class Legs:
 
     def take_slots(self, now_ns: int) -> list[Effect]:
         """Return the frames of the legs whose rate slot has come."""
-        self._changed = None
         return [effect for leg in self for effect in self._send(leg, now_ns)]
 
     def stop_at_rest(self, now_ns: int) -> list[Effect]:
@@ -197,7 +187,7 @@ class Legs:
         if not resting:
             return []
         singly = (due or not self.at_rest) and self.rest.take(now_ns, is_run=due and self.at_rest)
-        self._changed, effects = None, list[Effect]()
+        effects = list[Effect]()
         for leg in resting:
             stopped = any(not servo.repeats_left and servo.servo_id not in self.stopping for servo in leg.servos)
             if stopped:  # lost bytes make no start of a frame for one servo
@@ -219,7 +209,6 @@ class Legs:
 
     def apply(self, command: Command, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): only time is lost
         """Carry out an accepted command, and return its effects."""
-        changed: list[Leg] = []
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
@@ -228,9 +217,7 @@ class Legs:
         fed, self._fed = self._fed, self._fed and frozenset()  # the command's starts leave together, below
         for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
-            moves = not stops_some
-            for _, op in targets if stops_some else ():
-                moves = moves or op.op is not OP_STOP
+            moves = not stops_some or any(op.op is not OP_STOP for _, op in targets)
             if command.lost:
                 leg.source = None
             elif leg.source != command.source:
@@ -239,7 +226,6 @@ class Legs:
                 # A Stop does not count: it does not keep the leg's other servos running.
                 leg.commanded_ns = now_ns
                 effects += self._move(leg, targets, command, now_ns)
-                changed += [leg]
             else:
                 stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
         for leg, servos in stops:  # after the moves, which these Stops then do not drop
@@ -247,8 +233,6 @@ class Legs:
         self._fed = fed
         if stops or fed:  # Stops may have removed starts that the command's own starts waited for
             effects += self.take_slots(now_ns)
-        elif not self._queue.legs and self._fed is None:  # else a starting leg may delay other legs
-            self._changed = changed
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
         return effects + taken if taken else effects
