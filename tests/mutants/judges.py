@@ -90,7 +90,6 @@ JUDGES: Final = {
     "gateway/robot/core/power_rule.py": _robot("power_rule power_conductor"),
     "gateway/robot/core/lease.py": _robot("lease lease_conductor"),
     "gateway/robot/core/buttons.py": _robot("buttons lease_conductor"),
-    "gateway/robot/core/power.py": _robot("power_rule power_conductor"),
     "gateway/robot/core/rest.py": _robot("supervisor_at_rest supervisor_stops"),
     "gateway/robot/core/backlog.py": _robot("backlog"),
     "gateway/robot/core/latch.py": _robot("latch supervisor_stops power_rule"),

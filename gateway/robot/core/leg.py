@@ -232,6 +232,11 @@ class Servo:  # mutants accepted (Step): set before it is read
         return self.angle_cdeg is not None
 
     @property
+    def starts(self) -> bool:
+        """Whether a start of this servo waits."""
+        return self.angle_cdeg is None and self.waiting is not None and self.waiting.op is OP_START
+
+    @property
     def will_run(self) -> bool:
         """Whether the servo runs or waits to be started, so that a `set` applies to it."""
         return self.angle_cdeg is not None or (self.waiting is not None and self.waiting.op is OP_START)
@@ -265,7 +270,7 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     @property
     def waits_to_start(self) -> bool:
         """Whether its next frame would energise a servo."""
-        return any(servo.will_run and not servo.running for servo in self.servos)
+        return any(servo.starts for servo in self.servos)
 
     @property
     def is_bound(self) -> bool:

@@ -27,7 +27,6 @@ from gateway.robot.core.leg import (
     taken_over,
     withdrawn,
 )
-from gateway.robot.core.power import held_starts, note_supply
 from gateway.robot.core.rest import RestStops
 from gateway.robot.core.speed import LimitedSpeeds
 from schemas.keys import LEGS_COMMAND
@@ -99,18 +98,22 @@ class Legs:
         due_ns = repeat_ns = NEVER
         at_rest, rests = True, False
         for leg in self._all:
-            runs = waits = armed = False
+            waits, runs, armed = 0, False, False
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
                     runs = armed = True
                 if servo.waiting is not None or servo.target_cdeg is not None:
-                    waits = True
+                    waits += 1
                     armed = armed or servo.will_run
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
             leg_ns = NEVER if leg.commanded_ns is None or not armed else leg.commanded_ns + self._rules.timeout_ns
-            if self._fed is not None:
-                leg_ns, waits = note_supply(leg, self._held(leg), now_ns, leg_ns if runs else NEVER, self._rules)
+            if held := self._held(leg):
+                leg.unfed_ns = now_ns if leg.unfed_ns is None else leg.unfed_ns
+                leg_ns = min(leg_ns if runs else NEVER, leg.unfed_ns + self._rules.feed_ns)
+                waits -= len(held)
+            else:
+                leg.unfed_ns = None
             if self.landing is not None and runs:
                 leg_ns = self._land_due_ns(self.landing, leg)
             if waits:
@@ -152,7 +155,27 @@ class Legs:
         return self.take_slots(now_ns)
 
     def _held(self, leg: Leg) -> list[Servo]:
-        return held_starts(leg, self.servos.values(), self._fed)
+        """Return the leg's servos whose starts wait for power. A command starts all its servos at once, or none."""
+        if self._fed is None:
+            return []
+        unfed = [each.waiting_for for each in self.servos.values() if each.starts and each.servo_id not in self._fed]
+        return [each for each in leg.servos if each.starts and each.waiting_for in unfed] if unfed else []
+
+    def to_feed(self) -> dict[int, int | None]:
+        """Return the servos to power: running ones (None), and waiting starts with their wire angle (0.01 degrees).
+
+        Supply may start a servo at this angle, so it stays the same while the start waits. With the bus at fault, no
+        servo is powered.
+        """
+        found: dict[int, int | None] = {}
+        for servo_id, servo in self.servos.items() if self.sends else ():
+            if servo.angle_cdeg is not None:
+                found[servo_id] = None
+            elif servo.waiting is not None and servo.starts:
+                if servo.announced_cdeg is None:
+                    servo.announced_cdeg = servo.waiting.angle_cdeg
+                found[servo_id] = self._limits.calibration.of(servo_id).wire_cdeg(servo.announced_cdeg)
+        return found
 
     def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
         """Return when a landing leg gets its next frame, or, if it has arrived, when the landing ends."""

@@ -1,4 +1,9 @@
-"""Rejects starts and moves without power, and stops a servo that loses its power. Pure."""
+"""Rejects starts and moves without power, and stops a servo that loses its power. Pure.
+
+With either wire, a servo is powered only while it runs or waits to be started (`Legs.to_feed`). Its start leaves once
+the board has confirmed its power. A servo without power is stopped on the wire, too: with power again, it would jump to
+its angle.
+"""
 
 from collections.abc import Collection, Mapping
 from typing import Any, Final
@@ -7,7 +12,6 @@ from gateway.robot.core.events import Effect, PowerSeen
 from gateway.robot.core.interlock import Down, Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
-from gateway.robot.core.power import unfed_since
 from schemas.telemetry import Cause, Reason
 
 SILENT: Final = "the power board does not answer"
@@ -37,7 +41,9 @@ class PowerRule(Interlock[PowerSeen]):
     def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:
         if legs.landing is not None:
             return []
-        return self._stop(unfed_since(legs, now_ns - self._rules.feed_ns), UNFED, now_ns, legs)
+        since_ns = now_ns - self._rules.feed_ns
+        unfed = [leg.number for leg in legs if leg.unfed_ns is not None and leg.unfed_ns <= since_ns]
+        return self._stop(unfed, UNFED, now_ns, legs)
 
     def halts(self, event: PowerSeen) -> Halt | None:
         return Halt(Cause.WATCHDOG, Reason.NO_POWER, event.doubt) if event.doubt else None

@@ -29,7 +29,7 @@ Further rules, here and in `Legs`, by their names in docs/interface.md, *Behavio
     limited speed (`speed`).
 *The whole robot*: Either all servos run or wait to be started, or none does. A start names all of them and leaves with
     the last leg's rate slot. A Stop of one stops all in the same step.
-*Power*: A start, and its leg's watchdog, wait until its servo is powered (`power`).
+*Power*: A start, and its leg's watchdog, wait until its servo is powered (`power_rule`).
 *Bursts without `sent_ms`*: They start no stopped leg (`backlog`).
 
 Within one instant, the order of messages from different channels is unknown. So a Stop wins over a Start or Set of
@@ -73,7 +73,6 @@ from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.outside import Outside
-from gateway.robot.core.power import servos_to_feed
 from gateway.robot.core.power_rule import PowerRule
 from gateway.robot.core.watchdog import Watchdog, bring_down
 from schemas.telemetry import Cause, Kind, Mode, Reason
@@ -220,10 +219,6 @@ class Supervisor:
         if self.latch.since_ns is not None or self.latch.unknown:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
-
-    def to_feed(self) -> dict[int, int | None]:
-        """Return `servos_to_feed`, or nothing while the bus is at fault."""
-        return servos_to_feed(self.legs.servos.values(), self._limits.wire) if self.legs.sends else {}
 
     @property
     def stopped_outside(self) -> bool:

@@ -190,14 +190,14 @@ class RobotSupply:
         cuts = self._mode in _WHY and self._mode is not before and bool(self._asked)
         if self._mode in _WHY or supervisor.stopped_outside:
             self._trusted = self._ready is not None
-        self._ask(self._asked & supervisor.to_feed().keys())
+        self._ask(self._asked & supervisor.legs.to_feed().keys())
         self._cut = self._cut or cuts
         why = f"the servos' supply is taken, {_WHY[self._mode]}" if cuts else ""
         return [Announce(Kind.POWER_CUT, why, legs=tuple(LEGS))] if cuts else []
 
     def after_step(self, supervisor: Supervisor) -> None:
         """Request the step's powering, after its frames."""
-        to_feed = supervisor.to_feed()
+        to_feed = supervisor.legs.to_feed()
         wanted = frozenset(to_feed) if self._ready is None else self._ready(to_feed)
         wanted = wanted.difference(self._withheld, self._line.status.refused)
         if not self._trusted and wanted:

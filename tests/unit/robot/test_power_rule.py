@@ -70,16 +70,16 @@ def test_a_robot_whose_supply_starts_a_servo_goes_from_the_angle_that_was_on_the
     robot.step(BusOpened(), 0)
     robot.step(PowerSeen(alive=True), 0)
     robot.step(Command(((31, STARTS[90_00]),), number=1), 10 * NS_PER_MS)
-    assert robot.to_feed() == {31: 90_00}
+    assert robot.legs.to_feed() == {31: 90_00}
     robot.step(Command(((31, SETS[45_00]),), number=2), 100 * NS_PER_MS)
-    assert robot.to_feed() == {31: 90_00}, "as long as the start waits"
+    assert robot.legs.to_feed() == {31: 90_00}, "as long as the start waits"
     (start,) = robot.step(PowerSeen(alive=True, fed=frozenset({31})), 200 * NS_PER_MS)
     assert isinstance(start, Transmit)
     ((_, op),) = start.frame.servos
     assert op == STARTS[90_00], "no jump to 45"
     robot.step(TimePassed(), 220 * NS_PER_MS)
     assert robot.legs.servos[31].angle_cdeg == 88_00, "a step of its speed"
-    assert robot.to_feed() == {31: None}
+    assert robot.legs.to_feed() == {31: None}
 
 
 SCENES: Final = {

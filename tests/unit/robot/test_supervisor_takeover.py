@@ -111,7 +111,7 @@ STOPPED: Final = """rules power=True, angles_first=True, takeover_cdeg_s=18000
 
 def test_a_board_whose_supply_starts_a_servo_feeds_it_at_the_angle_where_it_stands() -> None:
     steps = play(f"{STOPPED} 150 servo 31 start 160 (source anna)")
-    assert steps.supervisor.to_feed() == {31: 20_00}
+    assert steps.supervisor.legs.to_feed() == {31: 20_00}
     steps.play(
         "160 servo 31 set 170 (source anna)\n 200 board → command 31 start 20; …\n 220 time → command 31 set 23.6; …"
     )
@@ -123,4 +123,4 @@ def test_the_angle_at_which_supply_starts_a_servo_stays_however_long_it_waits(
 ) -> None:
     steps = play(STOPPED.replace("angles_first=True", f"angles_first={supply_starts}"))
     steps.play("1500 servo 31 start 160 (source anna)\n 2150 servo 31 set 170 (source bert)")
-    assert steps.supervisor.to_feed() == {31: at_cdeg}
+    assert steps.supervisor.legs.to_feed() == {31: at_cdeg}
