@@ -17,7 +17,7 @@ from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.robot import Robot
-from gateway.robot.core.landing import landing
+from gateway.robot.core.landing import Landing
 from gateway.robot.settings import Settings
 from schemas.robot import SERVO_IDS
 from tests.walking import physics
@@ -108,7 +108,7 @@ def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[physics.S
         servo_id: (round(100 * angle_deg), round(100 * ends.get(servo_id, angle_deg)))
         for servo_id, angle_deg in begin.items()
     }
-    way = landing(began_ns, began_ns + length_ns, length_ns, period_ns, ways_cdeg)
+    way = Landing(began_ns, began_ns + length_ns, length_ns, period_ns, ways_cdeg)
     now_ns, part_ns = began_ns, 0
     while now_ns < way.ends_ns and part_ns < way.length_ns:
         part_ns = way.next_part_ns(part_ns, now_ns)

@@ -179,7 +179,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         supervisor._fault,
         supervisor._ended,
         supervisor.latch.unknown,
-        supervisor.stopped_outside,
+        supervisor.outside.closed,
         min(now_ns - legs.instant_ns, oldest_ns),  # an emergency stop that is still to come counts from its instant
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),

@@ -15,14 +15,18 @@ class Landing(NamedTuple):
     """A landing in progress."""
 
     began_ns: int
-    length_ns: int
-    """The motion's duration. If it began in time, it arrives two rate slots before `ends_ns`, for its last frame."""
-    period_ns: int
-    """A rate slot: the most that one frame advances the landing."""
     ends_ns: int
-    """When all six legs get their Stop, at any angle."""
+    """When all six legs get their Stop, at any angle. A landing that begins late is stopped on its way."""
+    landing_ns: int
+    period_ns: int
+    """A leg's rate slot: the most that one frame advances the landing."""
     ways_cdeg: Mapping[int, tuple[int, int]]
     """Begin and end of each running servo's motion, in hundredths of a degree."""
+
+    @property
+    def length_ns(self) -> int:
+        """The motion's duration: in time, it arrives two rate slots before `ends_ns`. A short one takes one frame."""
+        return max(self.period_ns, self.landing_ns - 2 * self.period_ns)
 
     def next_part_ns(self, part_ns: int, now_ns: int) -> int:
         """Return the time within the motion (ns) for a leg's next frame, if its last frame was at `part_ns`.
@@ -41,13 +45,3 @@ class Landing(NamedTuple):
         return any(
             servo.angle_cdeg is not None and servo.angle_cdeg != self.ways_cdeg[servo.servo_id][1] for servo in servos
         )
-
-
-def landing(
-    now_ns: int, ends_ns: int, landing_ns: int, period_ns: int, ways_cdeg: Mapping[int, tuple[int, int]]
-) -> Landing:
-    """Return a landing that begins now. `period_ns` is a leg's rate slot; a short landing takes one frame.
-
-    A landing that begins late is no faster than one of `landing_ns`: it is stopped on its way.
-    """
-    return Landing(now_ns, max(period_ns, landing_ns - 2 * period_ns), period_ns, ends_ns, ways_cdeg)

@@ -11,7 +11,7 @@ from typing import Final
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
-from gateway.robot.core.landing import Landing, landing
+from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import (
     NEVER,
     NO_COMMAND,
@@ -402,7 +402,7 @@ class Legs:
             for servo in self.servos.values()
             if servo.angle_cdeg is not None
         }
-        self.landing = landing(now_ns, ends_ns, self._rules.landing_ns, self._rules.period_ns, ways)
+        self.landing = Landing(now_ns, ends_ns, self._rules.landing_ns, self._rules.period_ns, ways)
         self.land_ns = now_ns + self._rules.period_ns
         for leg in self:
             leg.source, leg.landed_ns = None, 0

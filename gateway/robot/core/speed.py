@@ -6,7 +6,6 @@ There are two limits: a servo's own speed (`Rules.max_speed_cdeg_s`), and one fo
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 from gateway.allowance import NS_PER_S
 from gateway.model.angle_limits import AngleLimits
@@ -14,18 +13,15 @@ from gateway.model.frames import OP_STOP, SETS, ServoOp
 from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo
 
 
-class Step(NamedTuple):
-    """An angle for the next frame, and when the time of the step after it begins."""
-
-    angle_cdeg: int
-    since_ns: int
-
-
 # mutants accepted (Gt_GtE, Step): either sign gives the same angle
-def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns: int, period_ns: int) -> Step:
-    """Return a step towards an angle: at most speed times the time since `since_ns`, and speed times a rate slot.
+def step(
+    from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns: int, period_ns: int
+) -> tuple[int, int]:
+    """Return the angle of a frame towards a target, and since when the time counts for the next step.
 
-    Time beyond a rate slot is dropped, since the servo would jump after a stall or a long time without a command.
+    A step is at most speed times the time since `since_ns`, and speed times a rate slot. Time beyond a rate slot is
+    dropped, since the servo would jump after a stall or a long time without a command.
+
     Steps are whole hundredths of a degree. Time too short for a hundredth is kept for the next step: otherwise a slow
     servo whose leg gets many frames would never move.
     """
@@ -33,11 +29,11 @@ def step(from_cdeg: int, to_cdeg: int, speed_cdeg_s: int, since_ns: int, now_ns:
     slot_cdeg = -(-speed_cdeg_s * period_ns // NS_PER_S)  # rounded up: at least a hundredth
     way_cdeg = to_cdeg - from_cdeg
     if abs(way_cdeg) <= min(most_cdeg, slot_cdeg):
-        return Step(to_cdeg, now_ns)
+        return to_cdeg, now_ns
     if most_cdeg > slot_cdeg:
-        return Step(from_cdeg + (slot_cdeg if way_cdeg > 0 else -slot_cdeg), now_ns)
+        return from_cdeg + (slot_cdeg if way_cdeg > 0 else -slot_cdeg), now_ns
     used_ns = -(-most_cdeg * NS_PER_S // speed_cdeg_s)  # rounded up: never faster
-    return Step(from_cdeg + (most_cdeg if way_cdeg > 0 else -most_cdeg), since_ns + used_ns)
+    return from_cdeg + (most_cdeg if way_cdeg > 0 else -most_cdeg), since_ns + used_ns
 
 
 class LimitedSpeeds:

@@ -220,11 +220,6 @@ class Supervisor:
             return Mode.ESTOPPED
         return Mode.IDLE if self.legs.at_rest else Mode.ACTIVE
 
-    @property
-    def stopped_outside(self) -> bool:
-        """Whether `stop-servos` is at work on the same device, if that is known."""
-        return self.outside.closed
-
     # ---- events
 
     def _take(self, event: Event, now_ns: int) -> list[Effect]:

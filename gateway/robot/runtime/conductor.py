@@ -233,7 +233,7 @@ class Conductor:
     def _check_stop_servos(self) -> None:
         """Report a start or an end of `stop-servos` to the supervisor. A closed device shows neither."""
         at_work = self.bus.stop_servos_at_work()
-        if at_work is not None and at_work is not self.supervisor.stopped_outside:
+        if at_work is not None and at_work is not self.supervisor.outside.closed:
             self._step(StoppedOutside(at_work))
 
     def measured(self, values: Measured, now_ns: int) -> None:

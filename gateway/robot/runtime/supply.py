@@ -184,11 +184,11 @@ class RobotSupply:
         """Request the step's cuts, before its frames. Return the events to publish after them."""
         servos = supervisor.legs.servos
         self._runs = frozenset([each for each, servo in servos.items() if servo.angle_cdeg is not None])
-        if supervisor.stopped_outside:
+        if supervisor.outside.closed:
             self._withheld |= dict.fromkeys(self._asked, _TAKEN)  # `stop-servos` cuts power even if nothing shows it
         before, self._mode = self._mode, supervisor.mode
         cuts = self._mode in _WHY and self._mode is not before and bool(self._asked)
-        if self._mode in _WHY or supervisor.stopped_outside:
+        if self._mode in _WHY or supervisor.outside.closed:
             self._trusted = self._ready is not None
         self._ask(self._asked & supervisor.legs.to_feed().keys())
         self._cut = self._cut or cuts

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.robot.core.landing import Landing, landing
+from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import RateSlots, Servo, StartQueue
 from gateway.robot.core.speed import step
 
@@ -146,7 +146,7 @@ PERIOD_NS = 20 * NS_PER_MS
 def one(first: int, last: int, length_ms: int = 1000, late_ms: int = 0) -> Landing:
     """A landing of one servo, which begins so late."""
     end_ns, landing_ns = length_ms * NS_PER_MS, length_ms * NS_PER_MS
-    return landing(late_ms * NS_PER_MS, end_ns, landing_ns, PERIOD_NS, {32: (first, last)})
+    return Landing(late_ms * NS_PER_MS, end_ns, landing_ns, PERIOD_NS, {32: (first, last)})
 
 
 def said_at(way: Landing, times_ms: Iterable[float]) -> list[int]:
@@ -172,7 +172,7 @@ def test_no_frame_goes_on_by_more_than_a_rate_slot_s_part(
 
 
 def test_a_frame_says_no_more_than_its_part_of_the_time_however_old_the_clock_is() -> None:
-    way = landing(10**12, 10**12 + 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00)})
+    way = Landing(10**12, 10**12 + 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00)})
     assert way.next_part_ns(0, 10**12 + 7 * NS_PER_MS) == 7 * NS_PER_MS
 
 
@@ -191,6 +191,6 @@ def test_a_leg_moves_while_a_running_servo_of_it_is_not_where_it_goes(
     angles_cdeg: tuple[int | None, int | None], moves: bool
 ) -> None:
     """Servo 31 did not run when the landing began, and has no way."""
-    way = landing(0, 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00), 33: (50_00, 50_00)})
+    way = Landing(0, 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00), 33: (50_00, 50_00)})
     servos = [Servo(31, 3), *(Servo(32 + index, 3, angle) for index, angle in enumerate(angles_cdeg))]
     assert way.moves(servos) == moves
