@@ -8,7 +8,6 @@ import asyncio
 import logging
 import socket
 from collections.abc import Callable, Collection
-from contextlib import suppress
 from http.client import parse_headers
 from io import BytesIO
 from threading import Thread
@@ -61,7 +60,6 @@ class MetricsPage:
         self._socket.setblocking(False)
         self._page = page
         self._ours = ours
-        self._answering: dict[asyncio.Task[None], socket.socket] = {}
 
     def start(self) -> None:
         """Serve from a thread of its own, until the process ends."""
@@ -72,7 +70,7 @@ class MetricsPage:
         asyncio.run(self._accept())
 
     async def _accept(self) -> None:
-        loop = asyncio.get_running_loop()
+        loop, answering = asyncio.get_running_loop(), dict[asyncio.Task[None], None]()
         while True:
             try:
                 connection, _ = await loop.sock_accept(self._socket)
@@ -80,30 +78,28 @@ class MetricsPage:
                 logger.debug("no connection for metrics could be accepted: %s", error)
                 await asyncio.sleep(NO_DESCRIPTOR_S)
                 continue
-            if len(self._answering) >= MOST_REQUESTS:
-                next(iter(self._answering)).cancel()  # the oldest
+            if len(answering) >= MOST_REQUESTS:
+                next(iter(answering)).cancel()  # the oldest
             task = loop.create_task(self._answer(connection))
-            self._answering[task] = connection
-            task.add_done_callback(self._hang_up)
+            answering[task] = None
+            task.add_done_callback(answering.pop)
             await asyncio.sleep(1 / MOST_A_SECOND)
-
-    def _hang_up(self, task: "asyncio.Task[None]") -> None:
-        self._answering.pop(task).close()
-        if not task.cancelled() and task.exception() is not None:
-            logger.debug("a request for metrics failed", exc_info=task.exception())
 
     async def _answer(self, connection: socket.socket) -> None:
         loop = asyncio.get_running_loop()
-        connection.setblocking(False)
-        with suppress(TimeoutError, OSError):
-            async with asyncio.timeout(REQUEST_S):
-                request = b""
-                while b"\r\n\r\n" not in request:
-                    more = await loop.sock_recv(connection, MAX_REQUEST_BYTES)
-                    request += more
-                    if not more or len(request) > MAX_REQUEST_BYTES:
-                        return
-                await loop.sock_sendall(connection, self._response_to(request, connection.getsockname()[0]))
+        try:
+            with connection:
+                connection.setblocking(False)
+                async with asyncio.timeout(REQUEST_S):
+                    request = b""
+                    while b"\r\n\r\n" not in request:
+                        more = await loop.sock_recv(connection, MAX_REQUEST_BYTES)
+                        request += more
+                        if not more or len(request) > MAX_REQUEST_BYTES:
+                            return
+                    await loop.sock_sendall(connection, self._response_to(request, connection.getsockname()[0]))
+        except Exception as error:
+            logger.debug("a request for metrics failed", exc_info=error)
 
     def _response_to(self, request: bytes, reached: str) -> bytes:
         """`reached` is the address of ours that the client dialled; the socket may listen on all addresses."""
@@ -119,23 +115,16 @@ class MetricsPage:
         return f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\n\r\n".encode() + body
 
 
-def is_one_of(host: str | None, ours: Collection[str]) -> bool:
-    """Return whether a Host header (`robot.local:9464`, `[::1]:9464`) names one of these lower-case hosts.
+def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
+    """Return whether a request comes from our own page, or from no page (`origin` is None).
 
-    The port is not compared, since a tunnel changes it. A page cannot choose the host that its browser sends.
+    A page of another site can reach every port of its browser's machine. Its `origin` shows that; or, if one of its own
+    names resolves to this machine (DNS rebinding), `host` does: a page cannot choose the Host header that its browser
+    sends (`robot.local:9464`, `[::1]:9464`). The port is not compared, since a tunnel changes it.
     """
     name = (host or "").lower()
     if name.startswith("["):
         name = name[1:].partition("]")[0]
     elif name.count(":") == 1:
         name = name.partition(":")[0]
-    return name in ours
-
-
-def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:
-    """Return whether a request comes from our own page, or from no page (`origin` is None).
-
-    A page of another site can reach every port of its browser's machine. Its `origin` shows that; or, if one of its own
-    names resolves to this machine (DNS rebinding), `host` does.
-    """
-    return is_one_of(host, ours) and (origin is None or origin == f"http://{host}")
+    return name in ours and (origin is None or origin == f"http://{host}")
