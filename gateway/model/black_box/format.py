@@ -22,6 +22,7 @@ Records are packed by hand, since a gait writes many: a frame takes 0.3 µs, by 
 import struct
 import zlib
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import ServoOp
@@ -135,23 +136,12 @@ STOP_CODE, SET_CODE = 65_535, 20_000
 _OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
 """The code of each operation. Operation and angle (0 to 18000) are one number of 16 bits."""
 _MAX_BYTE: Final = 255
-
-
-_known: dict[tuple[str | None, ...], bytes] = {}
 MAX_KNOWN: Final = 200
 
 
+@lru_cache(MAX_KNOWN)  # texts recur
 def _texts(*texts: str | None) -> bytes:
-    """Return texts of at most 255 bytes, each after its length; None becomes "". Cached, since texts recur."""
-    made = _known.get(texts)
-    if made is None:
-        if len(_known) >= MAX_KNOWN:
-            _known.clear()
-        made = _known[texts] = _encoded(texts)
-    return made
-
-
-def _encoded(texts: Sequence[str | None]) -> bytes:
+    """Return texts of at most 255 bytes, each after its length; None becomes ""."""
     made = b""
     for text in texts:
         data = text.encode("utf-8", "replace") if text else b""
@@ -175,8 +165,7 @@ def command(
         flat += (servo_id, _OF_OP[op.op] + op.angle_cdeg)
     count = len(targets)
     fixed = COMMAND_HEAD.pack(number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, count)
-    texts = _known.get((verb, key, source)) or _texts(verb, key, source)
-    return fixed + TARGET_STRUCTS[count].pack(*flat) + texts
+    return fixed + TARGET_STRUCTS[count].pack(*flat) + _texts(verb, key, source)
 
 
 def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
@@ -186,11 +175,8 @@ def decision(number: int, verdict: str, key: str, source: str | None) -> bytes:
 
 def frame(data: bytes, cause: str, transfer_ns: int, late_ns: int = 0, number: int = 0) -> bytes:
     """Bytes of a FrameWritten, with the lower 32 bits of each number."""
-    return (
-        FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
-        + data
-        + (_known.get((cause,)) or _texts(cause))
-    )
+    head = FRAME_HEAD.pack(transfer_ns & _UINT32, late_ns & _UINT32, number & _UINT32, len(data))
+    return head + data + _texts(cause)
 
 
 _CARRIED_OUT: Final = struct.Struct(f"<{_HEAD.format[1:]}{CARRIED_OUT_HEAD.format[1:]}{COMMAND_HEAD.format[1:]}BHBHBH")
@@ -216,7 +202,7 @@ def carried_out(
     Unrolled for a leg's three servos: a gait sends only these, six times fifty a second.
     """
     after_ns = frame_ns - ns
-    texts = _known.get((verb, key, source)) or _texts(verb, key, source)
+    texts = _texts(verb, key, source)
     rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(texts)
     size = len(data)
     fits = rest_bytes <= ROOM and size <= _MOST_FRAME

@@ -60,11 +60,8 @@ class RecordRing:
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:
         """Write a record, in several slots if it does not fit in one."""
-        sequence, part = self.sequence, rest[:_ROOM]
-        more = len(rest) > _ROOM
-        body = pack_head(len(part) + HEAD_BYTES, kind, more, sequence, ns) + part
-        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
-        self.sequence = sequence + 1
+        part, more = rest[:_ROOM], len(rest) > _ROOM
+        self.put(pack_head(len(part) + HEAD_BYTES, kind, more, self.sequence, ns) + part)
         if more:
             self.append(form.MORE, ns, rest[_ROOM:])
 
