@@ -2,10 +2,11 @@
 
 import asyncio
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from gateway.model.power_board import SET_SUPPLY, CanFrame
 from gateway.robot.power.board import News, PowerBoard, Status
+from gateway.robot.power.line import PowerLine
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S
@@ -154,6 +155,6 @@ def _feed(
         robot.loop.call_later(BEAT_S, beat)
 
     robot.loop.call_later(BEAT_S, beat)
-    supply = RobotSupply(robot.line, power.interface, ready)
+    supply = RobotSupply(cast(PowerLine, robot.line), power.interface, ready)
     robot.line.on_news = lambda: supply.on_news()  # noqa: PLW0108  (it is set behind this)
     return supply

@@ -83,13 +83,13 @@ class ServiceEnd:
         return self._starts_anew and self.failure is None
 
     def leave(self) -> NoReturn:
-        """Exit, or restart in the same process."""
+        """Exit, or restart in the same process: at once, since a thread in Zenoh keeps the interpreter from ending."""
+        if self.failure is not None:
+            sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
+        logs.close(LAST_WORDS_S)
         if self.starts_anew:
-            start_anew()
-        if self.failure is None:
-            leave(0)
-        sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
-        leave(GatewayError.exit_code)
+            _start_anew()
+        os._exit(0 if self.failure is None else GatewayError.exit_code)
 
     def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
@@ -137,12 +137,9 @@ async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> st
     ms = None
     with suppress(TimeoutError):
         ms = await asyncio.wait_for(answered, REPEATS_S)
-    if ms is None:
-        said = "the power board has not confirmed that their supply is off"
-        logger.warning("%s", said)
-        return said
-    said = f"the power board has confirmed after {ms:.0f} ms that their supply is off"
-    logger.info("%s", said)
+    confirmed = "not confirmed" if ms is None else f"confirmed after {ms:.0f} ms"
+    said = f"the power board has {confirmed} that their supply is off"
+    logger.log(logging.WARNING if ms is None else logging.INFO, said)
     return said
 
 
@@ -183,19 +180,12 @@ async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes:
         leave()
 
 
-def leave(exit_code: int) -> NoReturn:
-    """Exit at once: a thread inside Zenoh would keep the interpreter from ending."""
-    logs.close(LAST_WORDS_S)
-    os._exit(exit_code)
-
-
-def start_anew() -> NoReturn:
+def _start_anew() -> NoReturn:
     """Execute the gateway again in the same process, with the same arguments. This ends all of its threads.
 
     systemd sees no end of the service, so the restart takes only as long as Python's start. A new thread executes it:
     a program inherits its thread's scheduling class, and this thread cannot give up its own (SCHED_RESET_ON_FORK).
     """
-    logs.close(LAST_WORDS_S)
     here = Path(gateway.__file__).parents[1]
     # A package's folder is a program, run without this machine's packages (deploy/debian/hexapod-gateway).
     program = ("-IS", str(here)) if (here / "__main__.py").exists() else ("-m", "gateway")

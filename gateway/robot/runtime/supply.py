@@ -13,10 +13,10 @@ shows that it rests.
 
 import asyncio
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Final, Protocol
+from typing import Final
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.frames import legs_of
@@ -128,27 +128,12 @@ class Confirmations:
 # ---- the supply
 
 
-class BoardLine(Protocol):  # mutants accepted (RemoveDecorator): for mypy alone
-    """The part of `robot.power.line` that is used here. Any thread may call `cut`; only `close` waits."""
-
-    @property
-    def status(self) -> Status: ...
-    @property
-    def polled_ns(self) -> int: ...
-    def want(self, servos: frozenset[int], number: int) -> None: ...
-    def cut(self) -> None: ...
-    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None: ...
-    def clear_errors(self) -> None: ...
-    def news(self) -> Sequence[News | Confirmed]: ...
-    def close(self) -> None: ...
-
-
 class RobotSupply:
     """The servos' supply."""
 
     # mutants accepted (FalseWithTrue, Step): the board's next news sets it; any numbers
     def __init__(
-        self, line: BoardLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
+        self, line: PowerLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
     ) -> None:
         """`ready` returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
         self._line = line
