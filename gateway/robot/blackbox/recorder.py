@@ -209,18 +209,14 @@ class Recorder:
         """The mode, if it is not recorded yet."""
         self._shares = RecordShares(paths.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
-        self._append: Callable[[int, int, bytes], None] = self._wait
         self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = -ABOUT_NS
         self._measured_ns = -MEASURED_NS
         self._first_ns = self._until_ns = 0  # begin and end of the latest incident
         self._copies = IncidentCopies()
         self._on = state_directory(settings.state.path) is not None
-        if self._on:
-            self._about = form.text(json.dumps(_about(settings, facts)))
-            self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
-        else:
-            self._append = _forget
+        self._about = form.text(json.dumps(_about(settings, facts)))
+        self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
 
     def __enter__(self) -> Self:
         return self
@@ -244,18 +240,17 @@ class Recorder:
             self._ring = RecordRing(ring, paths.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
-            self._on, self._append, self.incident = False, _forget, None
+            self._on, self.incident = False, None
             return
         self._copies.open(ring)
         if self._ring.note:
             logger.warning(self._ring.note)
-        self._append = self._ring.append
-        for kind, ns, rest in waiting:
-            self._append(kind, ns, rest)
+        for each in waiting:
+            self._ring.append(*each)
 
     def close(self) -> None:
         """Close the ring; later records are discarded."""
-        self._append = _forget
+        self._on = False
         if self._ring is not None:
             self._copies.close(self._ring.sequence - 1)
             self._ring.close()
@@ -399,8 +394,10 @@ class Recorder:
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident
 
-    def _wait(self, kind: int, ns: int, rest: bytes) -> None:
-        if len(self._waiting) < KEPT_BEFORE_OPEN:
+    def _append(self, kind: int, ns: int, rest: bytes) -> None:
+        if self._ring is not None:
+            self._ring.append(kind, ns, rest)
+        elif self._on and len(self._waiting) < KEPT_BEFORE_OPEN:
             self._waiting.append((kind, ns, rest))
 
 
@@ -413,7 +410,3 @@ def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
         "watchdog": asdict(settings.watchdog),
         "limits": asdict(settings.limits),
     }
-
-
-def _forget(_kind: int, _ns: int, _rest: bytes) -> None:
-    """Discard a record, without a ring."""

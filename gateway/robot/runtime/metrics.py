@@ -9,8 +9,6 @@ from schemas.telemetry import Cause, Kind, Reason
 
 @dataclass(slots=True)
 class Metrics:
-    """One service's counters and latencies."""
-
     accepted: int = 0
     coalesced: int = 0
     overflows: int = 0

@@ -97,15 +97,12 @@ class StateReports:
         self._events.outbox.publish(keys.STATE, report)
 
     def answer_state(self, reply: Reply) -> None:
-        """Answer a `get` with the state."""
         reply(self.payloads.of(self.state())[0].model_dump_json().encode())
 
     def answer_config(self, reply: Reply) -> None:
-        """Answer a `get` with the configuration."""
         reply(self.payloads.of(self.state())[1].model_dump_json().encode())
 
     def state(self) -> telemetry.GatewayState:
-        """Return the state now."""
         supervisor, bus, metrics, now_ns = self._supervisor, self._bus, self._events.metrics, self._events.clock()
         settings = self._settings
         buttons = supervisor.buttons

@@ -132,8 +132,6 @@ class _ProvedAnswers(RequestAnswers):
 
 
 class LeaseAnswers(_ProvedAnswers):
-    """Answers requests for the lease."""
-
     key = keys.LEASE
     ack = LeaseAck
     schema = LEASE_REQUEST
@@ -169,8 +167,6 @@ class LeaseAnswers(_ProvedAnswers):
 
 
 class ButtonAnswers(_ProvedAnswers):
-    """Answers requests of stop buttons."""
-
     key = keys.BUTTON
     ack = ButtonAck
     schema = BUTTON_REQUEST

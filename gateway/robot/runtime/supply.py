@@ -129,8 +129,6 @@ class Confirmations:
 
 
 class RobotSupply:
-    """The servos' supply."""
-
     # mutants accepted (FalseWithTrue, Step): the board's next news sets it; any numbers
     def __init__(
         self, line: PowerLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
@@ -278,7 +276,6 @@ class RobotSupply:
         self.confirmations.wait(servos, asked_ns, then)
 
     def report(self, now_ns: int) -> PowerReport:  # mutants accepted (Step): a nanosecond
-        """Return the power board's part of the state."""
         status = self.status
         return PowerReport(
             interface=self._interface,
@@ -290,7 +287,6 @@ class RobotSupply:
 
     @property
     def status(self) -> Status:
-        """The board's latest known status."""
         return self._line.status
 
 

@@ -50,7 +50,6 @@ class LatestTelemetry:
         return None if self._supply is None else self._supply.report(self._clock())
 
     def publish(self) -> None:
-        """Publish the measurements, if there are any."""
         report = self.report()
         if report is not None:
             self._outbox.publish(keys.TELEMETRY, report)
