@@ -16,26 +16,19 @@ def leg_with(third: object) -> dict[str, Any]:
 ANGLE = '{"op": "start", "angle_deg": %s}'
 SERVO_FAULTS: list[tuple[object, str]] = [
     # the payload as a whole
-    ([], "the payload: Input should be an object"),
     ('"stop"', "the payload: Input should be an object"),
     # op
     ({}, "op: Field required"),
     ({"op": "STOP"}, "op: Input should be one of 'start', 'set', 'stop'"),
-    ({"op": "z" * 4000}, "op: Input should be one of 'start', 'set', 'stop'"),
     # angle_deg
     ({"op": "start"}, "start.angle_deg: Field required"),
     ({"op": "start", "angle": 90}, "start.angle_deg: Field required (and 1 more)"),
     (ANGLE % "null", "start.angle_deg: Input should be a valid number"),
-    (ANGLE % "true", "start.angle_deg: Input should be a valid number"),
     (ANGLE % "NaN", "start.angle_deg: Input should be a finite number"),
-    (ANGLE % "1e999", "start.angle_deg: Input should be a finite number"),
-    (ANGLE % ("9" * 4000), "start.angle_deg: Input should be a finite number"),
     (ANGLE % "180.001", "start.angle_deg: Input should be less than or equal to 180"),
-    (ANGLE % "-1e-300", "start.angle_deg: Input should be greater than or equal to 0"),
     # what a stop has, and has not
     ({"op": "stop", "angle_deg": 0}, "stop.angle_deg: Extra inputs are not permitted"),
     # unknown names, also such as pydantic uses itself
-    ({"op": "stop", "Op": "start"}, "stop.Op: Extra inputs are not permitted"),
     ({"op": "stop", "[key]": 1}, "stop.[key]: Extra inputs are not permitted"),
     ({"op": "stop", "": 1}, "stop.: Extra inputs are not permitted"),
     ({"op": "stop", "a\nb\u2028": 1}, "stop.a\\nb\\u2028: Extra inputs are not permitted"),
@@ -46,11 +39,7 @@ SERVO_FAULTS: list[tuple[object, str]] = [
     ('{"op": "stop", "x": ' + "[" * 150 + "]" * 150 + "}", "stop.x: Extra inputs are not permitted"),
     # who, and when
     (STOP | {"source": ""}, "stop.source: String should have at least 1 character"),
-    (STOP | {"source": "x" * 65}, "stop.source: String should have at most 64 characters"),
-    (STOP | {"source": 1}, "stop.source: Input should be a valid string"),
-    (STOP | {"sent_ms": "1"}, "stop.sent_ms: Input should be a valid number"),
     (STOP | {"sent_ms": -1}, "stop.sent_ms: Input should be greater than or equal to 0"),
-    (STOP | {"sent_ms": 1e300}, "stop.sent_ms: Input should be less than or equal to 9007199254740992"),
     # the same name twice
     ('{"op": "start", "op": "stop"}', f"op {GIVEN_TWICE}"),
     ('{"op": "set", "angle_deg": 1, "angle_deg": 2}', f"angle_deg {GIVEN_TWICE}"),
@@ -58,26 +47,20 @@ SERVO_FAULTS: list[tuple[object, str]] = [
 ]
 LEG_FAULTS: list[tuple[object, str]] = [
     ({}, "servos: Field required"),
-    ({"servos": None}, "servos: Input should be a valid array"),
     ({"servos": []}, "servos[0]: Field required (and 2 more)"),
     ({"servos": [STOP, STOP]}, "servos[2]: Field required"),
     ({"servos": [STOP] * 4}, "servos: Tuple should have at most 3 items after validation, not 4"),
     (leg_with(None), "servos[2]: Input should be an object"),
-    (leg_with({}), "servos[2].op: Field required"),
     (leg_with({"op": "go"}), "servos[2].op: Input should be one of 'start', 'set', 'stop'"),
     (leg_with({"op": "set"}), "servos[2].set.angle_deg: Field required"),
-    (leg_with({"op": "set", "angle_deg": 190.0}), "servos[2].set.angle_deg: Input should be less than or equal to 180"),
     (leg_with(STOP | {"angle_deg": 1}), "servos[2].stop.angle_deg: Extra inputs are not permitted"),
-    (leg_with(STOP | {"start": 1}), "servos[2].stop.start: Extra inputs are not permitted"),
     (LEG | {"angle_deg": 1}, "angle_deg: Extra inputs are not permitted"),
-    (LEG | {"stop": 1}, "stop: Extra inputs are not permitted"),
     (STOP, "servos: Field required (and 1 more)"),
     ('{"servos": [{"op": "stop", "op": "stop"}, {"op": "stop"}, {"op": "stop"}]}', f"op {GIVEN_TWICE}"),
 ]
 LEGS_FAULTS: list[tuple[object, str]] = [
     ({}, "legs: Field required"),
     ({"legs": {}}, "legs: Dictionary should have at least 1 item after validation, not 0"),
-    ({"legs": [LEG]}, "legs: Input should be an object"),
     ({"legs": {"7": LEG}}, "legs.7.[key]: Input should be '1', '2', '3', '4', '5' or '6'"),
     (
         {"legs": {"q" * 3000: LEG}},
@@ -90,7 +73,6 @@ LEGS_FAULTS: list[tuple[object, str]] = [
         {"legs": {"4": leg_with({"op": "set", "angle_deg": -1})}},
         "legs.4.servos[2].set.angle_deg: Input should be greater than or equal to 0",
     ),
-    ({"legs": {"4": LEG | {"source": "x"}}}, "legs.4.source: Extra inputs are not permitted"),
     (
         {"legs": {str(n): 1 for n in range(10, 90)}},
         "legs.10.[key]: Input should be '1', '2', '3', '4', '5' or '6' (and 159 more)",
@@ -100,15 +82,11 @@ LEGS_FAULTS: list[tuple[object, str]] = [
     (f'{{"legs": {{"1": {json.dumps(LEG)}, "1": {json.dumps(leg_with(STOP))}}}}}', f"1 {GIVEN_TWICE}"),
 ]
 RESET_FAULTS: list[tuple[object, str]] = [
-    ("[]", "the payload: Input should be an object"),
     ({"force": True}, "force: Extra inputs are not permitted"),
     ({"estop": -1}, "estop: Input should be greater than or equal to 0"),
-    ({"estop": 10**20}, "estop: Input should be less than or equal to 9007199254740992"),
     ({"estop": "1"}, "estop: Input should be a valid integer"),
-    ('{"estop": 1.5}', "estop: Input should be a valid integer"),
     ({"estop": 1, "lease": "0" * 31}, "lease: String should have at least 32 characters"),
     ({"estop": 1, "lease": "F" * 32}, "lease: String should match pattern '^[0-9a-f]{32}$'"),
-    ({"estop": 1, "lease": "0" * 31 + "\n"}, "lease: String should match pattern '^[0-9a-f]{32}$'"),
     ({"lesae": "ab" * 16}, "lesae: Extra inputs are not permitted"),
     ({"ab" * 16: 1}, "(hex digits): Extra inputs are not permitted"),
     ([{"lease": "ab" * 16}], "the payload: Input should be an object"),

@@ -52,20 +52,15 @@ def test_all_that_it_may_say() -> None:
 
 BAD: list[tuple[object, Reason, str]] = [
     (b"", Reason.MALFORMED, "the payload is not JSON"),
-    (b"{", Reason.MALFORMED, "the payload is not JSON"),
     ([], Reason.INVALID, "the payload: Input should be an object"),
     ({"servos": 3}, Reason.INVALID, "servos: Input should be an object"),
-    ({"servos": {"11": 3}}, Reason.INVALID, "servos.11: Input should be an object"),
     ({"servos": {"99": {}}}, Reason.INVALID, "servos.99.[key]: Input should be '11', '12',"),
-    ({"landing": {"10": 20}}, Reason.INVALID, "landing.10.[key]: Input should be '11', '12',"),
     (
         {"servos": {"11": {"trim_deg": 400}}},
         Reason.INVALID,
         "servos.11.trim_deg: Input should be less than or equal to 90",
     ),
     ({"servos": {"11": {"trim_deg": float("nan")}}}, Reason.INVALID, "servos.11.trim_deg: Input should be a finite"),
-    (b'{"servos": {"11": {"max_deg": 1e999}}}', Reason.INVALID, "servos.11.max_deg: Input should be a finite"),
-    ({"servos": {"11": {"trim_deg": "7"}}}, Reason.INVALID, "servos.11.trim_deg: Input should be a valid number"),
     ({"servos": {"11": {"inverted": "yes"}}}, Reason.INVALID, "servos.11.inverted: Input should be a valid boolean"),
     (
         {"servos": {"11": {"min_deg": -1}}},
@@ -79,12 +74,9 @@ BAD: list[tuple[object, Reason, str]] = [
     ),
     ({"servos": {"11": {"speed": 1}}}, Reason.INVALID, "servos.11.speed: Extra inputs"),
     ({"landing": {"11": 181}}, Reason.INVALID, "landing.11: Input should be less than or equal to 180"),
-    ({"landing": {"11": True}}, Reason.INVALID, "landing.11: Input should be a valid number"),
-    ({"revision": -1}, Reason.INVALID, "revision: Input should be greater than or equal to 0"),
     ({"revision": 1.5}, Reason.INVALID, "revision: Input should be a valid integer"),
     ({"accept_default": False}, Reason.INVALID, "accept_default: Input should be True"),
     ({"lease": TOKEN[1:]}, Reason.INVALID, "lease: String should have at least 32"),
-    ({"trim": 7}, Reason.INVALID, "trim: Extra inputs"),
     ({TOKEN: 7}, Reason.INVALID, "(hex digits): Extra inputs"),
     (b'{"servos": {"11": {"trim_deg": 1, "trim_deg": 2}}}', Reason.INVALID, "trim_deg is given twice in one object"),
     (b'{"servos": {"11": {}, "11": {}}}', Reason.INVALID, "11 is given twice in one object"),
