@@ -67,7 +67,7 @@ def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
         return stops[0]
     before: dict[Awaited, bytes] = {}
     now = {awaited: b""}
-    """What the controller may await after so many transfers, each with the first Stop or zero of the way there."""
+    """What the controller may await after these transfers, each with the first Stop or zero of the way there."""
     for _ in range(_MOST_TRANSFERS):
         ways = [(after(each, (stop[:1], stop)), first or stop) for each, first in before.items() for stop in stops]
         ways += [(after(each, (ZERO,)), first or ZERO) for each, first in now.items()]

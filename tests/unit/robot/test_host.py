@@ -159,8 +159,8 @@ def calls_to_the_device(robot: Robot, key: str, payload: object) -> int:
 @pytest.mark.parametrize(
     ("key", "payload", "most"),
     [
-        pytest.param(keys.ESTOP, {}, 120, id="an emergency stop while a leg runs"),
-        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 60, id="a leg's setpoint"),
+        pytest.param(keys.ESTOP, {}, 130, id="an emergency stop while a leg runs"),
+        pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 70, id="a leg's setpoint"),
         pytest.param(keys.LEGS_COMMAND, _ALL, 120, id="a start of all legs"),
     ],
 )
