@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from math import ceil
-from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -21,6 +20,7 @@ from gateway.host.mounts import forgets
 from gateway.host.settings_reader import ForStops
 from gateway.host.worker import in_thread
 from gateway.model.black_box.format import STOP_FACTS
+from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
 from gateway.own_command import command
 from gateway.robot import wires
@@ -34,6 +34,7 @@ from gateway.robot.host import calibration_file, stop_note
 from gateway.robot.host.disk_writer import DiskWriter, report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
+from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
@@ -158,7 +159,7 @@ class _Service:
         self.end, self.notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
         self.failed = partial(report_mistake, loop, "a thread failed")
         self.configure()
-        state = state_directory(settings.state.path)
+        state = _state_folder(settings)
         self.bus = wires.wire(settings, simulated)
         self.supply = supply_of(settings, self.bus, simulated.board_channel, loop, owner, self.failed)
         self.outbox = ZenohOutbox()
@@ -177,7 +178,7 @@ class _Service:
             supply=self.supply,
         )
         self.keeper = EstopKeeper(self.conductor, state, loop)
-        self.calibrations = _calibrations(settings, self.conductor, loop)
+        self.calibrations = _calibrations(settings, state, self.conductor, loop)
         self.revocations = Revocations(self.conductor, self.shut_out, loop, self.end.begin_again)
         self.beat: asyncio.TimerHandle | None = None
 
@@ -353,28 +354,42 @@ def _answer(answer: Callable[[Reply], None], _query: zenoh.Query, _ns: int, repl
     return partial(answer, reply)
 
 
-def _is_kept(state: Path | None) -> bool:
+def _state_folder(settings: Settings) -> StateFolder | None:
+    found = state_directory(settings.state.path)
+    return None if found is None else StateFolder(found)
+
+
+def _is_kept(state: StateFolder | None) -> bool:
     """Return whether the state directory survives a boot. Log a warning if a boot empties it."""
-    kind = "" if state is None else forgets(state)
+    if state is None:
+        return False
+    kind = forgets(state.path)
     if kind:
         logger.warning(
             "%s is on %s, which a boot empties: calibration, revocations and the emergency stop are then lost "
             "(docs/robot.md)",
-            state,
+            state.path,
             kind,
         )
-    return state is not None and not kind
+    return not kind
 
 
-def _calibrations(settings: Settings, conductor: Conductor, loop: asyncio.AbstractEventLoop) -> Calibrations:
+def _calibrations(
+    settings: Settings, state: StateFolder | None, conductor: Conductor, loop: asyncio.AbstractEventLoop
+) -> Calibrations:
     """Load the calibration from its file. Without a usable file no servo can be started, but the service runs: Stops
     need no calibration."""
     path = calibration_file.path_of(settings)
-    if path is None:
+    if path is None or state is None:
         return Calibrations(conductor, None, loop)
     calibration, fault = calibration_file.load(path)
     conductor.supervisor.calibrating.load(calibration, fault)
     if fault is not None:
         logger.warning("%s; nothing is started until `%s`", fault, command(ACCEPT_DEFAULT))
     disk = DiskWriter("keep calibration", loop, conductor.owner)
-    return Calibrations(conductor, lambda new, then: disk.write(partial(calibration_file.write, path, new), then), loop)
+
+    def write(calibration: RobotCalibration) -> None:
+        state.own()
+        calibration_file.write(path, calibration)
+
+    return Calibrations(conductor, lambda new, then: disk.write(partial(write, new), then), loop)

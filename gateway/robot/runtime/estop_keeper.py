@@ -8,15 +8,16 @@ import logging
 import threading
 from datetime import UTC
 from functools import partial
-from pathlib import Path
 from typing import Final
 
+from gateway.errors import ConfigError
 from gateway.robot.core.events import Announce, EstopKept
 from gateway.robot.host import estop_file
 from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.estop_file import KeptEstop
 from gateway.robot.host.ownership import OwnersTimer
+from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.runtime.conductor import Conductor
 from schemas.keys import ESTOP
 from schemas.telemetry import Kind
@@ -37,7 +38,7 @@ logger = logging.getLogger(__name__)
 class EstopKeeper:
     """Reads the emergency stop that an earlier run left, and writes each change. Without a folder it keeps nothing."""
 
-    def __init__(self, conductor: Conductor, folder: Path | None, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, conductor: Conductor, folder: StateFolder | None, loop: asyncio.AbstractEventLoop) -> None:
         """Begin to read, on another thread, so that the first Stops do not wait for the disk."""
         self._conductor = conductor
         self._folder = folder
@@ -58,7 +59,7 @@ class EstopKeeper:
         self._disk = DiskWriter("keep estop", loop, conductor.owner)
         found: list[KeptEstop] = []
         self._disk.write(
-            lambda: found.append(estop_file.read(folder)),
+            lambda: found.append(_read(folder)),
             lambda _: loop.call_soon_threadsafe(self._take, found[0]),
         )
 
@@ -75,7 +76,7 @@ class EstopKeeper:
         try:
             found = await asyncio.wait_for(self._read, READ_S)
         except TimeoutError:
-            found = estop_file.unknown(f"{self._folder}: the disk has not answered for {READ_S:g} s")
+            found = estop_file.unknown(f"{self._folder.path}: the disk has not answered for {READ_S:g} s")
         conductor = self._conductor
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
@@ -129,7 +130,7 @@ class EstopKeeper:
             return
         self._writing = wanted
         self._slow.set_in(SLOW_S)
-        self._disk.write(partial(estop_file.write, self._folder, wanted), self._ended)
+        self._disk.write(partial(_write, self._folder, wanted), self._ended)
 
     def _ended(self, fault: str | None) -> None:
         writing, self._writing = self._writing, None
@@ -176,6 +177,19 @@ class EstopKeeper:
             if not self._idle.is_set():
                 self._write_next()
         self._idle.wait(FLUSH_S)
+
+
+def _read(folder: StateFolder) -> KeptEstop:
+    try:
+        folder.own()
+    except ConfigError as error:
+        return estop_file.unknown(str(error))
+    return estop_file.read(folder.path)
+
+
+def _write(folder: StateFolder, kept: KeptEstop) -> None:
+    folder.own()
+    estop_file.write(folder.path, kept)
 
 
 def _only_number(on_disk: KeptEstop | None, wanted: KeptEstop | None) -> bool:

@@ -2,11 +2,12 @@
 
 import asyncio
 import errno
+import fcntl
 import json
 import os
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,6 +20,7 @@ from gateway.errors import ConfigError
 from gateway.robot import service
 from gateway.robot.host import estop_file
 from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE, MAX_BYTES, KeptEstop, read, write
+from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.runtime.estop_keeper import FLUSH_S, PAUSE_S, EstopKeeper
 from schemas import keys
 from schemas.telemetry import Kind, Mode
@@ -161,7 +163,7 @@ async def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator
     monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
     robot = Robot()
     robot.conductor.start()
-    keeper = EstopKeeper(robot.conductor, tmp_path, robot.loop)
+    keeper = EstopKeeper(robot.conductor, StateFolder(tmp_path), robot.loop)
     assert robot.mode == Mode.ESTOPPED
     await keeper.known()
     assert robot.mode == Mode.IDLE
@@ -191,6 +193,37 @@ async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: P
     await until(lambda: robot.conductor.reports.estop_fault is None)
     assert len(robot.events(Kind.ESTOP_NOT_KEPT)) == 1
     assert robot.states[-1].estop_fault is None
+
+
+@pytest.fixture
+def other_gateway(tmp_path: Path) -> Iterator[int]:
+    """It has the folder, and its emergency stop is engaged."""
+    write(tmp_path, ENGAGED)
+    descriptor = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    yield descriptor
+    os.close(descriptor)
+
+
+async def test_beside_another_gateway_it_counts_as_engaged_and_removes_nothing(
+    other_gateway: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is engaged, but not by the other's number: what the other has is its own."""
+    monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
+    robot = Robot()
+    robot.conductor.start()
+    keeper = EstopKeeper(robot.conductor, StateFolder(tmp_path), robot.loop)
+    await keeper.known()
+    number = robot.conductor.supervisor.latch.number
+    assert robot.mode == Mode.ESTOPPED
+    assert number >= UNHEARD_OF
+    assert "another gateway" in str(robot.conductor.reports.estop_fault)
+    fcntl.flock(other_gateway, fcntl.LOCK_UN)  # it ends without a reset
+    robot.put(keys.RESET, {"estop": number})
+    await until(lambda: bool(robot.events(Kind.ESTOP_NOT_KEPT)))
+    assert robot.mode == Mode.IDLE
+    assert read(tmp_path) == ENGAGED
+    robot.conductor.close()
 
 
 async def test_requests_that_come_slower_than_the_disk_writes_wait_for_their_turn_too(
