@@ -1,5 +1,6 @@
 """`hexapod-gateway`, and `python -m gateway`."""
 
+import io
 import os
 import sys
 
@@ -12,6 +13,8 @@ def main() -> None:
             # The stream is closed, and the next file would get its number: the SPI device must never become stderr.
             # closefd=False keeps the number taken, even if this object is replaced.
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), "r+", closefd=False))
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a character that a terminal lacks, such as µ, must not end a command
+        sys.stdout.reconfigure(errors="backslashreplace")
     if sys.argv[1:2] == ["stop-servos"]:
         from gateway.onboard import stop
 

@@ -101,6 +101,14 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
     assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
 
 
+def test_a_terminal_without_the_characters_gets_their_escapes(gateway: Gateway) -> None:
+    command, ascii_only = [*COMMAND, "estop", "--connect", gateway.endpoint], {"PYTHONIOENCODING": "ascii"}
+    end = subprocess.run(command, env=os.environ | ascii_only, capture_output=True, text=True, check=False)
+    assert end.returncode == 0, end
+    assert "stopped: 6 Stop frames written within" in end.stdout
+    assert "\\xb5s" in end.stdout
+
+
 START_EXAMPLE = "for example: hexapod-gateway send leg 3 start 90 45 120"
 NOT_RUNNING = "servo_stopped: servo 41 does not run; start it before you set it"
 

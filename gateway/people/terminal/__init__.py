@@ -6,7 +6,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Final
 
@@ -25,8 +25,7 @@ def show_line(text: str) -> None:
     """Replace the line of progress, if stderr is a terminal."""
     if sys.stderr.isatty():
         columns = shutil.get_terminal_size().columns  # a wrapped line would not be replaced
-        sys.stderr.write(f"\r\x1b[K{text[: columns - 1]}")
-        sys.stderr.flush()
+        _remark(f"\r\x1b[K{text[: columns - 1]}")
 
 
 def clear_line() -> None:
@@ -36,8 +35,13 @@ def clear_line() -> None:
 
 def hint(text: str) -> None:
     """Print a line for the person on stderr: pipes carry results only. `text` may contain foreign text."""
-    sys.stderr.write(f"{visible(text)}\n")
-    sys.stderr.flush()
+    _remark(f"{visible(text)}\n")
+
+
+def _remark(text: str) -> None:
+    with suppress(OSError):  # the terminal is closed, or the disk full: a robot that walks must not fall for that
+        sys.stderr.write(text)
+        sys.stderr.flush()
 
 
 def ask(question: str) -> str:

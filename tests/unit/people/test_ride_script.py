@@ -1,9 +1,12 @@
 """`walk --seconds`, in virtual time: how long it walks, and how it is ended early."""
 
+import errno
+import io
 import math
+import sys
 from collections import deque
 from collections.abc import Callable
-from typing import Final, cast
+from typing import Final, NoReturn, cast
 
 import pytest
 
@@ -76,6 +79,24 @@ def test_ended_early_it_finishes_its_step_and_sits(when: Posture, capsys: pytest
     assert robot.walked_s < 0.2
     assert robot.state.posture is Posture.SITTING
     assert capsys.readouterr().out.startswith("ended early: walked ")
+
+
+def test_it_sits_down_also_where_its_terminal_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end of the terminal asks for the end, and what is remarked then cannot be written."""
+    end = EndRequests()
+
+    class Closed(io.StringIO):
+        def write(self, _: str) -> NoReturn:
+            raise OSError(errno.EIO, "Input/output error")
+
+    def closes(robot: Walked) -> None:
+        if robot.state.posture is Posture.WALKING and not end.asked:
+            end.ask()
+
+    robot = Walked(closes)
+    monkeypatch.setattr(sys, "stderr", Closed())
+    assert not go(cast(Walk, robot), AHEAD, 600.0, None, end, robot.clock)
+    assert robot.state.posture is Posture.SITTING
 
 
 def test_asked_twice_it_is_cut_but_not_while_its_stops_are_sent() -> None:
