@@ -101,6 +101,13 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
     assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
 
 
+def test_a_user_whose_name_is_no_utf_8_stops_and_resets(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LOGNAME", "an\udce9")
+    for command in ("stop", "estop", "reset"):
+        end = gateway.run(command)
+        assert end.returncode == 0, end
+
+
 def test_a_terminal_without_the_characters_gets_their_escapes(gateway: Gateway) -> None:
     command, ascii_only = [*COMMAND, "estop", "--connect", gateway.endpoint], {"PYTHONIOENCODING": "ascii"}
     end = subprocess.run(command, env=os.environ | ascii_only, capture_output=True, text=True, check=False)

@@ -30,7 +30,8 @@ def me() -> str:
         user = getpass.getuser()
     except (KeyError, OSError, ImportError):  # a container's user without a name; Windows
         user = "somebody"
-    return f"{user}@{socket.gethostname()}"[:_MAX_SOURCE]
+    name = f"{user}@{socket.gethostname()}"
+    return name.encode(errors="replace").decode()[:_MAX_SOURCE]  # bytes that are no UTF-8 are no JSON either
 
 
 def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, source: str) -> Connection:
