@@ -166,6 +166,21 @@ def seat() -> dict[int, float]:
     return {10 * leg + joint: angle for leg in LEGS for joint, angle in zip(JOINTS, engine.pose[leg], strict=True)}
 
 
+def test_a_program_that_exits_does_not_drop_the_robot(robot: Client, watcher: Client) -> None:
+    written = frames(watcher)
+
+    def exits() -> None:
+        with robot.walk() as walk:
+            walk.stand()
+            sys.exit()
+
+    with pytest.raises(SystemExit):
+        exits()
+    seated = seat()
+    written.wait_for_all(lambda records: last_angles(records) == pytest.approx(seated, abs=0.02))
+    assert watcher.state().mode == Mode.IDLE
+
+
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("program", "number", "again"),

@@ -59,9 +59,9 @@ class Walk:
 
     A velocity holds for `hold_s`; then the robot finishes its step and stands, also if the program hangs. After
     `rest_s` without a call the robot sits down, and its servos are stopped. The end of the `with` does the same; after
-    an error the servos are stopped at once. At Ctrl-C, or SIGTERM without a handler in the main thread, the robot sits
-    down; a second one stops it at once. The end of the client, or of the program, closes an open walk. If the process
-    dies, the gateway's watchdog stops the robot.
+    an error the servos are stopped at once. At `sys.exit`, Ctrl-C, or SIGTERM without a handler in the main thread, the
+    robot sits down; a second signal stops it at once. The end of the client, or of the program, closes an open walk. If
+    the process dies, the gateway's watchdog stops the robot.
 
     A leg that somebody else stops ends the walk: the others are put down and stand still, and every call raises
     StoppedError with that leg in `legs`, until `start_again`. For one thread at a time.
@@ -249,7 +249,7 @@ class Walk:
     ) -> None:
         try:
             # The end of a program must not drop the robot; a second signal interrupts the sitting down.
-            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | Terminated))
+            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | SystemExit))
         except GatewayError as failed:
             if error is None:
                 raise
