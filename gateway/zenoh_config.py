@@ -86,6 +86,7 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
             raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
     insert(config, "listen/endpoints", [], "listen")
     scouting_off(config)
+    shared_memory_off(config)
     insert(config, "connect/retry", RETRY, "connect.retry")
     return config
 
@@ -167,6 +168,14 @@ def scouting_off(config: zenoh.Config) -> None:
     for key in _SCOUTING:
         if get(config, key) is not True:
             config.insert_json5(key, "false")
+
+
+def shared_memory_off(config: zenoh.Config) -> None:
+    """Switch shared memory off: a session with it opens only if /dev/shm has room, and a Stop must not wait for that.
+
+    It also bypasses every size limit, and saves no time for messages this small.
+    """
+    config.insert_json5("transport/shared_memory/enabled", "false")
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:

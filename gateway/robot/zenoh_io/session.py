@@ -9,7 +9,7 @@ import zenoh
 from gateway.host.settings_table import DEFAULT_LISTEN, ZenohSettings
 from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 from gateway.robot.zenoh_io import exposure
-from gateway.zenoh_config import get, insert, load_config, scouting_off
+from gateway.zenoh_config import get, insert, load_config, scouting_off, shared_memory_off
 
 UNREAD_US: Final = 20_000
 """How long a reply may wait for a client that does not read, before Zenoh closes that client's link.
@@ -55,8 +55,7 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     scouting_off(config)
     # Otherwise a gateway without its listener would start without an error but could not be reached.
     config.insert_json5("listen/exit_on_failure", "true")
-    # Shared memory bypasses every size limit, and saves no time for messages this small.
-    config.insert_json5("transport/shared_memory/enabled", "false")
+    shared_memory_off(config)
     config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
     config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))
     for key, most in _MOST.items():
