@@ -49,3 +49,8 @@ def how_to_renew(file: str, role: str, name: str) -> str:
 def renewal(holder: str) -> str:
     """Return the command that renews a certificate. A person fills in DIR."""
     return f"where ca.key is: hexapod-gateway certs renew {holder} --dir DIR"
+
+
+def first_fault(*faults: tuple[object, str]) -> str:
+    """Return the sentence of the first fault that applies; "": none does."""
+    return next((sentence for applies, sentence in faults if applies), "")

@@ -86,14 +86,18 @@ BODY: Final = (
 """Traffic between a gateway and the process that simulates its robot's body."""
 
 
-def rules() -> str:
-    """Return the rules of TRAFFIC as JSON5, one a line."""
-    return "".join(f"      {json.dumps(rule(each, ''))},\n" for each in TRAFFIC)
-
-
-def rules_for(*roles: str) -> str:
-    """Return the names of the rules for exactly these roles, as a JSON5 list."""
-    return json.dumps([each.what for each in TRAFFIC if each.roles == roles])
+def lists() -> str:
+    """Return the lists of Zenoh's access control for TRAFFIC as JSON5: rules, subjects and policies, one a line."""
+    made = {
+        "rules": [rule(each, "") for each in TRAFFIC],
+        "subjects": [{"id": role, "cert_common_names": [role]} for role in LAPTOP_ROLES],
+        "policies": [
+            {"subjects": roles, "rules": [each.what for each in TRAFFIC if each.roles == roles]}
+            for roles in dict.fromkeys(each.roles for each in TRAFFIC)
+        ],
+    }
+    lines = {name: "".join(f"      {json.dumps(each)},\n" for each in entries) for name, entries in made.items()}
+    return "".join(f"    {name}: [\n{text}    ],\n" for name, text in lines.items())
 
 
 def rule(each: Traffic, namespace: str) -> dict[str, Any]:

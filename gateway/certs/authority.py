@@ -11,7 +11,8 @@ import secrets
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
@@ -32,11 +33,8 @@ CONSOLE = "console"
 # that time, a certificate of today is not valid yet. So all certificates start a year early.
 BACKDATE = dt.timedelta(days=365)
 
-_Kind = TypeVar("_Kind", bound=x509.ExtensionType)
 _ORGANIZATION = "hexapod-gateway"
 _LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
-_Extension = tuple[x509.ExtensionType, bool]
-"""An extension, and whether it is critical."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +53,11 @@ class KeyPair:
             serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
 
+    def files(self, stem: Path) -> dict[Path, bytes]:
+        """Return the two files of the pair: the key (0600) and the certificate."""
+        names = (stem.with_name(f"{stem.name}.{suffix}") for suffix in ("key", "pem"))
+        return dict(zip(names, (self.key_pem(), self.certificate_pem()), strict=True))
+
 
 def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
     """Return a new CA for leaf certificates only. Its name has a random part, so that two CAs are never confused.
@@ -62,14 +65,16 @@ def make_ca(now: dt.datetime, hosts: Sequence[str] = ()) -> KeyPair:
     With `hosts` the CA is for browsers, and valid only for these servers: its key is worthless for any other host.
     """
     key = ec.generate_private_key(ec.SECP256R1())
-    extensions: list[_Extension] = [(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), False)]
+    public, end = key.public_key(), now + dt.timedelta(days=CA_DAYS)
+    subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", CONSOLE if hosts else CA)
+    builder = _builder(subject, public, now - BACKDATE, end, is_ca=True).issuer_name(subject)
+    builder = builder.add_extension(x509.SubjectKeyIdentifier.from_public_key(public), critical=False)
     if hosts:
         # A kind of name without an entry is not constrained, so each gets an unused one.
         permitted = [_general_name(host, ipaddress.ip_network) for host in (*hosts, "invalid", "255.255.255.255")]
-        extensions += [(x509.NameConstraints(permitted, None), True), (_usage(CONSOLE), False)]
-    subject = _name(f"{_ORGANIZATION} CA {secrets.token_hex(4)}", CONSOLE if hosts else CA)
-    span = (now - BACKDATE, now + dt.timedelta(days=CA_DAYS))
-    return KeyPair(_signed(subject, key, subject, key.public_key(), span, extensions, is_ca=True), key)
+        builder = builder.add_extension(x509.NameConstraints(permitted, None), critical=True)
+        builder = builder.add_extension(_usage(CONSOLE), critical=False)
+    return KeyPair(builder.sign(key, hashes.SHA256()), key)
 
 
 def make_leaf(ca: KeyPair, common_name: str, name: str, hosts: Sequence[str], days: int, now: dt.datetime) -> KeyPair:
@@ -86,12 +91,13 @@ def sign(
     days = min(days, CONSOLE_DAYS) if common_name == CONSOLE else days
     # A leaf that outlives its CA would be rejected while `certs list` still shows it as good.
     end = min(now + dt.timedelta(days=days), issuer.not_valid_after_utc)
+    start = max(now - BACKDATE, issuer.not_valid_before_utc)
     authority = x509.AuthorityKeyIdentifier.from_issuer_public_key(ca.key.public_key())
-    extensions: list[_Extension] = [(authority, False), (_usage(common_name), False)]
+    builder = _builder(subject, key, start, end, is_ca=False).issuer_name(issuer.subject)
+    builder = builder.add_extension(authority, critical=False).add_extension(_usage(common_name), critical=False)
     if hosts:
-        extensions.append((x509.SubjectAlternativeName([_general_name(host) for host in hosts]), False))
-    span = (max(now - BACKDATE, issuer.not_valid_before_utc), end)
-    return _signed(issuer.subject, ca.key, subject, key, span, extensions, is_ca=False)
+        builder = builder.add_extension(x509.SubjectAlternativeName(map(_general_name, hosts)), critical=False)
+    return builder.sign(ca.key, hashes.SHA256())
 
 
 def _usage(common_name: str) -> x509.ExtendedKeyUsage:
@@ -100,23 +106,14 @@ def _usage(common_name: str) -> x509.ExtendedKeyUsage:
     return x509.ExtendedKeyUsage({GATEWAY: [server, client], CONSOLE: [server]}.get(common_name, [client]))
 
 
-def _signed(
-    issuer: x509.Name,
-    signer: ec.EllipticCurvePrivateKey,
-    subject: x509.Name,
-    key: CertificatePublicKeyTypes,
-    span: tuple[dt.datetime, dt.datetime],
-    more: Sequence[_Extension],
-    *,
-    is_ca: bool,
-) -> x509.Certificate:
-    """`span`: begin and end."""
+def _builder(
+    subject: x509.Name, key: CertificatePublicKeyTypes, start: dt.datetime, end: dt.datetime, *, is_ca: bool
+) -> x509.CertificateBuilder:
     usage = x509.KeyUsage(not is_ca, False, False, False, False, is_ca, is_ca, False, False)
-    builder = x509.CertificateBuilder().subject_name(subject).issuer_name(issuer).public_key(key)
-    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(span[0]).not_valid_after(span[1])
-    for extension, critical in ((x509.BasicConstraints(is_ca, 0 if is_ca else None), True), (usage, True), *more):
-        builder = builder.add_extension(extension, critical=critical)
-    return builder.sign(signer, hashes.SHA256())
+    builder = x509.CertificateBuilder().subject_name(subject).public_key(key)
+    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(start).not_valid_after(end)
+    builder = builder.add_extension(x509.BasicConstraints(is_ca, 0 if is_ca else None), critical=True)
+    return builder.add_extension(usage, critical=True)
 
 
 def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
@@ -129,16 +126,13 @@ def is_issued(certificate: x509.Certificate, ca: x509.Certificate) -> bool:
 
 def is_ca(certificate: x509.Certificate) -> bool:
     """Return whether the certificate may sign others."""
-    found = _extension(certificate, x509.BasicConstraints)
-    return found is not None and found.ca
+    with suppress(x509.ExtensionNotFound):
+        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+    return False
 
 
-def parse_hosts(texts: Sequence[str]) -> list[str]:
-    """Return host names in lower case and plain IP addresses, each once. Raises ConfigError for any other text."""
-    return list(dict.fromkeys(map(_parse_host, texts)))
-
-
-def _parse_host(text: str) -> str:
+def parse_host(text: str) -> str:
+    """Return a host name in lower case, or a plain IP address. Raises ConfigError for any other text."""
     host = text.strip().strip("[]").lower()
     name, address = host.removesuffix("."), _address(host)
     if address is not None and not address.is_unspecified and "%" not in host:  # a zone counts on this machine only
@@ -153,8 +147,10 @@ def _parse_host(text: str) -> str:
 
 def hosts_of(certificate: x509.Certificate) -> list[str]:
     """Return the names and addresses that a gateway's certificate is valid for, in the order they were given."""
-    names = _extension(certificate, x509.SubjectAlternativeName) or ()
-    return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
+    with suppress(x509.ExtensionNotFound):
+        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        return [str(name.value) for name in names if isinstance(name, x509.DNSName | x509.IPAddress)]
+    return []
 
 
 class Holder(NamedTuple):
@@ -176,12 +172,6 @@ def holder_of(certificate: x509.Certificate) -> Holder:
     if is_ca(certificate):
         return Holder(CA, common)
     return Holder(common, next(iter(hosts_of(certificate)), unit) if common == GATEWAY else unit)
-
-
-def _extension(certificate: x509.Certificate, kind: type[_Kind]) -> _Kind | None:
-    with suppress(x509.ExtensionNotFound):
-        return certificate.extensions.get_extension_for_class(kind).value
-    return None
 
 
 def _name(common_name: str, unit: str) -> x509.Name:

@@ -6,7 +6,7 @@ Each error is one sentence with the remedy.
 import contextlib
 import os
 import stat
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -14,8 +14,7 @@ from typing import Final
 from cryptography import x509
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.asymmetric.types import PrivateKeyTypes
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from gateway import durable
 from gateway.errors import ConfigError
@@ -50,19 +49,14 @@ def read_certificates(path: Path) -> list[x509.Certificate]:
     return found
 
 
-def read_private_key(path: Path) -> PrivateKeyTypes:
-    """Return the unencrypted key of a PEM file. Raises ConfigError."""
+def read_key(path: Path) -> ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey:
+    """Return the unencrypted elliptic-curve or RSA key of a PEM file. Raises ConfigError."""
     try:
-        return serialization.load_pem_private_key(read_file(path, "key"), password=None)
+        key = serialization.load_pem_private_key(read_file(path, "key"), password=None)
     except (ValueError, TypeError) as error:  # TypeError: it is encrypted
         raise ConfigError(f"{path} holds no unencrypted key in PEM form: restore it from a copy") from error
-
-
-def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """Return the unencrypted elliptic-curve key of a PEM file. Raises ConfigError."""
-    key = read_private_key(path)
-    if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise ConfigError(f"{path} is not the elliptic-curve key that `certs init` makes: restore it from a copy")
+    if not isinstance(key, ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey):
+        raise ConfigError(f"{path} is neither an elliptic-curve nor an RSA key: restore it from a copy")
     return key
 
 
@@ -84,18 +78,23 @@ def mode_of(path: Path) -> int:
 
 def publish(files: Mapping[Path, bytes]) -> None:
     """Write new files in order. If one exists or cannot be written, remove the others and raise ConfigError."""
-    with contextlib.ExitStack() as undo:
+    made = list[Path]()
+    try:
         for path, data in files.items():
             with _explained(path):
                 for parent in reversed([each for each in (path.parent, *path.parent.parents) if not each.exists()]):
                     parent.mkdir(mode=0o700)
-                    undo.callback(_undo, parent.rmdir)
+                    made.append(parent)
                 durable.create(path, data, mode_of(path), prepare=partial(_check_mode, path))
-                undo.callback(_undo, path.unlink)
+                made.append(path)
         for directory in {path.parent for path in files}:
             with _explained(directory):
                 durable.sync(directory)
-        undo.pop_all()
+    except BaseException:
+        for each in reversed(made):
+            with contextlib.suppress(OSError):  # must not hide the error that led here
+                each.rmdir() if each.is_dir() else each.unlink()
+        raise
 
 
 def replace(path: Path, data: bytes) -> None:
@@ -107,11 +106,6 @@ def replace(path: Path, data: bytes) -> None:
 def _check_mode(path: Path, descriptor: int) -> None:
     if os.fstat(descriptor).st_mode & 0o777 != mode_of(path):
         raise ConfigError(f"{path.parent} cannot keep a file private (FAT?): choose a directory on a Linux file system")
-
-
-def _undo(step: Callable[[], None]) -> None:
-    with contextlib.suppress(OSError):  # must not hide the error that led here
-        step()
 
 
 @contextlib.contextmanager

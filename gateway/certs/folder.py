@@ -10,15 +10,15 @@ import re
 import stat
 import zipfile
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import zenoh
 from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from gateway import nesting
-from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, revocation, zenoh_files
+from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, first_fault, how_to_renew, revocation, zenoh_files
 from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
 from gateway.certs.files import (
     PUBLIC,
@@ -44,8 +44,7 @@ _NO_SERIAL: Final = 1
 """Stands for a revoked laptop without files. Our serial numbers are random, so no certificate has this one."""
 
 
-@dataclass(frozen=True)
-class Certificate:
+class Certificate(NamedTuple):
     """One certificate of a folder. `role`: ca, gateway, operator, observer, button or console."""
 
     path: Path
@@ -59,22 +58,17 @@ class Certificate:
 
 def init(
     directory: Path, hosts: Sequence[str], *, days: int = LEAF_DAYS, port: int = 7447, now: dt.datetime | None = None
-) -> list[Path]:
-    """Make a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`; return the paths.
+) -> None:
+    """Make a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`.
 
     `directory` is made (0700) if missing. Raises ConfigError if it has a CA, or a file of the same name.
     """
     now = now or now_utc()
     if any(os.path.lexists(directory / name) for name in ("ca.key", "ca.pem")):
-        raise ConfigError(
-            f"{directory} has a CA already, and a new one would lock out all laptops: `certs issue` adds a laptop or "
-            "a robot to it; for a new CA give another --dir"
-        )
-    dialled, ca = _dialled_hosts(hosts), authority.make_ca(now)
+        raise ConfigError(f"{directory} has a CA already, to which `certs issue` adds; a new one needs another --dir")
+    ca = authority.make_ca(now)
     # The CA first: its key decides which of two simultaneous inits fails.
-    files = _pair(directory / CA, ca) | _robot(directory, ca, dialled, port, days, now)
-    publish(files)
-    return list(files)
+    publish(ca.files(directory / CA) | _robot(directory, ca, hosts, port, days, now))
 
 
 def issue(
@@ -96,34 +90,34 @@ def issue(
     _check_name(name)
     ca, laptop = load_ca(directory, now), role in LAPTOP_ROLES
     taken = any(os.path.lexists(directory / f"{name}{suffix}") for suffix in ("", ".pem", ".key", ".json5"))
-    faults = (
+    if fault := first_fault(
         (taken, f"the name {name} is taken in {directory}, and no file is overwritten: choose another"),
         (hosts and laptop, "nobody dials a laptop: --host is for a robot or a console"),
         (not (hosts or laptop), f"name at least one host by which the {role} is reached: --host {name}.local"),
         (bundle and role == CONSOLE, f"--bundle is for a laptop or a robot; {name} is a {role}"),
-    )
-    for wrong, sentence in faults:
-        if wrong:
-            raise ConfigError(sentence)
+    ):
+        raise ConfigError(fault)
     if role == ROBOT:
-        files = _robot(directory / name, ca, _dialled_hosts(hosts), port_of(directory / "gateway.json5"), days, now)
+        files = _robot(directory / name, ca, hosts, port_of(directory / "gateway.json5"), days, now)
         files[directory / name / "ca.pem"] = ca.certificate_pem()
     elif role == CONSOLE:
-        parsed = authority.parse_hosts(hosts)
+        parsed = list(dict.fromkeys(map(authority.parse_host, hosts)))
         own = authority.make_ca(now, parsed)
         made = authority.make_leaf(own, CONSOLE, name, parsed, days, now)
-        files = _pair(directory / name, made) | _pair(directory / f"{name}{_WEB_CA}", own)
+        files = made.files(directory / name) | own.files(directory / f"{name}{_WEB_CA}")
     else:
-        made = authority.make_leaf(ca, _free_common_name(directory, role), name, (), days, now)
-        files = _pair(directory / name, made)
+        listed = {each.common_name for each, _ in states(directory, now)}
+        common_name = next((each for each in access.every(role) if each not in listed), None)
+        if common_name is None:
+            raise ConfigError(f"all {access.MOST} common names of {role} are taken: make a new CA in another folder")
+        files = authority.make_leaf(ca, common_name, name, (), days, now).files(directory / name)
         for robot, folder in robots_of(directory).items():
             config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
             files[config] = zenoh_files.laptop_json5(name, role, endpoints_of(folder), config.name)
     if bundle in files or (bundle is not None and bundle.suffix in PUBLIC):
         raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
     if bundle is not None:
-        members = {"ca.pem": ca.certificate_pem()} | {path.name: each for path, each in files.items()}
-        files[bundle] = _zip(members, now)
+        files[bundle] = _zip({"ca.pem": ca.certificate_pem()} | {path.name: each for path, each in files.items()}, now)
     publish(files)
     return list(files)
 
@@ -131,9 +125,9 @@ def issue(
 def _robot(
     directory: Path, ca: KeyPair, hosts: Sequence[str], port: int, days: int, now: dt.datetime
 ) -> dict[Path, bytes]:
-    made = authority.make_leaf(ca, GATEWAY, GATEWAY, hosts, days, now)
-    config = {directory / "gateway.json5": zenoh_files.gateway_json5(hosts, port)}
-    return _pair(directory / GATEWAY, made) | config
+    dialled = _dialled_hosts(hosts)
+    made = authority.make_leaf(ca, GATEWAY, GATEWAY, dialled, days, now)
+    return made.files(directory / GATEWAY) | {directory / "gateway.json5": zenoh_files.gateway_json5(dialled, port)}
 
 
 def renew(
@@ -149,13 +143,13 @@ def renew(
     own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else CA
     path = robots[name] / "gateway.pem" if name in robots else directory / f"{name}.pem"
     ca, old, known = load_ca(directory, now, own), read_certificate(path), revoked(directory)
-    if known is not None and known.holds(authority.holder_of(old).common_name, old.serial_number):
-        raise ConfigError(f"{path} is revoked; `hexapod-gateway certs issue` makes another")
-    if not is_issued(old, ca.certificate):
-        raise ConfigError(f"{path} was not issued by the CA in {directory}: issue a new one there")
-    reached = authority.hosts_of(old)
-    if hosts and (own != CA or not reached):
-        raise ConfigError(f"--host adds one to a robot; {path} keeps its own: `certs issue` makes one for other hosts")
+    reached, common_name = authority.hosts_of(old), authority.holder_of(old).common_name
+    if fault := first_fault(
+        (known and known.holds(common_name, old.serial_number), "is revoked; `certs issue` makes another"),
+        (not is_issued(old, ca.certificate), f"was not issued by the CA in {directory}: issue a new one there"),
+        (hosts and (own != CA or not reached), "keeps its own hosts: `certs issue` makes one for others"),
+    ):
+        raise ConfigError(f"{path} {fault}")
     reached = list(dict.fromkeys([*reached, *(_dialled_hosts(hosts) if hosts else ())]))
     renewed = authority.sign(ca, old.subject, old.public_key(), reached, days, now)
     replace(path, renewed.public_bytes(serialization.Encoding.PEM))
@@ -168,7 +162,7 @@ def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> Rev
     The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
     """
     now, known = now or now_utc(), revoked(directory)
-    before = () if known is None else known.entries
+    before = known.entries if known else ()
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
     if found is not None:
@@ -194,10 +188,8 @@ def newest(directory: Path, there: str | None, *, now: dt.datetime | None = None
     known = revoked(directory)
     if known is None:
         raise ConfigError(f"{directory} has no list: nobody was revoked")
-    if there is None or there == known.pem.decode():
-        return known
-    theirs = revocation.parse(there.encode(), [read_certificate(directory / "ca.pem")])
-    if theirs.number < known.number and theirs.common_names <= known.common_names:
+    theirs = revocation.parse(there.encode(), [read_certificate(directory / "ca.pem")]) if there else known
+    if theirs == known or (theirs.number < known.number and theirs.common_names <= known.common_names):
         return known
     entries = {entry.common_name: entry for entry in (*theirs.entries, *known.entries)}
     return _sign(directory, max(theirs, known, key=lambda each: each.number), entries.values(), now or now_utc())
@@ -206,8 +198,7 @@ def newest(directory: Path, there: str | None, *, now: dt.datetime | None = None
 def _sign(
     directory: Path, before: RevocationList | None, entries: Iterable[Revoked], now: dt.datetime
 ) -> RevocationList:
-    number = 1 if before is None else before.number + 1
-    made = revocation.sign(load_ca(directory, now), number, entries, now)
+    made = revocation.sign(load_ca(directory, now), before.number + 1 if before else 1, entries, now)
     replace(directory / revocation.REVOCATION_FILE, made.pem)
     return made
 
@@ -235,8 +226,7 @@ def expiries(directory: Path) -> list[Certificate]:
     try:
         paths = [path for path in directory.iterdir() if path.suffix == ".pem" and not path.name.startswith(".")]
     except OSError as error:
-        fix = "give the folder that `certs init` made"
-        raise ConfigError(f"cannot read {directory}: {error.strerror}; {fix}") from error
+        raise ConfigError(f"cannot read {directory}: {error.strerror}; give the folder of `certs init`") from error
     if not paths:
         raise ConfigError(f"{directory} has no certificates (*.pem): make them with `hexapod-gateway certs init`")
     paths += [folder / "gateway.pem" for robot, folder in robots_of(directory).items() if robot != GATEWAY]
@@ -275,37 +265,31 @@ def port_of(config: Path) -> int:
         endpoints = zenoh.Config.from_file(str(config)).get_json("listen/endpoints")
     except (ValueError, zenoh.ZError) as error:
         raise ConfigError(f"cannot read {config}: {str(error).splitlines()[0]}; restore it, or fix that") from error
-    found = re.search(r'"tls/[^"]*:(\d+)', endpoints)
-    if found is None:
+    if (found := re.search(r'"tls/[^"]*:(\d+)', endpoints)) is None:
         raise ConfigError(f"{config} listens on no tls endpoint with a port: fix listen.endpoints (tls/[::]:7447)")
     return int(found[1])
 
 
 def mismatch(ca: Path, certificate: Path, key: Path, *, of_robot: bool = True) -> str:
     """Return why these files do not belong together, or are no robot's; "": they are right. Raises ConfigError."""
-    own = read_certificate(certificate)
-    role = authority.holder_of(own).role
-    faults = (
-        (
-            not any(is_issued(own, each) for each in read_certificates(ca)),
-            f"{certificate.name} is of another authority than {ca.name}",
-        ),
-        (read_key(key).public_key() != own.public_key(), f"{key.name} is not the key of {certificate.name}"),
-        (of_robot and role != GATEWAY, f"{certificate.name} is of {role}, not of a robot"),
+    own, name = read_certificate(certificate), certificate.name
+    role, issued = authority.holder_of(own).role, any(is_issued(own, each) for each in read_certificates(ca))
+    fault = first_fault(
+        (not issued, f"{name} is of another authority than {ca.name}"),
+        (read_key(key).public_key() != own.public_key(), f"{key.name} is not the key of {name}"),
+        (of_robot and role != GATEWAY, f"{name} is of {role}, not of a robot"),
     )
-    return next((f"in {certificate.parent}, {sentence}" for wrong, sentence in faults if wrong), "")
+    return f"in {certificate.parent}, {fault}" if fault else ""
 
 
 def load_ca(directory: Path, now: dt.datetime, name: str = CA) -> KeyPair:
     """Return the folder's CA with its key. Raises ConfigError if it is missing or has expired."""
     key, certificate = read_key(directory / f"{name}.key"), read_certificate(directory / f"{name}.pem")
-    if certificate.public_key() != key.public_key():
+    end = certificate.not_valid_after_utc
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or certificate.public_key() != key.public_key():
         raise ConfigError(f"{directory}: {name}.key and {name}.pem do not belong together; restore both from one copy")
-    if certificate.not_valid_after_utc <= now:
-        raise ConfigError(
-            f"the CA in {directory} expired on {certificate.not_valid_after_utc:%Y-%m-%d}: make a new one with "
-            "`hexapod-gateway certs init` in another folder, and issue all certificates again"
-        )
+    if end <= now:
+        raise ConfigError(f"the CA in {directory} expired on {end:%Y-%m-%d}; {how_to_renew('', CA, '')}")
     return KeyPair(certificate, key)
 
 
@@ -313,31 +297,15 @@ def now_utc() -> dt.datetime:
     return dt.datetime.now(dt.UTC)
 
 
-def _free_common_name(directory: Path, role: str) -> str:
-    taken = {each.common_name for each, _ in states(directory, now_utc())}
-    found = next((name for name in access.every(role) if name not in taken), None)
-    if found is None:
-        raise ConfigError(f"all {access.MOST} common names of {role} are taken: make a new CA in another folder")
-    return found
-
-
 def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
     """Return the hosts in normal form, each once. Raises ConfigError without one, or for an IPv6 address."""
-    found = authority.parse_hosts(hosts)
+    found = list(dict.fromkeys(map(authority.parse_host, hosts)))
     if not found:
         raise ConfigError("name at least one host by which laptops reach the robot: --host robot.local")
     if of_ipv6 := [name for name in found if ":" in name]:  # parse_host lets no port through
         fix = "give a name that stands for it, such as robot.local, or an IPv4 address"
         raise ConfigError(f"Zenoh dials no IPv6 address over TLS, so no laptop could reach {of_ipv6[0]}: {fix}")
     return found
-
-
-def _pair(stem: Path, pair: KeyPair) -> dict[Path, bytes]:
-    """Return the two files of a pair: the key (0600) and the certificate."""
-    return {
-        stem.with_name(f"{stem.name}.key"): pair.key_pem(),
-        stem.with_name(f"{stem.name}.pem"): pair.certificate_pem(),
-    }
 
 
 def _zip(members: dict[str, bytes], now: dt.datetime) -> bytes:
@@ -353,7 +321,5 @@ def _zip(members: dict[str, bytes], now: dt.datetime) -> bytes:
 
 def _check_name(name: str) -> None:
     if not _NAME.fullmatch(name) or name.lower() in (CA, GATEWAY):
-        raise ConfigError(
-            f"{name!r} cannot be a name here: use letters, digits, - and _ (up to 63, a letter or digit first), not "
-            "ca or gateway"
-        )
+        rule = "letters, digits, - and _ (up to 63, a letter or digit first), not ca or gateway"
+        raise ConfigError(f"{name!r} cannot be a name here: use {rule}")

@@ -16,11 +16,10 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
-from gateway.certs import BUTTON, OPERATOR
+from gateway.certs import BUTTON, OPERATOR, first_fault
 from gateway.certs.authority import Holder, holder_of, is_ca, is_issued
-from gateway.certs.files import read_private_key
+from gateway.certs.files import read_key
 from gateway.certs.revocation import RevocationList
-from gateway.errors import ConfigError
 from schemas import button, lease
 from schemas.lease import Proof
 
@@ -63,15 +62,13 @@ class ProofChecker:
         try:
             certificate = x509.load_pem_x509_certificates(proof.certificate.encode())[0]
             fault = self._certificate_fault(certificate, source, now, purpose)
-            if fault is None and not _signed(certificate, proof.signature, purpose.signed(do, source, proof.nonce)):
+            if not fault and not _signed(certificate, proof.signature, purpose.signed(do, source, proof.nonce)):
                 fault = "proof.signature is not made with the certificate's key, for this do, source and nonce"
         except Exception:  # untrusted bytes: no exception of their parser may end the service
             return "proof.certificate is no X.509 certificate in PEM form that can be read"
-        return fault
+        return fault or None
 
-    def _certificate_fault(
-        self, certificate: x509.Certificate, source: str, now: dt.datetime, purpose: Purpose
-    ) -> str | None:
+    def _certificate_fault(self, certificate: x509.Certificate, source: str, now: dt.datetime, purpose: Purpose) -> str:
         holder = holder_of(certificate)
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
         clock, roles = f"the robot's clock states {_minute(now)}", " or a ".join(purpose.roles)
@@ -79,15 +76,15 @@ class ProofChecker:
         issued = any(is_issued(certificate, ca) for ca in valid)
         revoked = self._revoked is not None and self._revoked.holds(holder.common_name, certificate.serial_number)
         own = holder.name == source or (purpose.own_names and source.startswith(f"{holder.name}/"))
-        faults = (
-            (not issued, "is not signed by this gateway's CA"),
-            (now < start, f"is valid from {_minute(start)} UTC; {clock}"),
-            (now > end, f"expired at {_minute(end)} UTC; {clock}"),
-            (revoked, f"is revoked ({holder.common_name}); get another from the person with the CA's key"),
-            (holder.role not in purpose.roles, f"is not that of an {roles} of this robot"),
+        what, other = "proof.certificate", "get another from the person with the CA's key"
+        return first_fault(
+            (not issued, f"{what} is not signed by this gateway's CA"),
+            (now < start, f"{what} is valid from {_minute(start)} UTC; {clock}"),
+            (now > end, f"{what} expired at {_minute(end)} UTC; {clock}"),
+            (revoked, f"{what} is revoked ({holder.common_name}); {other}"),
+            (holder.role not in purpose.roles, f"{what} is not that of an {roles} of this robot"),
+            (not own, f"source is not the person of {what}"),
         )
-        fault = next((f"proof.certificate {sentence}" for wrong, sentence in faults if wrong), None)
-        return fault if fault or own else "source is not the person of proof.certificate"
 
 
 def holder(proof: Proof) -> Holder:
@@ -97,28 +94,25 @@ def holder(proof: Proof) -> Holder:
 
 def sign(key_file: Path, text: bytes) -> bytes:
     """Sign `text` with a certificate's key, and return the signature. Raises ConfigError."""
-    key: Any = read_private_key(key_file)
-    if (scheme := _scheme(key)) is None:
-        issue = "get one from `hexapod-gateway certs issue`"
-        raise ConfigError(f"{key_file} is neither an elliptic-curve nor an RSA key: {issue}")
-    return bytes(key.sign(text, *scheme))
+    key: Any = read_key(key_file)
+    return bytes(key.sign(text, *_scheme(key)))
 
 
 def _signed(certificate: x509.Certificate, signature: str, text: bytes) -> bool:
     key: Any = certificate.public_key()
-    scheme = _scheme(key)
-    with suppress(ValueError, InvalidSignature):
-        if scheme is not None:
-            key.verify(base64.b64decode(signature, validate=True), text, *scheme)
-            return True
+    with suppress(ValueError, TypeError, InvalidSignature):
+        key.verify(base64.b64decode(signature, validate=True), text, *_scheme(key))
+        return True
     return False
 
 
-def _scheme(key: object) -> tuple[object, ...] | None:
-    """Return what `sign` and `verify` of a key of this kind take after the text; None: the kind is not accepted."""
+def _scheme(key: object) -> tuple[object, ...]:
+    """Return what `sign` and `verify` of a key of this kind take after the text. Raises TypeError for other kinds."""
     if isinstance(key, ec.EllipticCurvePrivateKey | ec.EllipticCurvePublicKey):
         return (ec.ECDSA(hashes.SHA256()),)
-    return (padding.PKCS1v15(), hashes.SHA256()) if isinstance(key, rsa.RSAPrivateKey | rsa.RSAPublicKey) else None
+    if isinstance(key, rsa.RSAPrivateKey | rsa.RSAPublicKey):
+        return padding.PKCS1v15(), hashes.SHA256()
+    raise TypeError("neither an elliptic-curve nor an RSA key")
 
 
 def _minute(now: dt.datetime) -> str:

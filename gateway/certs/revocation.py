@@ -29,8 +29,8 @@ MAX_LIST_BYTES: Final = 1_000_000
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
 """`operator-07/alice` as UTF8String. The identifier is made from a UUID (ITU-T X.667), which needs no registration."""
 _UTF8_STRING: Final = 0x0C
-_HOLDER_TEXT: Final = re.compile(r"([A-Za-z0-9._-]{1,64})/([A-Za-z0-9_-]{0,63})")
-_SHORT: Final = 128  # DER lengths below this take one byte; common name and person take at most 64 + 1 + 63
+_HOLDER_TEXT: Final = re.compile(r"([A-Za-z0-9._-]{1,63})/([A-Za-z0-9_-]{0,63})")
+"""At most 127 characters: DER then has a length of one byte."""
 
 
 class ForeignListError(ConfigError):
@@ -130,7 +130,7 @@ def _entry(found: x509.RevokedCertificate) -> Revoked:
 
 def _encoded(entry: Revoked) -> bytes:
     text = f"{entry.common_name}/{entry.name}"
-    if len(text) >= _SHORT or _HOLDER_TEXT.fullmatch(text) is None:
+    if _HOLDER_TEXT.fullmatch(text) is None:
         raise ConfigError(f"{entry.common_name} of {entry.name} cannot stand in a list of revoked certificates")
     return bytes([_UTF8_STRING, len(text)]) + text.encode()
 

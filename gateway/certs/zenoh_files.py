@@ -6,10 +6,11 @@ anywhere. Each role is tried with real sessions (tests/zenoh/test_security.py).
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 
-from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR, access
-from gateway.limits import ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS, SIZE_LIMIT
+from gateway import limits
+from gateway.certs import access
 
 _GATEWAY = """\
 // The gateway's Zenoh configuration, made by `hexapod-gateway certs` for @HOSTS@.
@@ -45,19 +46,7 @@ _GATEWAY = """\
   // revoked ones, so a new laptop needs no change here. Keys are exact: subscribe to hexapod/state, not to hexapod/*.
   access_control: {
     enabled: true, default_permission: "deny",
-    rules: [
-@RULES@    ],
-    subjects: [
-      { id: "operator", cert_common_names: ["operator"] },
-      { id: "observer", cert_common_names: ["observer"] },
-      { id: "button", cert_common_names: ["button"] },
-    ],
-    policies: [
-      { subjects: ["operator"], rules: @OPERATORS_RULES@ },
-      { subjects: ["button"], rules: @BUTTONS_RULES@ },
-      { subjects: ["operator", "observer", "button"], rules: @EVERYONES_RULES@ },
-    ],
-  },
+@ACCESS@  },
   // The gateway answers payloads over 4096 bytes with `too_large`; far larger ones are dropped before they reach it.
   low_pass_filter: [
     { id: "size", flows: ["ingress"], messages: ["put", "delete", "query", "reply"], key_exprs: ["**"],
@@ -99,9 +88,7 @@ _LAPTOP = """\
 
 def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
     """Return the robot's Zenoh configuration: mTLS on all addresses, access by role, a size limit, no scouting."""
-    rules = {"OPERATORS_RULES": (OPERATOR,), "BUTTONS_RULES": (BUTTON,), "EVERYONES_RULES": LAPTOP_ROLES}
-    listed = {name: access.rules_for(*roles) for name, roles in rules.items()}
-    return marked(_fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=str(port), RULES=access.rules(), **listed))
+    return marked(_fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=port, ACCESS=access.lists()))
 
 
 def is_unedited(config: bytes) -> bool:
@@ -125,10 +112,7 @@ def endpoint(host: str, port: int) -> str:
     return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
 
 
-def _fill(template: str, **values: str) -> bytes:
-    """Return the template with each @NAME@ replaced by its value, and the limits of all files filled in."""
-    limits = {"SIZE_LIMIT": str(SIZE_LIMIT), "MAX_MESSAGE_SIZE": str(MAX_MESSAGE_SIZE)}
-    limits |= {"MAX_SESSIONS": str(MAX_SESSIONS), "ACCEPT_TIMEOUT_MS": str(ACCEPT_TIMEOUT_MS)}
-    for key, value in (values | limits).items():
-        template = template.replace(f"@{key}@", value)
-    return template.encode()
+def _fill(template: str, **values: object) -> bytes:
+    """Return the template with each @NAME@ replaced by its value, or by the limit of this name."""
+    known = vars(limits) | values
+    return re.sub("@([A-Z_]+)@", lambda found: str(known[found[1]]), template).encode()

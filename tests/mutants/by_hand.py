@@ -15,9 +15,11 @@ class ByHand(NamedTuple):
 
 
 MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
+    "gateway/certs/access.py": (
+        ByHand("operators watch only", "if each.roles == roles]", "if each.roles == LAPTOP_ROLES]"),
+    ),
     "gateway/certs/zenoh_files.py": (
         ByHand("observers command", 'default_permission: "deny"', 'default_permission: "allow"'),
-        ByHand("operators watch only", "rules: @OPERATORS_RULES@", "rules: @EVERYONES_RULES@"),
         ByHand(
             "what comes in has no limit",
             'flows: ["ingress"], messages: ["put", "delete", "query", "reply"], key_exprs: ["**"]',

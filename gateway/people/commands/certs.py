@@ -12,7 +12,6 @@ from gateway.errors import ConfigError, GatewayError, RejectedError
 from gateway.own_command import this_command
 from gateway.people.commands.options import JsonOption
 from gateway.people.terminal import hint, say
-from schemas.revocation import MAX_REVOCATION_BYTES
 
 _ANSWER_S: Final = 5.0
 
@@ -164,7 +163,7 @@ def revoke(
     If a robot is off, repeat the command later without the name. Or copy revoked.crl to /etc/hexapod-gateway/zenoh
     there, and restart the service.
     """
-    config, robots = zenoh_config or _operators_file(directory, but=name), _endpoints(directory, to or [])
+    config, robots = zenoh_config or _operators_file(directory, but=name), _endpoints(directory, to)
     known = certs.folder.revoked(directory) if name is None else certs.folder.revoke(directory, name)
     if known is None:
         say(f"{directory} has no list: nobody was revoked.")
@@ -172,7 +171,7 @@ def revoke(
     file, missing = certs.revocation.REVOCATION_FILE, []
     say(f"{directory / file}: list {known.number} shuts out {', '.join(sorted(known.common_names))}.")
     for robot, endpoints in robots.items():
-        faults = []
+        faults = list[str]()
         for endpoint in endpoints:
             try:
                 say(f"{robot}: list {_send(directory, endpoint, config)} is in force.")
@@ -188,16 +187,11 @@ def revoke(
         raise typer.Exit(1)
 
 
-def _endpoints(directory: Path, to: list[str]) -> dict[str, list[str]]:
+def _endpoints(directory: Path, to: list[str] | None) -> dict[str, list[str]]:
     """How to reach each robot: `to` has names of the folder, hosts or endpoints; without it, all of the folder."""
-    robots, config = certs.folder.robots_of(directory), directory / "gateway.json5"
-
-    def endpoints(robot: str) -> list[str]:
-        if robot in robots:
-            return certs.folder.endpoints_of(robots[robot])
-        return [robot if "/" in robot else certs.zenoh_files.endpoint(robot, certs.folder.port_of(config))]
-
-    return {each: endpoints(each) for each in to or robots}
+    robots, port = certs.folder.robots_of(directory), certs.folder.port_of(directory / "gateway.json5")
+    others = {each: [each if "/" in each else certs.zenoh_files.endpoint(each, port)] for each in to or ()}
+    return {each: certs.folder.endpoints_of(robots[each]) if each in robots else others[each] for each in to or robots}
 
 
 def _send(directory: Path, endpoint: str, config: Path) -> int:
@@ -207,8 +201,6 @@ def _send(directory: Path, endpoint: str, config: Path) -> int:
     with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs revoke", timeout_s=_ANSWER_S) as client:
         client.state()  # a robot that is starting is awaited
         newest = certs.folder.newest(directory, client.revocation().revoked)
-        if len(newest.pem) > MAX_REVOCATION_BYTES - 100:
-            raise ConfigError(f"the list is too long for a message: copy {certs.revocation.REVOCATION_FILE} there")
         ack = client.revocation(newest.pem.decode())
     if not ack.accepted:
         raise RejectedError(str(ack.reason), ack.detail or "")
