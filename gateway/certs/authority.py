@@ -131,8 +131,12 @@ def is_ca(certificate: x509.Certificate) -> bool:
     return False
 
 
-def parse_host(text: str) -> str:
-    """Return a host name in lower case, or a plain IP address. Raises ConfigError for any other text."""
+def parse_hosts(texts: Sequence[str]) -> list[str]:
+    """Return host names in lower case and plain IP addresses, each once. Raises ConfigError for any other text."""
+    return list(dict.fromkeys(map(_parse_host, texts)))
+
+
+def _parse_host(text: str) -> str:
     host = text.strip().strip("[]").lower()
     name, address = host.removesuffix("."), _address(host)
     if address is not None and not address.is_unspecified and "%" not in host:  # a zone counts on this machine only

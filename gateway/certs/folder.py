@@ -18,18 +18,19 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from gateway import nesting
-from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, first_fault, how_to_renew, revocation, zenoh_files
-from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
-from gateway.certs.files import (
-    PUBLIC,
-    mode_of,
-    publish,
-    read_certificate,
-    read_certificates,
-    read_file,
-    read_key,
-    replace,
+from gateway.certs import (
+    LAPTOP_ROLES,
+    LEAF_DAYS,
+    access,
+    authority,
+    files,
+    first_fault,
+    how_to_renew,
+    revocation,
+    zenoh_files,
 )
+from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
+from gateway.certs.files import read_certificate
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
@@ -54,21 +55,20 @@ class Certificate(NamedTuple):
     serial: int
     not_before: dt.datetime
     not_after: dt.datetime
+    hosts: tuple[str, ...] = ()
+    """The names and addresses that a robot's or console's is valid for."""
 
 
-def init(
-    directory: Path, hosts: Sequence[str], *, days: int = LEAF_DAYS, port: int = 7447, now: dt.datetime | None = None
-) -> None:
+def init(directory: Path, hosts: Sequence[str], *, days: int = LEAF_DAYS, port: int = 7447) -> None:
     """Make a CA, the gateway's certificate for `hosts` and gateway.json5 in `directory`.
 
     `directory` is made (0700) if missing. Raises ConfigError if it has a CA, or a file of the same name.
     """
-    now = now or now_utc()
     if any(os.path.lexists(directory / name) for name in ("ca.key", "ca.pem")):
         raise ConfigError(f"{directory} has a CA already, to which `certs issue` adds; a new one needs another --dir")
-    ca = authority.make_ca(now)
+    ca = authority.make_ca(now_utc())
     # The CA first: its key decides which of two simultaneous inits fails.
-    publish(ca.files(directory / CA) | _robot(directory, ca, hosts, port, days, now))
+    files.publish(ca.files(directory / CA) | _robot(directory, ca, hosts, port, days))
 
 
 def issue(
@@ -79,16 +79,14 @@ def issue(
     hosts: Sequence[str] = (),
     bundle: Path | None = None,
     days: int = LEAF_DAYS,
-    now: dt.datetime | None = None,
 ) -> list[Path]:
     """Make the files of a laptop, a further robot or a web console; return the paths. Raises ConfigError.
 
     A laptop gets a Zenoh file for each robot, and a robot a folder; the zip `bundle` has all that either needs. A
     console gets a CA of its own, valid only for the `hosts` by which browsers reach it.
     """
-    now = now or now_utc()
     _check_name(name)
-    ca, laptop = load_ca(directory, now), role in LAPTOP_ROLES
+    ca, laptop, now = load_ca(directory), role in LAPTOP_ROLES, now_utc()
     taken = any(os.path.lexists(directory / f"{name}{suffix}") for suffix in ("", ".pem", ".key", ".json5"))
     if fault := first_fault(
         (taken, f"the name {name} is taken in {directory}, and no file is overwritten: choose another"),
@@ -98,70 +96,65 @@ def issue(
     ):
         raise ConfigError(fault)
     if role == ROBOT:
-        files = _robot(directory / name, ca, hosts, port_of(directory / "gateway.json5"), days, now)
-        files[directory / name / "ca.pem"] = ca.certificate_pem()
+        made = _robot(directory / name, ca, hosts, port_of(directory / "gateway.json5"), days)
+        made[directory / name / "ca.pem"] = ca.certificate_pem()
     elif role == CONSOLE:
-        parsed = list(dict.fromkeys(map(authority.parse_host, hosts)))
+        parsed = authority.parse_hosts(hosts)
         own = authority.make_ca(now, parsed)
-        made = authority.make_leaf(own, CONSOLE, name, parsed, days, now)
-        files = made.files(directory / name) | own.files(directory / f"{name}{_WEB_CA}")
+        web = authority.make_leaf(own, CONSOLE, name, parsed, days, now)
+        made = web.files(directory / name) | own.files(directory / f"{name}{_WEB_CA}")
     else:
-        listed = {each.common_name for each, _ in states(directory, now)}
+        listed = {each.common_name for each, _ in states(directory)}
         common_name = next((each for each in access.every(role) if each not in listed), None)
         if common_name is None:
             raise ConfigError(f"all {access.MOST} common names of {role} are taken: make a new CA in another folder")
-        files = authority.make_leaf(ca, common_name, name, (), days, now).files(directory / name)
+        made = authority.make_leaf(ca, common_name, name, (), days, now).files(directory / name)
         for robot, folder in robots_of(directory).items():
             config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
-            files[config] = zenoh_files.laptop_json5(name, role, endpoints_of(folder), config.name)
-    if bundle in files or (bundle is not None and bundle.suffix in PUBLIC):
+            made[config] = zenoh_files.laptop_json5(name, role, endpoints_of(folder), config.name)
+    if bundle in made or (bundle is not None and bundle.suffix in files.PUBLIC):
         raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
     if bundle is not None:
-        files[bundle] = _zip({"ca.pem": ca.certificate_pem()} | {path.name: each for path, each in files.items()}, now)
-    publish(files)
-    return list(files)
+        made[bundle] = _zip({"ca.pem": ca.certificate_pem()} | {path.name: each for path, each in made.items()})
+    files.publish(made)
+    return list(made)
 
 
-def _robot(
-    directory: Path, ca: KeyPair, hosts: Sequence[str], port: int, days: int, now: dt.datetime
-) -> dict[Path, bytes]:
+def _robot(directory: Path, ca: KeyPair, hosts: Sequence[str], port: int, days: int) -> dict[Path, bytes]:
     dialled = _dialled_hosts(hosts)
-    made = authority.make_leaf(ca, GATEWAY, GATEWAY, dialled, days, now)
+    made = authority.make_leaf(ca, GATEWAY, GATEWAY, dialled, days, now_utc())
     return made.files(directory / GATEWAY) | {directory / "gateway.json5": zenoh_files.gateway_json5(dialled, port)}
 
 
-def renew(
-    directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = LEAF_DAYS, now: dt.datetime | None = None
-) -> Path:
+def renew(directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = LEAF_DAYS) -> Certificate:
     """Renew the certificate of a laptop, a robot ("gateway" for the first) or a console, with the same key.
 
-    Return its path. `hosts`: further names and addresses of a robot. Raises ConfigError.
+    Return it. `hosts`: further names and addresses of a robot. Raises ConfigError.
     """
-    now, robots = now or now_utc(), robots_of(directory)
+    robots, own = robots_of(directory), f"{name}{_WEB_CA}"
     if name != GATEWAY:
         _check_name(name)
-    own = f"{name}{_WEB_CA}" if (directory / f"{name}{_WEB_CA}.key").exists() else CA
+    ca = load_ca(directory, own if (directory / f"{own}.key").exists() else CA)
     path = robots[name] / "gateway.pem" if name in robots else directory / f"{name}.pem"
-    ca, old, known = load_ca(directory, now, own), read_certificate(path), revoked(directory)
-    reached, common_name = authority.hosts_of(old), authority.holder_of(old).common_name
+    old, known, before = read_certificate(path), revoked(directory), describe(path)
     if fault := first_fault(
-        (known and known.holds(common_name, old.serial_number), "is revoked; `certs issue` makes another"),
+        (known and known.holds(before.common_name, before.serial), "is revoked; `certs issue` makes another"),
         (not is_issued(old, ca.certificate), f"was not issued by the CA in {directory}: issue a new one there"),
-        (hosts and (own != CA or not reached), "keeps its own hosts: `certs issue` makes one for others"),
+        (hosts and before.role != GATEWAY, "keeps its own hosts: `certs issue` makes one for others"),
     ):
         raise ConfigError(f"{path} {fault}")
-    reached = list(dict.fromkeys([*reached, *(_dialled_hosts(hosts) if hosts else ())]))
-    renewed = authority.sign(ca, old.subject, old.public_key(), reached, days, now)
-    replace(path, renewed.public_bytes(serialization.Encoding.PEM))
-    return path
+    reached = list(dict.fromkeys([*before.hosts, *(_dialled_hosts(hosts) if hosts else ())]))
+    renewed = authority.sign(ca, old.subject, old.public_key(), reached, days, now_utc())
+    files.replace(path, renewed.public_bytes(serialization.Encoding.PEM))
+    return describe(path)
 
 
-def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> RevocationList:
+def revoke(directory: Path, name: str) -> RevocationList:
     """Revoke a laptop, by its name or its common name (`operator-07`); return the new list.
 
     The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
     """
-    now, known = now or now_utc(), revoked(directory)
+    known, now = revoked(directory), now_utc()
     before = known.entries if known else ()
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
@@ -173,14 +166,14 @@ def revoke(directory: Path, name: str, *, now: dt.datetime | None = None) -> Rev
         raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
     else:
         entry = Revoked(name, "", _NO_SERIAL, now)
-    made = _sign(directory, known, (*before, entry), now)
+    made = _sign(directory, known, (*before, entry))
     for path in directory.glob(f"{found.path.stem}.*") if found else ():
         if path.suffix in (".pem", ".key", ".json5"):
             path.unlink()
     return made
 
 
-def newest(directory: Path, there: str | None, *, now: dt.datetime | None = None) -> RevocationList:
+def newest(directory: Path, there: str | None) -> RevocationList:
     """Return the folder's list for a robot that has the list `there` (PEM). Raises ConfigError if there is none.
 
     If the robot's list has an entry that the folder's lacks, as after a restored backup, sign a list with both.
@@ -192,14 +185,12 @@ def newest(directory: Path, there: str | None, *, now: dt.datetime | None = None
     if theirs == known or (theirs.number < known.number and theirs.common_names <= known.common_names):
         return known
     entries = {entry.common_name: entry for entry in (*theirs.entries, *known.entries)}
-    return _sign(directory, max(theirs, known, key=lambda each: each.number), entries.values(), now or now_utc())
+    return _sign(directory, max(theirs, known, key=lambda each: each.number), entries.values())
 
 
-def _sign(
-    directory: Path, before: RevocationList | None, entries: Iterable[Revoked], now: dt.datetime
-) -> RevocationList:
-    made = revocation.sign(load_ca(directory, now), before.number + 1 if before else 1, entries, now)
-    replace(directory / revocation.REVOCATION_FILE, made.pem)
+def _sign(directory: Path, before: RevocationList | None, entries: Iterable[Revoked]) -> RevocationList:
+    made = revocation.sign(load_ca(directory), before.number + 1 if before else 1, entries, now_utc())
+    files.replace(directory / revocation.REVOCATION_FILE, made.pem)
     return made
 
 
@@ -209,9 +200,9 @@ def revoked(directory: Path) -> RevocationList | None:
     return revocation.read(path, [read_certificate(directory / "ca.pem")]) if path.exists() else None
 
 
-def states(directory: Path, now: dt.datetime) -> list[tuple[Certificate, str]]:
+def states(directory: Path) -> list[tuple[Certificate, str]]:
     """Return all certificates with their states: good, expired, revoked. Needs no CA key. Raises ConfigError."""
-    known, found = revoked(directory), expiries(directory)
+    known, found, now = revoked(directory), expiries(directory), now_utc()
     listed = {each.common_name for each in found}
     for each in known.entries if known else ():
         if each.common_name not in listed:  # without a file its expiry is unknown
@@ -238,18 +229,14 @@ def describe(path: Path) -> Certificate:
     """Return the certificate in the PEM file at `path`. Raises ConfigError."""
     found = read_certificate(path)
     holder, span = authority.holder_of(found), (found.not_valid_before_utc, found.not_valid_after_utc)
-    return Certificate(path, holder.name, holder.role, holder.common_name, found.serial_number, *span)
-
-
-def hosts_of(path: Path) -> list[str]:
-    """Return the names and addresses that the robot's certificate at `path` is valid for. Raises ConfigError."""
-    return authority.hosts_of(read_certificate(path))
+    hosts = tuple(authority.hosts_of(found))
+    return Certificate(path, holder.name, holder.role, holder.common_name, found.serial_number, *span, hosts)
 
 
 def endpoints_of(robot: Path) -> list[str]:
     """Return the Zenoh endpoints of the robot with this folder. Raises ConfigError."""
     port = port_of(robot / "gateway.json5")
-    return [zenoh_files.endpoint(host, port) for host in hosts_of(robot / "gateway.pem")]
+    return [zenoh_files.endpoint(host, port) for host in describe(robot / "gateway.pem").hosts]
 
 
 def robots_of(directory: Path) -> dict[str, Path]:
@@ -261,7 +248,7 @@ def robots_of(directory: Path) -> dict[str, Path]:
 def port_of(config: Path) -> int:
     """Return the port in a robot's gateway.json5, where a person may have changed it. Raises ConfigError."""
     try:
-        nesting.check(read_file(config, "Zenoh configuration"))
+        nesting.check(files.read_file(config, "Zenoh configuration"))
         endpoints = zenoh.Config.from_file(str(config)).get_json("listen/endpoints")
     except (ValueError, zenoh.ZError) as error:
         raise ConfigError(f"cannot read {config}: {str(error).splitlines()[0]}; restore it, or fix that") from error
@@ -273,22 +260,22 @@ def port_of(config: Path) -> int:
 def mismatch(ca: Path, certificate: Path, key: Path, *, of_robot: bool = True) -> str:
     """Return why these files do not belong together, or are no robot's; "": they are right. Raises ConfigError."""
     own, name = read_certificate(certificate), certificate.name
-    role, issued = authority.holder_of(own).role, any(is_issued(own, each) for each in read_certificates(ca))
+    role, issued = authority.holder_of(own).role, any(is_issued(own, each) for each in files.read_certificates(ca))
     fault = first_fault(
         (not issued, f"{name} is of another authority than {ca.name}"),
-        (read_key(key).public_key() != own.public_key(), f"{key.name} is not the key of {name}"),
+        (files.read_key(key).public_key() != own.public_key(), f"{key.name} is not the key of {name}"),
         (of_robot and role != GATEWAY, f"{name} is of {role}, not of a robot"),
     )
     return f"in {certificate.parent}, {fault}" if fault else ""
 
 
-def load_ca(directory: Path, now: dt.datetime, name: str = CA) -> KeyPair:
+def load_ca(directory: Path, name: str = CA) -> KeyPair:
     """Return the folder's CA with its key. Raises ConfigError if it is missing or has expired."""
-    key, certificate = read_key(directory / f"{name}.key"), read_certificate(directory / f"{name}.pem")
+    key, certificate = files.read_key(directory / f"{name}.key"), read_certificate(directory / f"{name}.pem")
     end = certificate.not_valid_after_utc
     if not isinstance(key, ec.EllipticCurvePrivateKey) or certificate.public_key() != key.public_key():
         raise ConfigError(f"{directory}: {name}.key and {name}.pem do not belong together; restore both from one copy")
-    if end <= now:
+    if end <= now_utc():
         raise ConfigError(f"the CA in {directory} expired on {end:%Y-%m-%d}; {how_to_renew('', CA, '')}")
     return KeyPair(certificate, key)
 
@@ -299,7 +286,7 @@ def now_utc() -> dt.datetime:
 
 def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
     """Return the hosts in normal form, each once. Raises ConfigError without one, or for an IPv6 address."""
-    found = list(dict.fromkeys(map(authority.parse_host, hosts)))
+    found = authority.parse_hosts(hosts)
     if not found:
         raise ConfigError("name at least one host by which laptops reach the robot: --host robot.local")
     if of_ipv6 := [name for name in found if ":" in name]:  # parse_host lets no port through
@@ -308,14 +295,13 @@ def _dialled_hosts(hosts: Sequence[str]) -> list[str]:
     return found
 
 
-def _zip(members: dict[str, bytes], now: dt.datetime) -> bytes:
+def _zip(members: dict[str, bytes]) -> bytes:
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w") as archive:
         for name, content in members.items():
-            entry = zipfile.ZipInfo(name, now.timetuple()[:6])
-            entry.create_system = 3  # Unix: `unzip` then restores the mode, and the key stays 0600
-            entry.external_attr = (stat.S_IFREG | mode_of(Path(name))) << 16
-            archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
+            entry = zipfile.ZipInfo(name, now_utc().timetuple()[:6])
+            entry.external_attr = (stat.S_IFREG | files.mode_of(Path(name))) << 16  # `unzip` then keeps the key 0600
+            archive.writestr(entry, content)
     return buffer.getvalue()
 
 

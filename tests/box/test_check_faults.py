@@ -29,7 +29,8 @@ import datetime as dt
 from pathlib import Path
 from gateway import certs
 long_ago = dt.datetime.now(dt.UTC) - dt.timedelta(days=9)
-certs.folder.init(Path("/root/expired"), ["127.0.0.1"], days=2, now=long_ago)
+certs.folder.now_utc = lambda: long_ago
+certs.folder.init(Path("/root/expired"), ["127.0.0.1"], days=2)
 END
 mkdir $pki
 cp {CERTS}/ca.pem {CERTS}/gateway.* $pki

@@ -20,7 +20,7 @@ MADE_BY_INIT = {"ca.key", "ca.pem", "gateway.key", "gateway.pem", "gateway.json5
 @pytest.fixture(name="folder")
 def make_folder(tmp_path: Path) -> Path:
     """A folder of certificates as `init` leaves it."""
-    certs.folder.init(tmp_path / "D", HOSTS, now=NOW)
+    certs.folder.init(tmp_path / "D", HOSTS)
     return tmp_path / "D"
 
 

@@ -14,7 +14,6 @@ import zenoh
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.files import read_certificate, read_key
 from gateway.client import leg_payload
 from gateway.errors import ZenohError
 from schemas import keys
@@ -89,7 +88,7 @@ def test_an_operator_cannot_pose_as_the_robot(secured: Secured) -> None:
 def forged(secured: Secured, common_name: str, made: dt.datetime) -> zenoh.Config:
     """With a certificate of the folder's CA that `issue` would not make: any name, good for a day from `made`."""
     folder = secured.folder
-    ca = authority.KeyPair(read_certificate(folder / "ca.pem"), read_key(folder / "ca.key"))
+    ca = certs.folder.load_ca(folder)
     pair = authority.make_leaf(ca, common_name, "someone", (), 1, made)
     (folder / "someone.pem").write_bytes(pair.certificate_pem())
     (folder / "someone.key").write_bytes(pair.key_pem())

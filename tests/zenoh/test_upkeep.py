@@ -45,9 +45,11 @@ def systemd(tmp_path: Path) -> Iterator[Systemd]:
     systemd.close()
 
 
-def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd) -> None:
+def test_an_expiry_is_said_before_it_comes(tmp_path: Path, systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
     made, port = dt.datetime.now(dt.UTC) - 41 * DAY + dt.timedelta(minutes=1), free_port()
-    certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=100, now=made, port=port)
+    with monkeypatch.context() as patch:
+        patch.setattr(certs.folder, "now_utc", lambda: made)
+        certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=100, port=port)
     certs.folder.issue(tmp_path / "D", "anna", "operator")
     zenoh = {"config": str(tmp_path / "D" / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}
     with Gateway(tmp_path, {"zenoh": zenoh}, env=systemd.env) as gateway:

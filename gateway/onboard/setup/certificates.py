@@ -58,7 +58,7 @@ def refresh(machine: Machine) -> None:
     present = machine.read(CONFIG)
     if present is None or not zenoh_files.is_unedited(present):
         return
-    hosts = certs.folder.hosts_of(machine.path(f"{FOLDER}/gateway.pem"))
+    hosts = certs.folder.describe(machine.path(f"{FOLDER}/gateway.pem")).hosts
     made = zenoh_files.gateway_json5(hosts, certs.folder.port_of(machine.path(CONFIG)))
     machine.put(CONFIG, made, f"write {CONFIG}: with this release's access rules")
 

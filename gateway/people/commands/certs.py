@@ -1,6 +1,5 @@
 """`hexapod-gateway certs`: arguments in, one call of gateway.certs, and a few lines that state what to do next."""
 
-import datetime as dt
 import json
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -111,13 +110,12 @@ def renew(
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Extend a certificate before it expires, or give a robot a further --host. Its key and its old hosts stay."""
-    path = certs.folder.renew(directory, name, hosts=host, days=days)
-    made = certs.folder.describe(path)
+    made = certs.folder.renew(directory, name, hosts=host, days=days)
     is_robot = made.role == certs.authority.GATEWAY
     where = "" if is_robot else f": copy it over the old one on {name}'s machine"
-    say(f"{path} is valid until {made.not_after:%Y-%m-%d}{where}.")
+    say(f"{made.path} is valid until {made.not_after:%Y-%m-%d}{where}.")
     if is_robot:
-        _say_installation(certs.folder.hosts_of(path)[0], path.parent)
+        _say_installation(made.hosts[0], made.path.parent)
     if host:
         say(f"Laptops issued before reach that address with --connect tls/{host[0]}:PORT --zenoh-config …")
 
@@ -126,15 +124,13 @@ def renew(
 def show(directory: Directory = DEFAULT_FOLDER, as_json: JsonOption = False) -> None:
     """List all certificates, a line each: name, role, expiry, common name, and state (good, expired or revoked)."""
     names = ("name", "role", "expires", "common_name", "state")
-    found = certs.folder.states(directory, dt.datetime.now(dt.UTC))
+    found = certs.folder.states(directory)
     rows = [(each.name, each.role, f"{each.not_after:%Y-%m-%d}", each.common_name, state) for each, state in found]
     if as_json:
         typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
         return
-    rows.insert(0, ("NAME", "ROLE", "EXPIRES", "COMMON NAME", "STATE"))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    for row in [("NAME", "ROLE", "EXPIRES", "COMMON NAME", "STATE"), *rows]:
+        say("{:24}  {:8}  {:10}  {:13}  {}".format(*row))
 
 
 @app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
@@ -209,7 +205,7 @@ def _send(directory: Path, endpoint: str, config: Path) -> int:
 
 def _operators_file(directory: Path, but: str | None) -> Path:
     """Return the Zenoh file of an operator of the folder whose certificate is valid, and who is not to be shut out."""
-    for each, state in certs.folder.states(directory, certs.folder.now_utc()):
+    for each, state in certs.folder.states(directory):
         config = directory / f"{each.path.stem}.json5"
         usable = each.role == certs.OPERATOR and state == "good" and but not in (each.name, each.common_name)
         if usable and config.exists():

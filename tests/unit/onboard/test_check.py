@@ -127,7 +127,7 @@ def dated(days_left: int, *lines: str) -> Scene:
     """The robot's certificate, which is good for 90 days."""
 
     def plant(root: Path) -> CheckedRobot:
-        certs.folder.init(root / "D", ["127.0.0.1"], days=90, now=NOW)
+        certs.folder.init(root / "D", ["127.0.0.1"], days=90)
         return robot(root, zenoh={"config": str(root / "D" / "gateway.json5")})
 
     def read(look: CheckedRobot) -> Iterator[Result | None]:

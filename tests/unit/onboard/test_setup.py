@@ -355,4 +355,4 @@ def test_what_certs_prints_for_a_robot_is_taken_as_it_is(
             if Path(each) != Path(taken[1]):
                 shutil.copy(each, home / copied[2])
         assert "(check)" in computer.says(certs=Path(taken[1])), name
-    assert certs.folder.hosts_of(computer.root / "etc/hexapod-gateway/zenoh/gateway.pem") == ["robot-3.local"]
+    assert certs.folder.describe(computer.root / "etc/hexapod-gateway/zenoh/gateway.pem").hosts == ("robot-3.local",)

@@ -12,7 +12,6 @@ import pytest
 
 from gateway import certs
 from gateway.certs import authority
-from gateway.certs.files import read_certificate, read_key
 from gateway.people.client.diagnosis import Stage, diagnose, validity
 from gateway.people.client.requests import Identity
 from gateway.people.commands import why
@@ -67,7 +66,7 @@ def test_a_robot_with_a_wrong_certificate(role: str, sentence: str, fix: str, tm
     """Expired, as after two years in a cupboard: the service would not start with it, but one that runs goes on."""
     certs.folder.init(tmp_path, ["127.0.0.1"])
     certs.folder.issue(tmp_path, "anna", "operator")
-    ca = authority.KeyPair(read_certificate(tmp_path / "ca.pem"), read_key(tmp_path / "ca.key"))
+    ca = certs.folder.load_ca(tmp_path)
     now = dt.datetime.now(dt.UTC)
     wrong = authority.make_leaf(ca, "gateway", "gateway", ["127.0.0.1"], 1, now - 2 * DAY)
     wrong = wrong if role == "gateway" else authority.make_leaf(ca, "operator-07", "bob", [], 9, now)
@@ -88,10 +87,11 @@ def test_a_robot_with_a_wrong_certificate(role: str, sentence: str, fix: str, tm
     assert fix in last.fix
 
 
-def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path) -> None:
+def test_a_certificate_that_has_run_out_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of somebody who watches: the link ends with it, and this is why."""
     certs.folder.init(tmp_path, ["127.0.0.1"])
-    certs.folder.issue(tmp_path, "dora", "operator", days=1, now=dt.datetime.now(dt.UTC) - 2 * DAY)
+    monkeypatch.setattr(certs.folder, "now_utc", lambda: dt.datetime.now(dt.UTC) - 2 * DAY)
+    certs.folder.issue(tmp_path, "dora", "operator", days=1)
     (line,) = why.unreached(None, tmp_path / "dora.json5")
     assert "dora.pem expired on" in line
     assert "hexapod-gateway certs renew NAME --dir DIR" in line
