@@ -34,7 +34,9 @@ CONSOLE = "console"
 BACKDATE = dt.timedelta(days=365)
 
 _ORGANIZATION = "hexapod-gateway"
-_LABEL = re.compile(r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?")
+_LABEL = r"[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?"
+# A last label of digits only is a mistyped address (192.0.2.999), never a host name.
+_HOST = re.compile(rf"(?=.{{1,253}}\Z)({_LABEL}\.)*(?!\d+\Z){_LABEL}")
 
 
 @dataclass(frozen=True)
@@ -137,14 +139,12 @@ def parse_hosts(texts: Sequence[str]) -> list[str]:
 
 
 def _parse_host(text: str) -> str:
-    host = text.strip().strip("[]").lower()
-    name, address = host.removesuffix("."), _address(host)
+    host = text.strip().strip("[]").lower().removesuffix(".")
+    address = _address(host)
     if address is not None and not address.is_unspecified and "%" not in host:  # a zone counts on this machine only
         return str(address)
-    labels = name.split(".")
-    # A last label of digits only is a mistyped address (192.0.2.999), never a host name.
-    if address is None and all(map(_LABEL.fullmatch, labels)) and not labels[-1].isdigit() and len(host) < 254:
-        return name
+    if address is None and _HOST.fullmatch(host):
+        return host
     fix = "give what laptops dial, such as robot.local or 192.0.2.7 (no port, no tls/)"
     raise ConfigError(f"{text!r} is neither a host name nor an IP address: {fix}")
 
@@ -157,25 +157,30 @@ def hosts_of(certificate: x509.Certificate) -> list[str]:
     return []
 
 
-class Holder(NamedTuple):
-    """The holder of a certificate. One person may have several, each with a common name of its own."""
+class Certificate(NamedTuple):
+    """What a certificate states. One person may have several, each with a common name of its own."""
 
-    common_name: str
     name: str
+    """A robot's first host; the CA's, or a laptop's or its person's name. "": none."""
+    role: str
+    """ca, gateway, operator, observer, button, console; for any other, the common name."""
+    common_name: str
+    serial: int
+    not_before: dt.datetime
+    not_after: dt.datetime
+    hosts: Sequence[str] = ()
+    path: Path = Path()
 
-    @property
-    def role(self) -> str:
-        """The common name without a laptop's number."""
-        return role_of(self.common_name)
 
-
-def holder_of(certificate: x509.Certificate) -> Holder:
-    """Return ("ca", its name), ("gateway", its first host), or a laptop's (common name, name); "" if absent."""
-    common = _attribute(certificate.subject, NameOID.COMMON_NAME)
-    unit = _attribute(certificate.subject, NameOID.ORGANIZATIONAL_UNIT_NAME)
+def describe(certificate: x509.Certificate, path: Path = Path()) -> Certificate:
+    """Return what the certificate, which is in the file at `path`, states."""
+    oids = (NameOID.COMMON_NAME, NameOID.ORGANIZATIONAL_UNIT_NAME)
+    (common, unit), hosts = (_attribute(certificate.subject, each) for each in oids), hosts_of(certificate)
+    name, role = next(iter(hosts), unit) if common == GATEWAY else unit, role_of(common)
     if is_ca(certificate):
-        return Holder(CA, common)
-    return Holder(common, next(iter(hosts_of(certificate)), unit) if common == GATEWAY else unit)
+        name, role, common = common, CA, CA
+    span = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    return Certificate(name, role, common, certificate.serial_number, *span, tuple(hosts), path)
 
 
 def _name(common_name: str, unit: str) -> x509.Name:

@@ -11,7 +11,7 @@ import stat
 import zipfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import zenoh
 from cryptography.hazmat.primitives import serialization
@@ -29,7 +29,7 @@ from gateway.certs import (
     revocation,
     zenoh_files,
 )
-from gateway.certs.authority import CA, CONSOLE, GATEWAY, KeyPair, is_issued
+from gateway.certs.authority import CA, CONSOLE, GATEWAY, Certificate, KeyPair, is_issued
 from gateway.certs.files import read_certificate
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
@@ -43,20 +43,6 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _WEB_CA: Final = "-ca"  # follows a console's name in the names of its CA's files
 _NO_SERIAL: Final = 1
 """Stands for a revoked laptop without files. Our serial numbers are random, so no certificate has this one."""
-
-
-class Certificate(NamedTuple):
-    """One certificate of a folder. `role`: ca, gateway, operator, observer, button or console."""
-
-    path: Path
-    name: str
-    role: str
-    common_name: str
-    serial: int
-    not_before: dt.datetime
-    not_after: dt.datetime
-    hosts: tuple[str, ...] = ()
-    """The names and addresses that a robot's or console's is valid for."""
 
 
 def init(directory: Path, hosts: Sequence[str], *, days: int = LEAF_DAYS, port: int = 7447) -> None:
@@ -136,7 +122,8 @@ def renew(directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = 
         _check_name(name)
     ca = load_ca(directory, own if (directory / f"{own}.key").exists() else CA)
     path = robots[name] / "gateway.pem" if name in robots else directory / f"{name}.pem"
-    old, known, before = read_certificate(path), revoked(directory), describe(path)
+    old, known = read_certificate(path), revoked(directory)
+    before = authority.describe(old, path)
     if fault := first_fault(
         (known and known.holds(before.common_name, before.serial), "is revoked; `certs issue` makes another"),
         (not is_issued(old, ca.certificate), f"was not issued by the CA in {directory}: issue a new one there"),
@@ -158,15 +145,12 @@ def revoke(directory: Path, name: str) -> RevocationList:
     before = known.entries if known else ()
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
-    if found is not None:
-        entry = Revoked(found.common_name, found.name, found.serial, now)
-    elif any(name in (entry.name, entry.common_name) for entry in before):
+    if not found and any(name in (entry.name, entry.common_name) for entry in before):
         raise ConfigError(f"{name} is revoked already")
-    elif access.role_of(name) == name:
+    if not found and access.role_of(name) == name:
         raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
-    else:
-        entry = Revoked(name, "", _NO_SERIAL, now)
-    made = _sign(directory, known, (*before, entry))
+    entry = (found.common_name, found.name, found.serial) if found else (name, "", _NO_SERIAL)
+    made = _sign(directory, known, (*before, Revoked(*entry, now)))
     for path in directory.glob(f"{found.path.stem}.*") if found else ():
         if path.suffix in (".pem", ".key", ".json5"):
             path.unlink()
@@ -207,7 +191,7 @@ def states(directory: Path) -> list[tuple[Certificate, str]]:
     for each in known.entries if known else ():
         if each.common_name not in listed:  # without a file its expiry is unknown
             role, since = access.role_of(each.common_name), each.since
-            found.append(Certificate(Path(), each.name, role, each.common_name, each.serial, since, since))
+            found.append(Certificate(each.name, role, each.common_name, each.serial, since, since))
     gone = {each for each in found if known and known.holds(each.common_name, each.serial)}
     return [(each, "revoked" if each in gone else "expired" if each.not_after <= now else "good") for each in found]
 
@@ -227,10 +211,7 @@ def expiries(directory: Path) -> list[Certificate]:
 
 def describe(path: Path) -> Certificate:
     """Return the certificate in the PEM file at `path`. Raises ConfigError."""
-    found = read_certificate(path)
-    holder, span = authority.holder_of(found), (found.not_valid_before_utc, found.not_valid_after_utc)
-    hosts = tuple(authority.hosts_of(found))
-    return Certificate(path, holder.name, holder.role, holder.common_name, found.serial_number, *span, hosts)
+    return authority.describe(read_certificate(path), path)
 
 
 def endpoints_of(robot: Path) -> list[str]:
@@ -260,7 +241,7 @@ def port_of(config: Path) -> int:
 def mismatch(ca: Path, certificate: Path, key: Path, *, of_robot: bool = True) -> str:
     """Return why these files do not belong together, or are no robot's; "": they are right. Raises ConfigError."""
     own, name = read_certificate(certificate), certificate.name
-    role, issued = authority.holder_of(own).role, any(is_issued(own, each) for each in files.read_certificates(ca))
+    role, issued = authority.describe(own).role, any(is_issued(own, each) for each in files.read_certificates(ca))
     fault = first_fault(
         (not issued, f"{name} is of another authority than {ca.name}"),
         (files.read_key(key).public_key() != own.public_key(), f"{key.name} is not the key of {name}"),

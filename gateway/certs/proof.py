@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
 
 from gateway.certs import BUTTON, OPERATOR, first_fault
-from gateway.certs.authority import Holder, holder_of, is_ca, is_issued
+from gateway.certs.authority import Certificate, describe, is_ca, is_issued
 from gateway.certs.files import read_key
 from gateway.certs.revocation import RevocationList
 from schemas import button, lease
@@ -47,13 +47,11 @@ class ProofChecker:
 
     def clock_fault(self, now: dt.datetime) -> str | None:
         """Return a sentence if this robot's clock must be wrong; None: it may be right."""
-        if any(now >= ca.not_valid_before_utc for ca in self._cas) or not self._cas:
+        made = min((ca.not_valid_before_utc for ca in self._cas), default=now)
+        if made <= now:
             return None
-        first = min(ca.not_valid_before_utc for ca in self._cas)
-        return (
-            f"this robot's clock is wrong: it shows {_minute(now)} UTC, before its CA was made ({_minute(first)}); "
-            "until it is set, no certificate can be checked"
-        )
+        wrong = f"it shows {_minute(now)} UTC, before its CA was made ({_minute(made)})"
+        return f"this robot's clock is wrong: {wrong}; until it is set, no certificate can be checked"
 
     def fault(self, proof: Proof, do: str, source: str, now: dt.datetime, purpose: Purpose = DRIVING) -> str | None:
         """Return why the proof does not show that `source` sent this request; None: it does. Ignores the nonce."""
@@ -69,27 +67,26 @@ class ProofChecker:
         return fault or None
 
     def _certificate_fault(self, certificate: x509.Certificate, source: str, now: dt.datetime, purpose: Purpose) -> str:
-        holder = holder_of(certificate)
-        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+        stated = describe(certificate)
         clock, roles = f"the robot's clock states {_minute(now)}", " or a ".join(purpose.roles)
         valid = (ca for ca in self._cas if ca.not_valid_before_utc <= now <= ca.not_valid_after_utc)
         issued = any(is_issued(certificate, ca) for ca in valid)
-        revoked = self._revoked is not None and self._revoked.holds(holder.common_name, certificate.serial_number)
-        own = holder.name == source or (purpose.own_names and source.startswith(f"{holder.name}/"))
+        revoked = self._revoked is not None and self._revoked.holds(stated.common_name, stated.serial)
+        own = stated.name == source or (purpose.own_names and source.startswith(f"{stated.name}/"))
         what, other = "proof.certificate", "get another from the person with the CA's key"
         return first_fault(
             (not issued, f"{what} is not signed by this gateway's CA"),
-            (now < start, f"{what} is valid from {_minute(start)} UTC; {clock}"),
-            (now > end, f"{what} expired at {_minute(end)} UTC; {clock}"),
-            (revoked, f"{what} is revoked ({holder.common_name}); {other}"),
-            (holder.role not in purpose.roles, f"{what} is not that of an {roles} of this robot"),
+            (now < stated.not_before, f"{what} is valid from {_minute(stated.not_before)} UTC; {clock}"),
+            (now > stated.not_after, f"{what} expired at {_minute(stated.not_after)} UTC; {clock}"),
+            (revoked, f"{what} is revoked ({stated.common_name}); {other}"),
+            (stated.role not in purpose.roles, f"{what} is not that of an {roles} of this robot"),
             (not own, f"source is not the person of {what}"),
         )
 
 
-def holder(proof: Proof) -> Holder:
-    """Return the holder of the certificate in an accepted proof."""
-    return holder_of(x509.load_pem_x509_certificates(proof.certificate.encode())[0])
+def holder(proof: Proof) -> Certificate:
+    """Return what the certificate in an accepted proof states."""
+    return describe(x509.load_pem_x509_certificates(proof.certificate.encode())[0])
 
 
 def sign(key_file: Path, text: bytes) -> bytes:

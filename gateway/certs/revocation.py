@@ -9,9 +9,8 @@ No decision depends on the clock: a list does not expire, and a robot whose cloc
 import datetime as dt
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -28,7 +27,7 @@ MAX_LIST_BYTES: Final = 1_000_000
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
 """`operator-07/alice` as UTF8String. The identifier is made from a UUID (ITU-T X.667), which needs no registration."""
 _UTF8_STRING: Final = 0x0C
-_HOLDER_TEXT: Final = re.compile(r"([A-Za-z0-9._-]{1,63})/([A-Za-z0-9_-]{0,63})")
+_HOLDER_TEXT: Final = re.compile(r"[A-Za-z0-9._-]{1,63}/[A-Za-z0-9_-]{0,63}")
 """At most 127 characters: DER then has a length of one byte."""
 
 
@@ -36,8 +35,7 @@ class ForeignListError(ConfigError):
     """None of the robot's CAs has signed the list."""
 
 
-@dataclass(frozen=True)
-class Revoked:
+class Revoked(NamedTuple):
     """One revoked certificate."""
 
     common_name: str
@@ -47,8 +45,7 @@ class Revoked:
     since: dt.datetime
 
 
-@dataclass(frozen=True)
-class RevocationList:
+class RevocationList(NamedTuple):
     """A list whose signature was checked, or that was just signed."""
 
     number: int
@@ -101,10 +98,8 @@ def read(path: Path, cas: Sequence[x509.Certificate]) -> RevocationList | None:
     try:
         data = durable.read(path, MAX_LIST_BYTES)
         return None if data is None else parse(data, cas)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise ConfigError(f"{path} {error}; that is no list of revoked certificates") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} cannot be read as a list of revoked certificates: {error}") from error
     except ConfigError as error:
         raise type(error)(f"{path}: {error}") from error
 
@@ -117,12 +112,12 @@ def why_not_newer(found: RevocationList, known: RevocationList | None) -> str | 
 
 
 def _entry(found: x509.RevokedCertificate) -> Revoked:
-    extension = found.extensions.get_extension_for_oid(_HOLDER).value
-    value = extension.value if isinstance(extension, x509.UnrecognizedExtension) else b""
-    named = _HOLDER_TEXT.fullmatch(value[2:].decode())
-    if named is None or value[:2] != bytes([_UTF8_STRING, len(value) - 2]):
+    extension: Any = found.extensions.get_extension_for_oid(_HOLDER).value
+    common_name, _, name = extension.value[2:].decode().partition("/")
+    entry = Revoked(common_name, name, found.serial_number, found.revocation_date_utc)
+    if _encoded(entry) != extension.value:
         raise ValueError("an entry names no common name")
-    return Revoked(named[1], named[2], found.serial_number, found.revocation_date_utc)
+    return entry
 
 
 def _encoded(entry: Revoked) -> bytes:

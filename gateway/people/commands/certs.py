@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 import typer
 
 from gateway import certs
-from gateway.errors import ConfigError, GatewayError, RejectedError
+from gateway.errors import ConfigError, GatewayError
 from gateway.own_command import this_command
 from gateway.people.commands.options import JsonOption
 from gateway.people.terminal import hint, say
@@ -17,18 +17,12 @@ _ANSWER_S: Final = 5.0
 app = typer.Typer(
     no_args_is_help=True,
     help="Make and revoke certificates: who may reach the robot over the network, and in which role.\n\n"
-    "`init` makes a private certificate authority (CA) and the robot's files, once. `issue` makes a laptop's files and "
-    "changes nothing on the robot. `revoke` shuts a lost laptop out.\n\n"
     "Keep the folder on a machine you trust, not on the robot: anyone with its ca.key can admit anyone.",
 )
-_DAYS: Final = "Days that the certificate is valid, at most until its CA expires."
-_HOSTS: Final = "A name or address of the robot or the console; may be repeated."
-Directory = Annotated[
-    Path, typer.Option("--dir", metavar="D", callback=Path.expanduser, help="The folder with the CA.")
-]
 DEFAULT_FOLDER: Final = Path("~/hexapod-certs")
-Days = Annotated[int, typer.Option(metavar="N", min=1, max=certs.CA_DAYS, help=_DAYS)]
-Hosts = Annotated[list[str], typer.Option(metavar="HOST", help=_HOSTS)]
+Directory = Annotated[Path, typer.Option("--dir", metavar="D", callback=Path.expanduser, help="The CA's folder.")]
+Days = Annotated[int, typer.Option(metavar="N", min=1, max=certs.CA_DAYS, help="Days until it expires, or its CA.")]
+Hosts = Annotated[list[str], typer.Option(metavar="HOST", help="Name or address of robot or console; repeatable.")]
 
 
 @app.command(epilog="Example: hexapod-gateway certs init --dir ~/hexapod-certs --host robot.local --host 192.0.2.7")
@@ -58,23 +52,16 @@ def _say_installation(host: str, directory: Path, bundle: Path | None = None) ->
     say(f"and on the robot: sudo hexapod-gateway setup --certs {bundle.name if bundle else 'robot-certs'}")
 
 
-@app.command(
-    epilog="Example: hexapod-gateway certs issue alice --role operator --dir ~/hexapod-certs --bundle alice.zip"
-)
+@app.command(epilog="Example: hexapod-gateway certs issue alice --role operator --dir ~/hexapod-certs")
 def issue(
     name: Annotated[str, typer.Argument(metavar="NAME", help="The laptop or its owner: letters, digits, - and _.")],
     role: Annotated[
         Literal["operator", "observer", "button", "robot", "console"],
-        typer.Option(
-            help="operator: commands and watches. observer: only watches. button: stops and watches, and moves "
-            "nothing. robot: a further robot of this CA. console: a web console.",
-        ),
+        typer.Option(help="An operator commands and watches, an observer watches, a button stops and watches."),
     ],
     directory: Directory = DEFAULT_FOLDER,
     host: Hosts = [],  # noqa: B006 (read only)
-    bundle: Annotated[
-        Path | None, typer.Option(metavar="ZIP", help="Also put all its files into this zip, with its private key.")
-    ] = None,
+    bundle: Annotated[Path | None, typer.Option(metavar="ZIP", help="Also put all into this zip, the key too.")] = None,
     days: Days = certs.LEAF_DAYS,
 ) -> None:
     """Make the files of a laptop, of a further robot, or of a web console. Nothing changes on any robot.
@@ -102,9 +89,7 @@ def issue(
 
 @app.command(epilog="Example: hexapod-gateway certs renew gateway --dir ~/hexapod-certs")
 def renew(
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help='A laptop, a console, a robot; "gateway" is the first robot.')
-    ],
+    name: Annotated[str, typer.Argument(metavar="NAME", help='A laptop, console or robot; "gateway" is the first.')],
     directory: Directory = DEFAULT_FOLDER,
     host: Hosts = [],  # noqa: B006 (read only)
     days: Days = certs.LEAF_DAYS,
@@ -136,28 +121,15 @@ def show(directory: Directory = DEFAULT_FOLDER, as_json: JsonOption = False) -> 
 @app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
 def revoke(
     directory: Directory = DEFAULT_FOLDER,
-    name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="The laptop, or a common name such as operator-07.")
-    ] = None,
-    to: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="ROBOT", help="Send only to this robot: a name, host or endpoint; may be repeated. Default: all."
-        ),
-    ] = None,
-    zenoh_config: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", help="The connection to use. Default: an operator's, from the folder."),
-    ] = None,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="The laptop, or its common name.")] = None,
+    to: Annotated[list[str] | None, typer.Option(metavar="ROBOT", help="Only to this name, host or endpoint.")] = None,
+    zenoh_config: Annotated[Path | None, typer.Option(metavar="PATH", help="Instead of another operator's.")] = None,
 ) -> None:
     """Shut out a laptop that is lost, stolen or no longer used.
 
     It signs a list (revoked.crl, an X.509 CRL) and sends the list to each robot. The robot stops all legs, restarts
     its service within three seconds, and no longer admits the laptop. The laptop's files are deleted here. To undo
-    it, issue the name again.
-
-    If a robot is off, repeat the command later without the name. Or copy revoked.crl to /etc/hexapod-gateway/zenoh
-    there, and restart the service.
+    it, issue the name again. If a robot is off, repeat the command later without the name.
     """
     config, robots = zenoh_config or _operators_file(directory, but=name), _endpoints(directory, to)
     known = certs.folder.revoked(directory) if name is None else certs.folder.revoke(directory, name)
@@ -167,16 +139,11 @@ def revoke(
     file, missing = certs.revocation.REVOCATION_FILE, []
     say(f"{directory / file}: list {known.number} shuts out {', '.join(sorted(known.common_names))}.")
     for robot, endpoints in robots.items():
-        faults = list[str]()
-        for endpoint in endpoints:
-            try:
-                say(f"{robot}: list {_send(directory, endpoint, config)} is in force.")
-                break
-            except GatewayError as error:
-                faults.append(str(error).splitlines()[0])
-        else:
+        try:
+            say(f"{robot}: list {_send(directory, endpoints, config)} is in force.")
+        except GatewayError as error:
             missing.append(robot)
-            hint(f"{robot}: {'; '.join(faults)}")
+            hint(f"{robot}: {str(error).splitlines()[0]}")
     if missing:
         hint(f"Not confirmed by {', '.join(missing)}. Later: {this_command()} certs revoke --dir {directory}")
         hint(f"or copy {file} to /etc/hexapod-gateway/zenoh/ there: sudo systemctl restart hexapod-gateway")
@@ -190,16 +157,23 @@ def _endpoints(directory: Path, to: list[str] | None) -> dict[str, list[str]]:
     return {each: certs.folder.endpoints_of(robots[each]) if each in robots else others[each] for each in to or robots}
 
 
-def _send(directory: Path, endpoint: str, config: Path) -> int:
-    """Return the number of the list that this robot now has in force. Raises GatewayError."""
+def _send(directory: Path, endpoints: list[str], config: Path) -> int:
+    """Return the number of the list that this robot now has in force, by the first endpoint that it answers on.
+
+    Raises GatewayError.
+    """
     from gateway.people.client.blocking import Client  # slow to load, which --help need not wait for
 
-    with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs revoke", timeout_s=_ANSWER_S) as client:
-        client.state()  # a robot that is starting is awaited
-        newest = certs.folder.newest(directory, client.revocation().revoked)
-        ack = client.revocation(newest.pem.decode())
-    if not ack.accepted:
-        raise RejectedError(str(ack.reason), ack.detail or "")
+    endpoint, *others = endpoints
+    try:
+        with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs", timeout_s=_ANSWER_S) as client:
+            client.state()  # a robot that is starting is awaited
+            newest = certs.folder.newest(directory, client.revocation().revoked)
+            client.revocation(newest.pem.decode()).or_raise()
+    except GatewayError:
+        if not others:
+            raise
+        return _send(directory, others, config)
     return newest.number
 
 

@@ -203,7 +203,7 @@ class ButtonAnswers(_ProvedAnswers):
             "register",
             now_ns,
             request.source,
-            None if holder is None else " ".join(holder),
+            None if holder is None else f"{holder.common_name} {holder.name}",
             not self._settings.names or not named.isdisjoint(self._settings.names),
             sent_ms=request.sent_ms,
             fresh_token=self._proofs.fresh(),

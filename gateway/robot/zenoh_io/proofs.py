@@ -15,7 +15,7 @@ from gateway.nonces import Nonces
 from schemas.lease import Proof
 
 if TYPE_CHECKING:
-    from gateway.certs.authority import Holder
+    from gateway.certs.authority import Certificate
     from gateway.certs.proof import ProofChecker
 
 CHECKS_PER_S: Final = 20
@@ -71,6 +71,6 @@ class Proofs:
         purpose = certs.proof.WATCHING if self._watching else certs.proof.DRIVING
         return self._checker.fault(proof, do, source, self._wall_clock(), purpose)
 
-    def holder(self, proof: Proof | None) -> "Holder | None":
-        """Return the holder of the certificate of an accepted proof, or None if no proof is needed."""
+    def holder(self, proof: Proof | None) -> "Certificate | None":
+        """Return what the certificate of an accepted proof states, or None if no proof is needed."""
         return None if self._checker is None or proof is None else certs.proof.holder(proof)
