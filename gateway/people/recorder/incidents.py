@@ -115,7 +115,7 @@ def _noted(records: Records, run: range) -> Iterator[Incident]:
     triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
     for index in reversed(begun):
         record = records[index]
-        if isinstance(record.content, rec.IncidentBegun) and is_id(record.content.incident):
+        if isinstance(record.content, rec.WallTime) and is_id(record.content.incident):
             name = record.content.incident
             later = slice(bisect(triggers, index), None)
             end_ns = _end(records, zip(triggers[later], follow[later], strict=True), record.ns, kind_of(name))
@@ -167,14 +167,10 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
 def _crash(records: Records, run: range, killed_ns: int) -> Incident | None:
     """The end of a gateway that did not record it; None if no record shows the time of day."""
     for index in reversed(run):
-        if records.kinds[index] not in _TELL_THE_TIME:
-            continue
-        match records[index]:
-            case rec.Record(
-                ns=ns,
-                content=rec.Start(wall_ns=wall_ns) | rec.Clock(wall_ns=wall_ns) | rec.IncidentBegun(wall_ns=wall_ns),
-            ):
-                offset_ns = wall_ns - ns
+        if records.kinds[index] in _TELL_THE_TIME:
+            record = records[index]
+            if isinstance(record.content, rec.Start | rec.WallTime):
+                offset_ns = record.content.wall_ns - record.ns
                 name = incident_id(killed_ns + offset_ns, CRASH)
                 begin_ns, end_ns = killed_ns - BEFORE_NS, killed_ns + FOLLOW_NS
                 return Incident(name, killed_ns, begin_ns, end_ns, offset_ns, killed_ns)

@@ -10,12 +10,14 @@ from pydantic import AwareDatetime, Field
 
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import ACCEPTED
+from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
 from gateway.people.recorder import records as rec
 from gateway.people.recorder.incidents import Incident
 from gateway.people.recorder.ring_reader import Records
 from schemas import keys
+from schemas.calibration import Calibration
 from schemas.telemetry import Event, FrameRecord, Report
 
 RECORDER: Final = f"{keys.ROOT}/recorder"
@@ -109,7 +111,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
             if last is not None and last < index:  # the gateway before it, whose end is an incident of its own
                 yield _killed(incident.wall_ns(before_ns))
             ended = False
-        ended = ended or isinstance(record.content, rec.End)
+        ended = ended or records.kinds[index] == form.END
         last, before_ns = None if ended else index, record.ns
         if not in_commands[index]:
             yield from _messages(record, records[decided_at[index]] if decided_at[index] else None, wall_ns)
@@ -183,38 +185,22 @@ def _messages(record: rec.Record, decided: rec.Record | None, wall_ns: int) -> I
                 transfer_us=transfer_ns / 1000,
                 late_us=late_ns / 1000 if late_ns else None,
             )
-        case rec.Calibrated(calibration):
-            topic, report = keys.CALIBRATION, calibration
-        case rec.BodyState(values):
-            topic, report = keys.TELEMETRY, report_of(values, time, 0.0)
+        case Calibration():
+            topic, report = keys.CALIBRATION, content
+        case Measured():
+            topic, report = keys.TELEMETRY, report_of(content, time, 0.0)
         case rec.EventPublished():
             topic, report = keys.EVENT, Event(time=time, **content._asdict())
-        case _ if (note := _note(content, time)) is not None:
-            report = note
+        case rec.Decision(0, detail, key, source):
+            report = Note(time=time, what="rejected", detail=detail, source=source, key=key)
+        case rec.Start(facts=facts):
+            detail = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
+            report = Note(time=time, what="start", detail=detail)
+        case rec.Noted():
+            report = Note(time=time, **content._asdict())
         case _:
             return
     yield RecordedMessage(topic, report.model_dump(mode="json"), wall_ns)
-
-
-def _note(content: rec.Content, time: datetime) -> Note | None:
-    """Return the note of what happened to the gateway itself."""
-    match content:
-        case rec.Decision(0, detail, key, source):
-            return Note(time=time, what="rejected", detail=detail, source=source, key=key)
-        case rec.LeftOut(count, source):
-            return Note(time=time, what="left_out", detail=f"{count} records", source=source)
-        case rec.Start(facts=facts):
-            what = "start"
-            detail = ", ".join(f"{name} {fact}" for name, fact in facts.items() if name not in form.STOP_FACTS)
-        case rec.End(detail):
-            what = "end"
-        case rec.ModeChange(detail):
-            what = "mode"
-        case rec.Lag(lag_ns):
-            what, detail = "lag", f"{lag_ns / 1e6:.1f} ms"
-        case _:
-            return None
-    return Note(time=time, what=what, detail=detail)
 
 
 def _time(wall_ns: int) -> datetime:

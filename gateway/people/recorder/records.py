@@ -1,9 +1,8 @@
 """The records of a black box as its readers get them. `gateway.model.black_box.format` has their bytes."""
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from gateway.model import elkapod
+from gateway.model.elkapod import Measured
 from gateway.model.frames import ServoOp
 from schemas.calibration import Calibration
 
@@ -13,12 +12,6 @@ class Start(NamedTuple):
 
     wall_ns: int
     facts: dict[str, Any]
-
-
-class End(NamedTuple):
-    """A gateway ends, after its last Stops."""
-
-    why: str
 
 
 class CommandRecord(NamedTuple):
@@ -54,12 +47,6 @@ class FrameWritten(NamedTuple):
     number: int = 0
 
 
-class ModeChange(NamedTuple):
-    """The gateway's mode from now on."""
-
-    mode: str
-
-
 class EventPublished(NamedTuple):
     """A published event."""
 
@@ -71,29 +58,20 @@ class EventPublished(NamedTuple):
     left_out: int
 
 
-class Lag(NamedTuple):
-    """The loop's timer ran late."""
+class Noted(NamedTuple):
+    """What happened to the gateway itself; `what` is end, mode, lag or left_out, as in a Note."""
 
-    lag_ns: int
-
-
-class Clock(NamedTuple):
-    """Wall-clock time at this moment, recorded once a second."""
-
-    wall_ns: int
+    what: str
+    detail: str
+    source: str | None = None
 
 
-class IncidentBegun(NamedTuple):
-    """An incident begins. `wall_ns`: wall-clock time at this moment."""
+class WallTime(NamedTuple):
+    """Wall-clock time at this moment: once a second, and at the beginning of an incident."""
 
     wall_ns: int
-    incident: str
-
-
-class Calibrated(NamedTuple):
-    """The calibration in force from now on. Before a change, the previous one is recorded, too."""
-
-    calibration: Calibration
+    incident: str = ""
+    """Its id, or ""."""
 
 
 class About(NamedTuple):
@@ -102,36 +80,10 @@ class About(NamedTuple):
     facts: dict[str, Any]
 
 
-class BodyState(NamedTuple):
-    """The robot's measurements, recorded ten times a second at most."""
-
-    values: elkapod.Measured
-
-
-@dataclass(frozen=True, slots=True)
-class LeftOut:
-    """`count` records of a source were left out since the last such record, beyond the source's share."""
-
-    count: int
-    source: str | None
-
-
 Content = (
-    Start
-    | End
-    | CommandRecord
-    | Decision
-    | FrameWritten
-    | ModeChange
-    | EventPublished
-    | Lag
-    | Clock
-    | IncidentBegun
-    | Calibrated
-    | About
-    | BodyState
-    | LeftOut
+    Start | CommandRecord | Decision | FrameWritten | EventPublished | Noted | WallTime | About | Calibration | Measured
 )
+"""A Calibration is in force from then on; before a change, the previous one is recorded, too."""
 
 
 class Record(NamedTuple):

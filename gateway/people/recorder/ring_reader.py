@@ -120,7 +120,7 @@ class Records:
         """The newest changes, and what headers state, oldest first, and since when each is in force."""
         places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
         changes = [self[index] for index in places]
-        found = [(each.ns, each.content.calibration) for each in changes if isinstance(each.content, rec.Calibrated)]
+        found = [(each.ns, each.content) for each in changes if isinstance(each.content, Calibration)]
         return sorted([*self._in_headers, *found], key=lambda each: each[0])
 
 
@@ -213,7 +213,7 @@ class _Slots:
             ((_, _, content),) = decode(form.CALIBRATION, 0, 0, header.calibration(self._data[: form.HEADER_BYTES]))
         except form.DamagedRingError:
             return None
-        return content.calibration if isinstance(content, rec.Calibrated) else None
+        return content if isinstance(content, Calibration) else None
 
     def decoded(self, number: int) -> tuple[int, list[rec.Record]]:
         """Return a record's type and what it states, with what continues it (itself MORE, which states nothing).
@@ -284,9 +284,9 @@ def _decision(rest: bytes) -> rec.Decision:
     return rec.Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
 
 
-def _left_out(rest: bytes) -> rec.LeftOut:
+def _left_out(rest: bytes) -> rec.Noted:
     (source,) = _read_texts(rest, form.DECISION_HEAD.size, 1)
-    return rec.LeftOut(form.DECISION_HEAD.unpack_from(rest)[0], source or None)
+    return rec.Noted("left_out", f"{form.DECISION_HEAD.unpack_from(rest)[0]} records", source or None)
 
 
 def _frame(rest: bytes) -> rec.FrameWritten:
@@ -315,10 +315,10 @@ def _event(rest: bytes) -> rec.EventPublished:
     )
 
 
-def _calibrated(rest: bytes) -> rec.Calibrated:
+def _calibration(rest: bytes) -> Calibration:
     report = Calibration.model_validate_json(rest)
     calibration_of(report)  # one that no gateway publishes would be drawn wrongly
-    return rec.Calibrated(report)
+    return report
 
 
 def _about(rest: bytes) -> rec.About:
@@ -350,17 +350,17 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
 
 _READERS: Final[dict[int, Callable[[bytes], rec.Content]]] = {
     form.START: _start,
-    form.END: lambda rest: rec.End(rest.decode()),
+    form.END: lambda rest: rec.Noted("end", rest.decode()),
     form.COMMAND: _command,
     form.DECISION: _decision,
     form.FRAME: _frame,
-    form.MODE: lambda rest: rec.ModeChange(rest.decode()),
+    form.MODE: lambda rest: rec.Noted("mode", rest.decode()),
     form.EVENT: _event,
-    form.CLOCK: lambda rest: rec.Clock(_wall_ns(rest)),
-    form.LAG: lambda rest: rec.Lag(form.WALL.unpack(rest)[0]),
-    form.CALIBRATION: _calibrated,
+    form.CLOCK: lambda rest: rec.WallTime(_wall_ns(rest)),
+    form.LAG: lambda rest: rec.Noted("lag", f"{form.WALL.unpack(rest)[0] / 1e6:.1f} ms"),
+    form.CALIBRATION: _calibration,
     form.ABOUT: _about,
-    form.MEASURED: lambda rest: rec.BodyState(measured(rest)),
+    form.MEASURED: measured,
     form.LEFT_OUT: _left_out,
-    form.INCIDENT: lambda rest: rec.IncidentBegun(_wall_ns(rest), rest[form.WALL.size :].decode()),
+    form.INCIDENT: lambda rest: rec.WallTime(_wall_ns(rest), rest[form.WALL.size :].decode()),
 }

@@ -103,7 +103,7 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
     robot.put(LEG_3, leg("stop") if only_stops else leg("start", 9, 9, 9))
     assert {len(found) for found in there} == {before}
     after = {type(found) for found in contents(folder)[before:]}
-    assert after - {rec.ModeChange} == {rec.CommandRecord, rec.FrameWritten}
+    assert after - {rec.Noted} == {rec.CommandRecord, rec.FrameWritten}
 
 
 @pytest.mark.parametrize("framing", Framing)
@@ -115,9 +115,9 @@ async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
     records = list(ring_reader.read(folder / RING_FILE).records)[len(before) :]
-    kinds = [type(record.content) for record in records if not isinstance(record.content, rec.Clock)]
+    kinds = [type(record.content) for record in records if not isinstance(record.content, rec.WallTime)]
     assert kinds == [rec.CommandRecord, rec.FrameWritten] * 3
-    assert len({record.sequence for record in records if not isinstance(record.content, rec.Clock)}) == 3
+    assert len({record.sequence for record in records if not isinstance(record.content, rec.WallTime)}) == 3
     for command, frame in zip(records[::2], records[1::2], strict=True):
         assert isinstance(command.content, rec.CommandRecord)
         assert isinstance(frame.content, rec.FrameWritten)
@@ -134,7 +134,7 @@ async def test_what_does_not_fit_into_one_record_has_two(folder: Path) -> None:
     robot.put(LEG_3, long)
     robot.put(keys.servo_command(41), {"op": "start", "angle_deg": 12.34}, received_ns=0)
     robot.put(keys.leg_command(5), START, received_ns=robot.now_ns() - 5_000_000_000)
-    found = [each for each in contents(folder)[before:] if not isinstance(each, rec.ModeChange)]
+    found = [each for each in contents(folder)[before:] if not isinstance(each, rec.Noted)]
     assert [type(each) for each in found] == [rec.CommandRecord, rec.FrameWritten] * 3
     assert found[0].source == "ä" * 64
     assert [frame.number for frame in found[1::2]] == [1, 2, 3]

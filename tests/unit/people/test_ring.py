@@ -4,6 +4,7 @@ import asyncio
 import os
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
 WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple[Any, ...]]] = [
     (form.START, start, rec.Start, (5, {"version": "1"})),
-    (form.END, form.text, rec.End, ("done",)),
+    (form.END, form.text, partial(rec.Noted, "end"), ("done",)),
     (
         form.COMMAND,
         form.command,
@@ -55,12 +56,12 @@ WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple
     (form.COMMAND, form.command, rec.CommandRecord, (8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS)),
     (form.DECISION, form.decision, rec.Decision, (7, "stale", "k", None)),
     (form.FRAME, form.frame, rec.FrameWritten, (FRAME, "watchdog", 45_000)),
-    (form.MODE, form.text, rec.ModeChange, ("active",)),
+    (form.MODE, form.text, partial(rec.Noted, "mode"), ("active",)),
     (form.EVENT, form.event, rec.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
-    (form.LAG, form.number, rec.Lag, (20_000_000,)),
-    (form.LEFT_OUT, form.left_out, rec.LeftOut, (1234, "anna")),
-    (form.LEFT_OUT, form.left_out, lambda _, source: rec.LeftOut(2**32 - 1, source), (2**40, None)),
-    (form.INCIDENT, form.at_wall_time, rec.IncidentBegun, (9, "20260101-000000-000-estop")),
+    (form.LAG, form.number, lambda _: rec.Noted("lag", "20.0 ms"), (20_000_000,)),
+    (form.LEFT_OUT, form.left_out, lambda _, source: rec.Noted("left_out", "1234 records", source), (1234, "anna")),
+    (form.LEFT_OUT, form.left_out, lambda *_: rec.Noted("left_out", f"{2**32 - 1} records"), (2**40, None)),
+    (form.INCIDENT, form.at_wall_time, rec.WallTime, (9, "20260101-000000-000-estop")),
 ]
 """A record's kind, how it is written, what is read of it, and its values."""
 
@@ -89,9 +90,7 @@ def filled(path: Path, records: int, slots: int = 50) -> None:
 
 def modes(path: Path) -> list[int]:
     return [
-        int(record.content.mode)
-        for record in ring_reader.read(path).records
-        if isinstance(record.content, rec.ModeChange)
+        int(record.content.detail) for record in ring_reader.read(path).records if isinstance(record.content, rec.Noted)
     ]
 
 

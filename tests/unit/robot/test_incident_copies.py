@@ -238,7 +238,7 @@ async def test_what_precedes_an_incident_is_still_there_after_a_flood(folder: Pa
             await asyncio.sleep(1)
     commands = [each for each in contents(folder, rec.CommandRecord) if each.source == "anna"]
     assert len(commands) == 11, "what precedes the incident"
-    assert contents(folder, rec.IncidentBegun)
+    assert any(each.incident for each in contents(folder, rec.WallTime))
     assert len([each for each in contents(folder, rec.FrameWritten) if each.cause == Cause.ESTOP]) >= 6
-    left_out = sum(each.count for each in contents(folder, rec.LeftOut))
+    left_out = sum(int(each.detail.split()[0]) for each in contents(folder, rec.Noted) if each.what == "left_out")
     assert left_out > 1000, "and the ring says how much it lacks"

@@ -13,7 +13,6 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from gateway.model.elkapod import Measured
-from gateway.people.recorder import records as rec
 from gateway.robot.runtime.prometheus import Numbers, powered
 from gateway.robot.spi.bus import Bus
 from schemas import keys
@@ -143,7 +142,7 @@ async def test_the_page_of_a_robot_with_a_power_board_is_the_list_in_the_docs() 
 
 
 def measured_in(folder: Path) -> list[Measured]:
-    return [content.values for content in contents(folder, rec.BodyState)]
+    return contents(folder, Measured)
 
 
 async def test_the_black_box_has_what_was_measured_ten_times_a_second_at_most(folder: Path) -> None:
