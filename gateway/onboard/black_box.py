@@ -87,15 +87,14 @@ def _folder(settings: Settings) -> Path:
 def _find(folder: Path) -> list[_Found]:
     """Return all incidents, oldest first: ids need not be in order after a change of the clock."""
     try:
-        content = ring_reader.read(folder / RING_FILE)
+        records = ring_reader.read(folder / RING_FILE)
     except ring_reader.NoRingError as error:
         if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
             raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
         if not isinstance(error.__cause__, FileNotFoundError):
             hint(f"hexapod-gateway: {error}")
         return []
-    found = find(content.records, written=content.written)
-    return [_Found(each, content.records) for each in found]
+    return [_Found(each, records) for each in find(records)]
 
 
 def _one(settings: Settings, name: str) -> _Found:

@@ -112,8 +112,8 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     assert not content.written
     assert content.damaged <= 1, "only the record that was being written"
     assert content.missing == 0
-    starts = [index for index, record in enumerate(content.records) if isinstance(record.content, rec.Start)]
-    records = list(content.records)[starts[-1] :]
+    starts = [index for index, record in enumerate(content) if isinstance(record.content, rec.Start)]
+    records = list(content)[starts[-1] :]
     frames = [record.content for record in records if isinstance(record.content, rec.FrameWritten)]
     delivered = [each for each in transfers if each.delivered and len(each.data) in (6, 14)]
     assert [frame.data for frame in frames] == [each.data for each in delivered[: len(frames)]]

@@ -16,7 +16,7 @@ def parse(data: bytes) -> tuple[ring_reader.Records, int, int]:
         path = Path(folder, "ring")
         path.write_bytes(data)
         found = ring_reader.read(path)
-    return found.records, found.damaged, found.missing
+    return found, found.damaged, found.missing
 
 
 def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes) -> None:

@@ -75,8 +75,8 @@ def kind_of(name: str) -> str:
     return name.split("-", 3)[-1]
 
 
-def find(records: Records, *, written: bool) -> list[Incident]:
-    """Return the newest incidents of a ring (at most MOST), oldest first. `written`: a gateway writes to it now."""
+def find(records: Records) -> list[Incident]:
+    """Return the newest incidents of a ring (at most MOST), oldest first."""
     if not len(records):
         return []
     starts = (index for index, kind in enumerate(records.kinds) if kind == form.START and index)
@@ -84,18 +84,19 @@ def find(records: Records, *, written: bool) -> list[Incident]:
     found: list[Incident] = []  # newest first
     for number in reversed(range(len(bounds) - 1)):
         run = range(bounds[number], bounds[number + 1])
-        found += _of_one_run(records, run, alive=written and run.stop == len(records))
+        found += _of_one_run(records, run)
         if len(found) >= MOST:
             break
     return found[:MOST][::-1]
 
 
-def _of_one_run(records: Records, run: range, *, alive: bool) -> Iterator[Incident]:
+def _of_one_run(records: Records, run: range) -> Iterator[Incident]:
     """Return the incidents of one gateway, newest first. `run`: the places of its records."""
     noted = _noted(records, run)
     latest = next(noted, None)
     last = run[-LAST_RECORDS:]
     end_known = run.stop not in records.gaps
+    alive = records.written and run.stop == len(records)
     if not alive and end_known and not any(records.kinds[index] == form.END for index in last):
         killed_ns = max(records.times_ns[index] for index in last)
         if latest is not None and latest.begin_ns <= killed_ns <= latest.end_ns:

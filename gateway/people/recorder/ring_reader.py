@@ -14,7 +14,6 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -55,6 +54,12 @@ class Records:
         """The places before which the ring has overwritten records that no copy has."""
         self.newest = 0
         """Sequence number of the newest record taken."""
+        self.damaged = 0
+        """Slots of the ring with an incomplete record, or with a record of another slot."""
+        self.missing = 0
+        """Sequence numbers that no slot of the ring has, between the oldest and the newest."""
+        self.written = False
+        """Whether a gateway writes to the ring now."""
         self._files: list[_Slots] = []
         self._places = array("B")  # in `_files`
         self._numbers = array("Q")
@@ -124,35 +129,23 @@ class Records:
         return sorted([*self._in_headers, *found], key=lambda each: each[0])
 
 
-@dataclass(frozen=True, slots=True)
-class Content:
-    """The content of a ring, oldest first."""
-
-    records: Records
-    damaged: int
-    """Slots with an incomplete record, or with a record of another slot."""
-    missing: int
-    """Sequence numbers that no slot has, between the oldest and the newest."""
-    written: bool
-    """Whether a gateway writes to it now."""
-
-
-def read(path: Path) -> Content:
+def read(path: Path) -> Records:
     """Return all whole records of a ring and its copies. Raises NoRingError if `path` is no readable ring."""
-    data, written = _read_file(path, path)
+    found = Records()
+    data, found.written = _read_file(path, path)
     try:
         ring = _Slots(data)
     except form.DamagedRingError as error:
         raise NoRingError(f"{path}: {error}") from error
-    found = Records()
     with suppress(OSError):
         for file in copies_of(path.resolve()):  # oldest first; of each its records that are older than all of the ring
             with suppress(NoRingError, form.DamagedRingError):  # cut off, or another user's
                 copy = _Slots(_read_file(file, path)[0])
                 found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
     numbers = tuple(ring.numbers(ring.oldest, ring.newest + 1))
-    damaged = ring.damaged + found.take(ring, numbers)
-    return Content(found, damaged, ring.newest - ring.oldest + 1 - len(numbers), written)
+    found.damaged = ring.damaged + found.take(ring, numbers)
+    found.missing = ring.newest - ring.oldest + 1 - len(numbers)
+    return found
 
 
 def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:

@@ -89,9 +89,7 @@ def filled(path: Path, records: int, slots: int = 50) -> None:
 
 
 def modes(path: Path) -> list[int]:
-    return [
-        int(record.content.detail) for record in ring_reader.read(path).records if isinstance(record.content, rec.Noted)
-    ]
+    return [int(record.content.detail) for record in ring_reader.read(path) if isinstance(record.content, rec.Noted)]
 
 
 def test_everything_is_read_as_it_was_written(path: Path) -> None:
@@ -101,8 +99,8 @@ def test_everything_is_read_as_it_was_written(path: Path) -> None:
     ring.append(99, 0, b"of a later version")
     ring.close()
     content = ring_reader.read(path)
-    assert [record.content for record in content.records] == [made(*values) for _, _, made, values in WRITTEN]
-    assert [record.ns for record in content.records] == list(range(len(WRITTEN)))
+    assert [record.content for record in content] == [made(*values) for _, _, made, values in WRITTEN]
+    assert [record.ns for record in content] == list(range(len(WRITTEN)))
     assert content.damaged == 0
 
 
@@ -119,7 +117,7 @@ def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
         ring.append(form.EVENT, 0, form.event("kind", text, text, text, text * 100, 0))
     ring.close()
     content = ring_reader.read(path)
-    assert (len(content.records), content.damaged) == (8, 0)
+    assert (len(content), content.damaged) == (8, 0)
 
 
 def test_every_byte_counts(path: Path) -> None:
@@ -223,7 +221,8 @@ def test_a_ring_of_nothing_but_incidents_is_no_endless_work(
         return decode(kind, number, ns, rest)
 
     monkeypatch.setattr(ring_reader, "decode", counted)
-    found = find(records, written=True)
+    records.written = True
+    found = find(records)
     assert len(found) == MOST
     assert found[-1].zero_ns >= 4_999 * 1_000_000, "the newest"
     assert [each.zero_ns for each in found] == sorted(each.zero_ns for each in found)
@@ -248,9 +247,9 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(path: Path, sequence: in
     offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
     put(image, offset, form.MODE, sequence, 2, form.text("idle"))
     path.write_bytes(image)
-    assert [record.sequence for record in ring_reader.read(path).records] == [1]
+    assert [record.sequence for record in ring_reader.read(path)] == [1]
     filled(path, 1, 15)
-    assert [record.sequence for record in ring_reader.read(path).records] == [1, 2]
+    assert [record.sequence for record in ring_reader.read(path)] == [1, 2]
 
 
 # ---- values out of range
@@ -302,21 +301,21 @@ START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
 
 
-def incidents(folder: Path) -> tuple[list[Incident], ring_reader.Content]:
+def incidents(folder: Path) -> tuple[list[Incident], ring_reader.Records]:
     content = ring_reader.read(folder / RING_FILE)
-    return find(content.records, written=content.written), content
+    return find(content), content
 
 
-def exported(folder: Path, incident: Incident, content: ring_reader.Content) -> Path:
+def exported(folder: Path, incident: Incident, content: ring_reader.Records) -> Path:
     path = folder / f"{incident.name}.mcap"
-    export.write(path, incident, content.records)
+    export.write(path, incident, content)
     return path
 
 
 def told(folder: Path) -> list[str]:
     """The story of the only incident."""
     ((incident,), content) = incidents(folder)
-    return story(list(messages(incident, content.records)))
+    return story(list(messages(incident, content)))
 
 
 async def silence(robot: Robot) -> None:
@@ -385,7 +384,7 @@ async def test_the_headline_names_the_worst_and_who_and_which_legs(folder: Path)
     silent = "a leg was silent, and was stopped: leg 3"
     worst = f"somebody requested an emergency stop (bert); also: {silent}"
     assert f": {worst}, at " in told(folder)[0]
-    assert headline(messages(incident, content.records)) == worst
+    assert headline(messages(incident, content)) == worst
     robot.conductor.recorder.close()
     assert f": the gateway ended without a word; also: {silent}; also: somebody" in told(folder)[0]
 
@@ -436,14 +435,14 @@ async def test_a_gateway_that_was_killed_is_an_incident_and_one_that_ended_is_no
     robot.conductor.recorder.close()
     ((crash,), content) = incidents(folder)
     assert crash.name == "20260921-141320-123-crash"
-    lines = story(list(messages(crash, content.records)))
+    lines = story(list(messages(crash, content)))
     assert lines[-1].strip() == "0.000 s  the gateway's last record; its process ended without a word"
     after = recorded(folder)
     assert [each.name for each in incidents(folder)[0]] == [crash.name], "the next gateway continues the ring"
     after.put(keys.ESTOP, {"source": "bert"})
     await asyncio.sleep(0.1)
     (_, later), content = incidents(folder)
-    lines = [line.split("  ")[1] for line in story(list(messages(later, content.records)))[2:]]
+    lines = [line.split("  ")[1] for line in story(list(messages(later, content)))[2:]]
     ends = [line for line in lines if line.startswith(("a gateway starts", "the gateway"))]
     assert [line.split(" (")[0] for line in ends] == [
         "a gateway starts",
@@ -476,7 +475,7 @@ async def test_an_incident_is_a_file_that_mcaps_own_reader_reads_and_its_schemas
     assert {keys.FRAME, keys.EVENT, LEG_3, "hexapod/recorder", "/joint_states", "/tf"} <= seen.keys()
     frames = [message.content["bytes"] for message in read(path) if message.topic == keys.FRAME]
     assert frames == [data.hex() for _, data in robot.controller.transfers]
-    assert story(list(read(path))) == story(list(messages(incident, content.records)))
+    assert story(list(read(path))) == story(list(messages(incident, content)))
     assert_ordered(path)
 
 
@@ -517,7 +516,7 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
     assert seen[keys.TELEMETRY] == 4
     assert_ordered(path)
     told = story(list(read(path)))
-    assert told == story(list(messages(incident, content.records)))
+    assert told == story(list(messages(incident, content)))
     assert ": the body tilted too far, and all legs were stopped, at " in told[0]
     assert [line.strip() for line in told if ", battery " in line] == [
         "−1.200 s  battery lowest: tilt 0.0°, battery 6.50 V (80 %), 31.5 °C, feet 1 2 3 4 5 6",
@@ -560,7 +559,9 @@ def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> 
         behind = [(form.START, start(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
         stop = form.event("estop_engaged", "anna", None, None, "a sentence", 0)
         behind += [(form.EVENT, stop, round(at_s * SECOND)) for at_s in (20.0, *later_s)]
-        (incident,) = find(parse(image(*behind))[0], written=True)
+        records, _, _ = parse(image(*behind))
+        records.written = True
+        (incident,) = find(records)
         return incident
 
     assert (found().begin_ns, found().end_ns) == (10 * SECOND, 25 * SECOND)

@@ -124,7 +124,7 @@ def filled(ring: Path, last: int, first: int = 1) -> None:
 
 
 def sequences(file: Path) -> list[int]:
-    return [record.sequence for record in ring_reader.read(file).records]
+    return [record.sequence for record in ring_reader.read(file)]
 
 
 @pytest.mark.parametrize("newest", [1, 5, 19, 20, 21, 159, 160, 161, 170, 1003])
