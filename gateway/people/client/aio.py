@@ -182,9 +182,6 @@ class AsyncWalk(Twin[Walk]):
     _handlers: Final[dict[int, Any]] = {}
     """The handlers of the signals before the first of these opened."""
     _signals = 0
-    _cancelled_by = 0
-    """The signal for which this class has cancelled the task, or 0."""
-    _task: Any
 
     async def open(self) -> Self:
         """See `Walk.open`."""
@@ -192,7 +189,6 @@ class AsyncWalk(Twin[Walk]):
 
     async def __aenter__(self) -> Self:
         await self.open()
-        self._task = asyncio.current_task()
         if threading.current_thread() is threading.main_thread():
             self._open.append(self)
             for number in (signal.SIGINT, signal.SIGTERM) if len(self._open) == 1 else ():
@@ -205,8 +201,6 @@ class AsyncWalk(Twin[Walk]):
     async def __aexit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         if self._signals == 1 and isinstance(error, asyncio.CancelledError):
             error = KeyboardInterrupt()  # at which a walk sits
-        elif self._signals > 1 and isinstance(error, KeyboardInterrupt):
-            error = asyncio.CancelledError()  # the second signal came before this
         try:
             await super().__aexit__(kind, error, trace)
         except (asyncio.CancelledError, KeyboardInterrupt):  # another signal or cancellation
@@ -218,26 +212,18 @@ class AsyncWalk(Twin[Walk]):
             for number, before in self._handlers.items() if not self._open else ():
                 if signal.getsignal(number) == self._received:
                     signal.signal(number, before)
-            if self._cancelled_by:
-                raise KeyboardInterrupt if self._cancelled_by == signal.SIGINT else Terminated
 
     @classmethod
     def _received(cls, number: int, frame: FrameType | None) -> None:
-        """Count a signal, and leave it to its handler: `asyncio.run` cancels its main task at the first Ctrl-C.
-
-        Without such a handler cancel the tasks that opened the walks, twice. The third signal ends the program.
-        """
-        before = cls._handlers[number]
+        """Count a signal, and leave it to its handler: `asyncio.run` cancels its main task at the first Ctrl-C."""
         for walk in cls._open:
             walk._signals += 1
-        if before not in (signal.SIG_DFL, signal.default_int_handler):
-            before(number, frame)
-            return
-        for walk in cls._open:
-            walk._cancelled_by = number
-            walk._task.get_loop().call_soon_threadsafe(walk._task.cancel)
-        if any(walk._signals > 1 for walk in cls._open):
-            signal.signal(number, before)
+            if walk._signals > 1:
+                walk._own.end_now()
+        before = cls._handlers[number]
+        if not callable(before):
+            raise Terminated
+        before(number, frame)
 
     async def ahead(self, metres: float) -> None:
         """See `Walk.ahead`. When cancelled, the robot stands within `hold_s` and a stride."""
