@@ -209,31 +209,20 @@ def stop_servos(config: ConfigOption = None) -> None:
         raise typer.Exit(stop.NOT_CONFIRMED)
 
 
-@app.command()
-@reaches
-def stop(reach: Reach) -> None:
-    """Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that."""
-    from gateway.people.commands import send
+def _one_word(name: str, text: str) -> None:
+    """Add a command that sends one request without options of its own."""
 
-    sys.exit(send.stop(send.connection(reach, "stop")))
+    @app.command(name, help=text)
+    @reaches
+    def command(reach: Reach) -> None:
+        from gateway.people.commands import send
 
-
-@app.command()
-@reaches
-def estop(reach: Reach) -> None:
-    """Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`."""
-    from gateway.people.commands import send
-
-    sys.exit(send.estop(send.connection(reach, "estop")))
+        sys.exit(getattr(send, name)(send.connection(reach, name)))
 
 
-@app.command()
-@reaches
-def reset(reach: Reach) -> None:
-    """End the emergency stop. No servo moves until somebody starts it again."""
-    from gateway.people.commands import send
-
-    sys.exit(send.reset(send.connection(reach, "reset")))
+_one_word("stop", "Stop all six legs. They can be started again at once; after `estop` only a `reset` allows that.")
+_one_word("estop", "Engage the emergency stop: all six legs stop at once, and stay stopped until `reset`.")
+_one_word("reset", "End the emergency stop. No servo moves until somebody starts it again.")
 
 
 @app.command()
