@@ -13,14 +13,13 @@ from gateway import geometry
 from gateway.errors import ConfigError, GatewayError
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
-from gateway.people.commands.reach import check_at_rest
 from gateway.people.terminal import ask, hint
 from gateway.people.walking.planning import lying_deg
 from gateway.people.walking.robot import Robot, ranges
 from gateway.text import visible
 from schemas import keys
 from schemas.robot import JOINTS, LEGS, MAX_DEG
-from schemas.telemetry import GatewayState
+from schemas.telemetry import GatewayState, Mode
 
 STEP_DEG: Final = 5.0
 """How far one servo moves: enough to be seen, too little to do harm."""
@@ -75,13 +74,17 @@ def lying(client: Client, state: GatewayState) -> dict[int, float]:
 def ready(client: Client) -> GatewayState:
     """Return the state of a robot that may be moved. Raises ConfigError if it may not, ZenohError without an answer."""
     state = client.state()
-    check_at_rest(state)
+    remedies = {
+        str(Mode.ACTIVE): f"a servo runs; stop it first ({command('stop')})",
+        str(Mode.ESTOPPED): f"leave the emergency stop first ({command('reset')})",
+    }
+    if state.mode != Mode.IDLE:
+        remedy = remedies.get(str(state.mode), "wait until it is idle")
+        raise ConfigError(f"the gateway is {state.mode}, and nothing is moved: {remedy}")
     holder = state.lease.holder
     if holder is not None:
-        raise ConfigError(
-            f"{visible(holder)} drives, and nothing is moved: wait until the lease is released "
-            f"({command('status --follow')})"
-        )
+        wait = f"wait until the lease is released ({command('status --follow')})"
+        raise ConfigError(f"{visible(holder)} drives, and nothing is moved: {wait}")
     return state
 
 

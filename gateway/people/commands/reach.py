@@ -1,4 +1,4 @@
-"""How commands reach the gateway: the failing step if nobody answers, whether the robot is at rest, and the lease.
+"""How commands reach the gateway: the failing step if nobody answers, and the lease.
 
 Without an answer a program's `Client` raises at once. A command then ends, so it has time to find the cause.
 """
@@ -7,31 +7,28 @@ import getpass
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
 from pathlib import Path
-from typing import Final
 
-from gateway.errors import ConfigError, LeaseError, UnansweredError, ZenohError
+from gateway.errors import LeaseError, UnansweredError, ZenohError
 from gateway.host import effective
 from gateway.host.directories import CONFIGURATION
 from gateway.own_command import command
 from gateway.people.client.blocking import Client
 from gateway.people.terminal import hint, say
-from schemas.telemetry import Ack, GatewayState, Mode, Reason
-
-_MAX_SOURCE: Final = 64
+from schemas.keys import MAX_SOURCE
+from schemas.telemetry import Ack, Reason
 
 Connection = Callable[[], AbstractContextManager[Client]]
 
 
 def me() -> str:
-    """Return `user@host`, 64 characters at most: the driver's name without a certificate."""
+    """Return `user@host`, MAX_SOURCE characters at most: the driver's name without a certificate."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError, ImportError):  # a container's user without a name; Windows
         user = "somebody"
     name = f"{user}@{socket.gethostname()}"
-    return name.encode(errors="replace").decode()[:_MAX_SOURCE]  # bytes that are no UTF-8 are no JSON either
+    return name.encode(errors="replace").decode()[:MAX_SOURCE]  # bytes that are no UTF-8 are no JSON either
 
 
 def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float, *, source: str) -> Connection:
@@ -39,29 +36,18 @@ def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float,
 
     If it or a question inside it fails, the ZenohError has a line for each endpoint, with the failing step.
     """
-    return partial(_connected, connect, zenoh_config, timeout_s, source)
 
+    @contextmanager
+    def connected() -> Iterator[Client]:
+        with Client(connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s) as client:
+            try:
+                yield client
+            except UnansweredError as error:
+                from gateway.people.commands import why  # an emergency stop must not wait for this import
 
-@contextmanager
-def _connected(connect: str | None, zenoh_config: Path | None, timeout_s: float, source: str) -> Iterator[Client]:
-    with Client(connect, zenoh_config=zenoh_config, source=source, timeout_s=timeout_s) as client:
-        try:
-            yield client
-        except UnansweredError as error:
-            from gateway.people.commands import why  # an emergency stop must not wait for this import
+                raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error
 
-            raise ZenohError("\n".join(why.unanswered(client, connect, zenoh_config))) from error
-
-
-def check_at_rest(state: GatewayState) -> None:
-    """Raise ConfigError, with what to do, unless the robot is at rest."""
-    remedies = {
-        str(Mode.ACTIVE): f"a servo runs; stop it first ({command('stop')})",
-        str(Mode.ESTOPPED): f"leave the emergency stop first ({command('reset')})",
-    }
-    if state.mode != Mode.IDLE:
-        remedy = remedies.get(str(state.mode), "wait until it is idle")
-        raise ConfigError(f"the gateway is {state.mode}, and nothing is moved: {remedy}")
+    return connected
 
 
 def show_differences(config: Path | None = None) -> None:
