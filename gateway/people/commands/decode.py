@@ -25,14 +25,30 @@ def decode(hex_bytes: Sequence[str], *, as_json: bool = False) -> int:
     except ValueError as error:
         say(json.dumps({"fault": str(error)}) if as_json else str(error))
         return 1
-    for frame in _frames(data):
+    for piece in _frames(data):
         try:
-            say(json.dumps(_as_json(frame)) if as_json else _explain(frame))
+            say(_explained(piece, as_json=as_json))
         except FrameError as error:
-            fault = {"bytes": frame.hex(), "fault": str(error)}
-            say(json.dumps(fault) if as_json else f"{frame.hex(' ') or 'nothing'}: not legal: {error}")
+            fault = {"bytes": piece.hex(), "fault": str(error)}
+            say(json.dumps(fault) if as_json else f"{piece.hex(' ') or 'nothing'}: not legal: {error}")
             return 1
     return 0
+
+
+def _explained(data: bytes, *, as_json: bool) -> str:
+    """Return what a frame means. Raises FrameError."""
+    frame = frames.decode(data)
+    servos: list[dict[str, Any]] = [
+        {"id": servo_id, "op": command.op.name.lower()}
+        | ({} if command.op is Op.STOP else {"angle_deg": command.angle_cdeg / 100})
+        for servo_id, command in frame.servos
+    ]
+    if as_json:
+        return json.dumps({"bytes": data.hex(), "leg": frame.leg, "servos": servos})
+    name = f"ONE LEG, leg {frame.leg}" if isinstance(frame, OneLeg) else "ONE SERVO"
+    angles = (f" {each['angle_deg']:.2f}°" if "angle_deg" in each else "" for each in servos)
+    ops = (f"servo {each['id']} {each['op']}{angle}" for each, angle in zip(servos, angles, strict=True))
+    return f"{data.hex(' ')}: {name}: {', '.join(ops)}"
 
 
 def _bytes(word: str) -> bytes:
@@ -58,24 +74,3 @@ def _frames(data: bytes) -> Iterator[bytes]:
         yield data[: data[0]]
         data = data[data[0] :]
     yield data
-
-
-def _as_json(data: bytes) -> dict[str, Any]:
-    frame = frames.decode(data)
-    servos = [
-        {"id": servo_id, "op": command.op.name.lower()}
-        | ({} if command.op is Op.STOP else {"angle_deg": command.angle_cdeg / 100})
-        for servo_id, command in frame.servos
-    ]
-    return {"bytes": data.hex(), "leg": frame.leg, "servos": servos}
-
-
-def _explain(data: bytes) -> str:
-    frame = frames.decode(data)
-    name = f"ONE LEG, leg {frame.leg}" if isinstance(frame, OneLeg) else "ONE SERVO"
-    ops = (
-        f"servo {servo_id} {command.op.name.lower()}"
-        + ("" if command.op is Op.STOP else f" {command.angle_cdeg // 100}.{command.angle_cdeg % 100:02}°")
-        for servo_id, command in frame.servos
-    )
-    return f"{data.hex(' ')}: {name}: {', '.join(ops)}"
