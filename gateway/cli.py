@@ -125,6 +125,11 @@ class _SimMayStandAlone(TyperCommand):
         return super().parse_args(ctx, [f"--sim={Sim.CONTROLLER}" if each == "--sim" else each for each in args])
 
 
+def _physics(metavar: str, text: str, default: str, least: float | None = None, most: float | None = None) -> Any:
+    """Return an option of `--sim=physics`."""
+    return typer.Option(metavar=metavar, min=least, max=most, help=f"Physics: {text}.", show_default=default)
+
+
 @app.command(cls=_SimMayStandAlone)
 def run(
     config: ConfigOption = None,
@@ -136,43 +141,16 @@ def run(
             help="Simulate the controller, without SPI. With =physics its servos move a body that can fall.",
         ),
     ] = None,
-    geometry: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Physics: another robot's shape (JSON). Default: the Elkapod's."),
-    ] = None,
-    mass_kg: Annotated[
-        float | None,
-        typer.Option(
-            metavar="KG", min=0.2, max=50, help="Physics: mass of the whole robot.", show_default="2.68: assumed"
-        ),
-    ] = None,
+    geometry: Annotated[Path | None, _physics("FILE", "another robot's shape (JSON)", "the Elkapod's")] = None,
+    mass_kg: Annotated[float | None, _physics("KG", "mass of the whole robot", "2.68: assumed", 0.2, 50)] = None,
     servo_torque_nm: Annotated[
-        float | None,
-        typer.Option(
-            metavar="NM",
-            min=0.1,
-            max=50,
-            help="Physics: highest torque of each servo.",
-            show_default="2.0: a servo of 20 kg·cm",
-        ),
+        float | None, _physics("NM", "highest torque of each servo", "2.0: a servo of 20 kg·cm", 0.1, 50)
     ] = None,
     friction: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MU",
-            min=0.01,
-            max=3,
-            help="Physics: friction of feet on the ground.",
-            show_default="0.8: rubber on wood",
-        ),
+        float | None, _physics("MU", "friction of feet on the ground", "0.8: rubber on wood", 0.01, 3)
     ] = None,
     terrain: Annotated[
-        str | None,
-        typer.Option(
-            metavar="GROUND",
-            help="Physics: flat, slope:DEGREES (ahead, up), rough:METRES or step:METRES.",
-            show_default="flat",
-        ),
+        str | None, _physics("GROUND", "flat, slope:DEGREES (ahead, up), rough:METRES or step:METRES", "flat")
     ] = None,
 ) -> None:
     """Run the service until SIGTERM or Ctrl-C.

@@ -38,7 +38,7 @@ from gateway.people.client.process_end import close_at_the_end, keep_signals
 from gateway.people.client.question import JSON, EstopAck, Hosts, Question
 from gateway.people.client.requests import Button, Identity, Requests
 from gateway.people.client.stream import Stream
-from gateway.people.client.subscriptions import NO_CONFIG, States, reads, reports
+from gateway.people.client.subscriptions import NO_CONFIG, States, reads
 from gateway.zenoh_config import client_config, get, one_line
 from schemas import keys
 from schemas.robot import LEGS
@@ -116,7 +116,9 @@ class Client(metaclass=_Brief):
         try:
             self.session = self._hosts.open()
         except UnreachedError as error:
-            raise UnreachedError((_why(config) if explain else "") or str(error)) from error
+            from gateway.people.client import diagnosis  # an emergency stop must not wait for this import
+
+            raise UnreachedError("\n".join(diagnosis.why(config) if explain else []) or str(error)) from error
         """Open until `close`: after a broken link Zenoh reconnects to any of the hosts, with all declarations."""
         self.states = States(self.session)
         """Joins states and the configuration. @private"""
@@ -402,24 +404,24 @@ class Client(metaclass=_Brief):
 
     def on_state(self, callback: Callable[[GatewayState], None]) -> "zenoh.Subscriber[None]":
         """Call `callback` (on a Zenoh thread) for each published state, until the returned subscriber is undeclared."""
-        take = reads(self.states.join, lambda found: None if self._closed else callback(found))
-        with self._open_session() as session:
-            return session.declare_subscriber(keys.STATE, take)
+        return self._subscribe(keys.STATE, self.states.join, callback)
 
     def on_event(self, callback: Callable[[Event], None]) -> "zenoh.Subscriber[None]":
         """As `on_state`, for each event."""
-        return self._subscribe(keys.EVENT, Event, callback)
+        return self._subscribe(keys.EVENT, Event.model_validate_json, callback)
 
     def on_frame(self, callback: Callable[[FrameRecord], None]) -> "zenoh.Subscriber[None]":
         """As `on_state`, for each written frame, if the gateway publishes them (its `telemetry.frames`)."""
-        return self._subscribe(keys.FRAME, FrameRecord, callback)
+        return self._subscribe(keys.FRAME, FrameRecord.model_validate_json, callback)
 
     def on_telemetry(self, callback: Callable[[Telemetry], None]) -> "zenoh.Subscriber[None]":
         """As `on_state`, for the robot's measurements."""
-        return self._subscribe(keys.TELEMETRY, Telemetry, callback)
+        return self._subscribe(keys.TELEMETRY, Telemetry.model_validate_json, callback)
 
-    def _subscribe(self, key: str, report: type[R], callback: Callable[[R], None]) -> "zenoh.Subscriber[None]":
-        take = reports(report, lambda found: None if self._closed else callback(found))
+    def _subscribe(
+        self, key: str, read: Callable[[bytes], R | None], callback: Callable[[R], None]
+    ) -> "zenoh.Subscriber[None]":
+        take = reads(read, lambda found: None if self._closed else callback(found))
         with self._open_session() as session:
             return session.declare_subscriber(key, take)
 
@@ -470,12 +472,6 @@ class Client(metaclass=_Brief):
         waited = f"within {timeout_s:g} s" if time.monotonic() >= end_s else "and the link may have been lost"
         others = f" (the program that replies on {key} is none)" if question.answerers else ""
         raise UnansweredError(f"no gateway answered {waited}{others}; is it running, and may you command it?")
-
-
-def _why(config: zenoh.Config) -> str:
-    from gateway.people.client import diagnosis  # an emergency stop must not wait for this import
-
-    return "\n".join(diagnosis.why(config))
 
 
 def several_answer(count: int, key: str) -> str:
