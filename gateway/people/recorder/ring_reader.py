@@ -35,7 +35,6 @@ from schemas.telemetry import Cause
 _MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
 MOST_CHANGES: Final = 100
 """The most calibration changes read from a ring. A person needs half a minute for one."""
-_KINDS_OF_PARTS: Final = (form.COMMAND, form.FRAME)
 _EMPTY: Final = bytes(form.SLOT)
 """A slot that was never written: most slots of a new file."""
 
@@ -63,7 +62,6 @@ class Records:
         self._files: list[_Slots] = []
         self._places = array("B")  # in `_files`
         self._numbers = array("Q")
-        self._parts = bytearray()
         self._in_headers: list[tuple[int, Calibration]] = []
 
     def take(self, file: "_Slots", numbers: Iterable[int]) -> int:
@@ -75,16 +73,15 @@ class Records:
                 self.gaps.add(len(self))
             self.newest = number
             try:
-                kind, found = file.decoded(number)
+                found = file.decoded(number)
             except form.DamagedRingError:
                 damaged += 1
                 continue
-            for part, record in enumerate(found):
+            for kind, record in found.items():
                 self._places.append(len(self._files) - 1)
                 self._numbers.append(number)
-                self._parts.append(part)
                 self.times_ns.append(record.ns)
-                self.kinds.append(_KINDS_OF_PARTS[part] if kind == form.CARRIED_OUT else kind)
+                self.kinds.append(kind)
         calibration = file.in_force
         if calibration is not None and self.kinds.find(form.CALIBRATION, begin) < 0:
             self._in_headers.append((self.times_ns[begin] if begin < len(self) else 0, calibration))
@@ -94,7 +91,7 @@ class Records:
         return len(self.times_ns)
 
     def __getitem__(self, index: int) -> rec.Record:
-        return self._files[self._places[index]].decoded(self._numbers[index])[1][self._parts[index]]
+        return self._files[self._places[index]].decoded(self._numbers[index])[self.kinds[index]]
 
     def __iter__(self) -> Iterator[rec.Record]:
         return map(self.__getitem__, range(len(self)))
@@ -203,26 +200,22 @@ class _Slots:
     def in_force(self) -> Calibration | None:
         """The calibration in the header; None: it has none, or an impossible one."""
         try:
-            ((_, _, content),) = decode(form.CALIBRATION, 0, 0, header.calibration(self._data[: form.HEADER_BYTES]))
-        except form.DamagedRingError:
+            return _calibration(header.calibration(self._data[: form.HEADER_BYTES]))
+        except ValueError:
             return None
-        return content if isinstance(content, Calibration) else None
 
-    def decoded(self, number: int) -> tuple[int, list[rec.Record]]:
-        """Return a record's type and what it states, with what continues it (itself MORE, which states nothing).
-
-        Raises DamagedRingError.
-        """
+    def decoded(self, number: int) -> dict[int, rec.Record]:
+        """Return what a record states, with what continues it (itself MORE, which states nothing); see `decode`."""
         slot = last = self._slot(number)
         if slot.kind == form.MORE:
-            return slot.kind, []
+            return {}
         rest = slot.rest
         while last.more:
             last = self._slot(last.sequence + 1)
             if last.kind != form.MORE or len(rest) > form.MAX_TEXT:
                 raise form.DamagedRingError("a continued record is cut off")
             rest += last.rest
-        return slot.kind, decode(slot.kind, number, slot.ns, rest)
+        return decode(slot.kind, number, slot.ns, rest)
 
     def _slot(self, number: int) -> form.Slot:
         slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))
@@ -231,17 +224,17 @@ class _Slots:
         return slot
 
 
-def decode(kind: int, number: int, ns: int, rest: bytes) -> list[rec.Record]:
-    """Return what a record states: nothing if its type is of a later version, two records if it was CARRIED_OUT.
+def decode(kind: int, number: int, ns: int, rest: bytes) -> dict[int, rec.Record]:
+    """Return what a record states, by type: nothing of a later version's, two records if it was CARRIED_OUT.
 
     Raises form.DamagedRingError if `rest` is damaged.
     """
     try:
         if kind == form.CARRIED_OUT:
             command, frame, after_ns = _carried_out(rest)
-            return [rec.Record(number, ns, command), rec.Record(number, ns + after_ns, frame)]
+            return {form.COMMAND: rec.Record(number, ns, command), form.FRAME: rec.Record(number, ns + after_ns, frame)}
         reader = _READERS.get(kind)
-        return [] if reader is None else [rec.Record(number, ns, reader(rest))]
+        return {} if reader is None else {kind: rec.Record(number, ns, reader(rest))}
     except (struct.error, ValueError, IndexError, RecursionError) as error:
         raise form.DamagedRingError(str(error)) from error
 

@@ -216,7 +216,7 @@ def test_a_ring_of_nothing_but_incidents_is_no_endless_work(
     decoded: list[int] = []
     decode = ring_reader.decode
 
-    def counted(kind: int, number: int, ns: int, rest: bytes) -> list[rec.Record]:
+    def counted(kind: int, number: int, ns: int, rest: bytes) -> dict[int, rec.Record]:
         decoded.append(number)
         return decode(kind, number, ns, rest)
 
