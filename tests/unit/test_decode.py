@@ -52,7 +52,7 @@ def test_for_programs_each_frame_is_an_object() -> None:
     fault = {"bytes": "06", "fault": "byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"}
     single = {"bytes": STOP_32.replace(" ", ""), "leg": 3, "servos": [{"id": 32, "op": "stop"}]}
     assert (code, [json.loads(line) for line in lines]) == (1, [whole, single, fault])
-    assert decode("--json", "zz") == (1, [json.dumps({"fault": "'zz' is not hexadecimal"})])
+    assert decode("--json", "zz") == (1, [json.dumps({"fault": '"zz" is not hexadecimal'})])
 
 
 @pytest.mark.parametrize(("arguments", "lines"), [
@@ -65,16 +65,16 @@ def test_for_programs_each_frame_is_an_object() -> None:
                              "angle is 180.00"]),
     ([STOP_32, "07"], [STOP_32_LINE, "07: not legal: byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"]),
     # half a byte is not completed by a guess, nor by its neighbour: 0,0 is not 00
-    (["6 2 20 2 0 0"], ["'6' ends with half a byte; a byte has two digits, such as 06"]),
-    (["0x06,0x02,0x20,0x02,0,0"], ["'0' ends with half a byte; a byte has two digits, such as 06"]),
-    (["06022002000"], ["'06022002000' ends with half a byte; a byte has two digits, such as 06"]),
-    (["zz"], ["'zz' is not hexadecimal"]),
-    (["0x"], ["'0x' is not hexadecimal"]),
-    (["06 02 0x0x"], ["'0x0x' is not hexadecimal"]),
-    (["٠٦"], [r"'\u0660\u0666' is not hexadecimal"]),
-    (["\x1b[2J"], [r"'\x1b[2J' is not hexadecimal"]),
-    (["+6"], ["'+6' is not hexadecimal"]),
-    (["g" * 500], [f"'{'g' * 39}… is not hexadecimal"]),
+    (["6 2 20 2 0 0"], ['"6" ends with half a byte; a byte has two digits, such as 06']),
+    (["0x06,0x02,0x20,0x02,0,0"], ['"0" ends with half a byte; a byte has two digits, such as 06']),
+    (["06022002000"], ['"06022002000" ends with half a byte; a byte has two digits, such as 06']),
+    (["zz"], ['"zz" is not hexadecimal']),
+    (["0x"], ['"0x" is not hexadecimal']),
+    (["06 02 0x0x"], ['"0x0x" is not hexadecimal']),
+    (["٠٦"], ['"٠٦" is not hexadecimal']),
+    (["\x1b[2J"], [r'"\u001b[2J" is not hexadecimal']),
+    (["+6"], ['"+6" is not hexadecimal']),
+    (["g" * 500], [f'"{"g" * 79}… is not hexadecimal']),
 ])  # fmt: skip
 def test_what_is_not_legal(arguments: list[str], lines: list[str]) -> None:
     assert decode(*arguments) == (1, lines)

@@ -69,11 +69,9 @@ def row(angles: tuple[Angle | Sequence[Angle] | Array, ...]) -> Sequence[Angle] 
     >>> row((90, 45, 120)), row(([90, 45, 120],))
     ((90, 45, 120), [90, 45, 120])
     """
-    match angles:
-        case [one] if _is_row(one):
-            return one
-        case _:
-            return cast(tuple[Angle, ...], angles)  # `number` checks each
+    if len(angles) == 1 and _is_row(angles[0]):
+        return angles[0]
+    return cast(tuple[Angle, ...], angles)  # `number` checks each
 
 
 def _is_row(value: object) -> TypeGuard[Sequence[Angle]]:

@@ -8,14 +8,12 @@ from typing import Any
 from gateway.model import frames
 from gateway.model.frames import FrameError, OneLeg, Op
 from gateway.people.terminal import say
+from gateway.text import echo
 
 _FRAME_HEADERS = frozenset(
     (bytes((frames.ONE_LEG_LEN, frames.ONE_LEG_TYPE)), bytes((frames.ONE_SERVO_LEN, frames.ONE_SERVO_TYPE)))
 )
 """FRAME LEN and FRAME TYPE of the two kinds of frames."""
-
-_MAX_ECHO = 40
-"""Most typed characters that a message repeats."""
 
 
 def decode(hex_bytes: Sequence[str], *, as_json: bool = False) -> int:
@@ -57,15 +55,10 @@ def _bytes(word: str) -> bytes:
         word = f"0{word[2:]}"
     digits = word.removeprefix("0x")
     if not re.fullmatch(r"[0-9a-fA-F]+", digits):
-        raise ValueError(f"{_short(word)} is not hexadecimal")
+        raise ValueError(f"{echo(word)} is not hexadecimal")
     if len(digits) % 2:
-        raise ValueError(f"{_short(word)} ends with half a byte; a byte has two digits, such as 06")
+        raise ValueError(f"{echo(word)} ends with half a byte; a byte has two digits, such as 06")
     return bytes.fromhex(digits)
-
-
-def _short(word: str) -> str:
-    shown = ascii(word)
-    return shown if len(shown) <= _MAX_ECHO else shown[:_MAX_ECHO] + "…"
 
 
 def _frames(data: bytes) -> Iterator[bytes]:
