@@ -20,28 +20,16 @@ FOLDER = Path(__file__).with_name("json")
 
 def documents() -> dict[str, str]:
     """Return the text of each payload's JSON Schema, by file name."""
-    commands: dict[str, TypeAdapter[Any]] = {
+    adapters: dict[str, TypeAdapter[Any]] = {
         "ServoCommand": SERVO_COMMAND,
-        **{model.__name__: TypeAdapter(model) for model in (LegCommand, LegsCommand, ResetCommand, CalibrationCommand)},
         "LeaseRequest": LEASE_REQUEST,
-        "RevocationRequest": TypeAdapter(RevocationRequest),
         "ButtonRequest": BUTTON_REQUEST,
     }
-    models = (
-        Ack,
-        LeaseAck,
-        RevocationAck,
-        ButtonAck,
-        StateReport,
-        ConfigReport,
-        Event,
-        FrameRecord,
-        Calibration,
-        BodyReport,
-        Telemetry,
-    )
-    reports = {model.__name__: TypeAdapter(model) for model in models}
-    made = {name: adapter.json_schema(mode="validation") for name, adapter in (commands | reports).items()}
+    commands = (LegCommand, LegsCommand, ResetCommand, CalibrationCommand, RevocationRequest)
+    answers = (Ack, LeaseAck, RevocationAck, ButtonAck)
+    published = (StateReport, ConfigReport, Event, FrameRecord, Calibration, BodyReport, Telemetry)
+    adapters |= {model.__name__: TypeAdapter(model) for model in (*commands, *answers, *published)}
+    made = {name: adapter.json_schema(mode="validation") for name, adapter in adapters.items()}
     return {f"{name}.json": json.dumps(schema | {"title": name}, indent=2) + "\n" for name, schema in made.items()}
 
 
