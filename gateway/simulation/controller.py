@@ -108,7 +108,6 @@ class SimulatedServos(dict[int, ServoState]):
 
 TICK_NS: Final = 1_000_000
 RECEIVE_TIMEOUT_TICKS: Final = 1000  # HEXAPOD_RECEIVE_TIMEOUT
-KEPT_TRANSFERS: Final = 10_000  # the newest; 33 s of six legs at 50 Hz
 
 _RECEIVE_BUFFER_LEN: Final = 64  # MESSAGE_MAX_LEN
 _HARMLESS_LEN: Final = 68  # the next byte is the SPI handle's
@@ -149,7 +148,6 @@ class SimulatedController(ByteDevice):
         page: ServoPage | None = None,
     ) -> None:
         """`clock` returns ns. `on_change` gets a line on each executed frame and on a crash, `page` the targets."""
-        self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
         self.executed = 0
         self.corruptions: collections.Counter[str] = collections.Counter()
         self.dead: str | None = None
@@ -172,7 +170,6 @@ class SimulatedController(ByteDevice):
     def take(self, data: bytes) -> None:
         """Take the bytes of one transfer."""
         now_ns = self._clock()
-        self.transfers.append((now_ns, data))
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
 

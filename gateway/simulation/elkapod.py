@@ -37,7 +37,7 @@ from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
 from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
-from gateway.simulation.controller import KEPT_TRANSFERS, ServoState, SimulatedServos
+from gateway.simulation.controller import ServoState, SimulatedServos
 from schemas.robot import LEGS, SERVO_IDS
 
 FULL_V: Final = 8.4
@@ -52,10 +52,10 @@ BASE_A: Final = 1.0
 
 
 class SimulatedBattery:
-    """A battery of two cells. `charge`: 1 full, 0 empty."""
+    """A battery of two cells, full at first."""
 
-    def __init__(self, charge: float = 1.0) -> None:
-        self.charge = charge
+    def __init__(self) -> None:
+        self.charge = 1.0
         self.current_a = BASE_A
 
     def draw(self, current_a: float, seconds: float) -> None:
@@ -101,32 +101,20 @@ class SimulatedElkapod(DuplexDevice):
         on_change: Callable[[str], None] | None = None,
         page: ServoPage | None = None,
         sensed: SensedPage | None = None,
-        battery: SimulatedBattery | None = None,
     ) -> None:
         """Switched on now, servos slack. `clock` returns ns. `on_change` gets a line on each change.
 
         `page` gets the targets, and contains which servos a power board powers. `sensed` is a simulated body's sensors.
         """
-        self.transfers: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
-        """The newest on SPI, with their times."""
-        self.messages: collections.deque[tuple[int, bytes]] = collections.deque(maxlen=KEPT_TRANSFERS)
-        """The newest START and SHUTDOWN on the UART, with their times."""
         self.corruptions: collections.Counter[str] = collections.Counter()
-        self.silent = False
-        """A fault: no heartbeats."""
-        self.frozen = False
-        """A fault: each answer repeats the previous one."""
-        self.garbage: bytes | None = None
-        """A fault: these bytes in place of each measurement."""
-
         self._clock = clock
         self._say = on_change or (lambda _: None)
         self._sensed = sensed
-        self._battery = SimulatedBattery() if battery is None else battery
+        self._battery = SimulatedBattery()
         self._noise = random.Random(0)  # noqa: S311  (sensor noise, no secrets)
         self._lock = threading.Lock()
         now_ns = clock()
-        self._begun_ns = self._advanced_ns = self._beat_ns = self._on_ns = now_ns
+        self._begun_ns = self._advanced_ns = self._beat_ns = now_ns
         self._servos = SimulatedServos(now_ns, page)
         self._answer = GARBAGE
         self._received = b""
@@ -134,33 +122,22 @@ class SimulatedElkapod(DuplexDevice):
     # ---- the wires
 
     def exchange(self, data: bytes) -> bytes:
-        """Make one transfer. Return as many bytes as `data` has; zeros before the controller is on."""
+        """Make one transfer. Return as many bytes as `data` has."""
         with self._lock:
             now_ns = self._clock()
-            self.transfers.append((now_ns, data))
             self._advance(now_ns)
-            if now_ns < self._on_ns:
-                return bytes(len(data))
             if len(data) == FRAME_BYTES and data[0] == BEGIN and data[-1] == END:
                 self._take(_ANGLES.unpack_from(data, 1))
-            answer = self._answer
-            if self.garbage is not None:
-                self._answer = self.garbage
-            elif not self.frozen:
-                self._answer = elkapod.answer(self._measure(now_ns))
+            answer, self._answer = self._answer, elkapod.answer(self._measure(now_ns))
         return answer[: len(data)].ljust(len(data), b"\0")
 
     def write(self, data: bytes) -> None:
         """Receive bytes on the UART, in portions of any length."""
         with self._lock:
-            now_ns = self._clock()
-            self._advance(now_ns)
-            if now_ns < self._on_ns:
-                return
+            self._advance(self._clock())
             self._received += data
             end = 0
             for found in _MESSAGE.finditer(self._received):
-                self.messages.append((now_ns, found[0]))
                 self._obey(found[0])
                 end = found.end()
             self._received = self._received[end:][1 - _LONGEST :]
@@ -170,7 +147,7 @@ class SimulatedElkapod(DuplexDevice):
         with self._lock:
             due = max(0, (self._clock() - self._beat_ns) // HEARTBEAT_NS)
             self._beat_ns += due * HEARTBEAT_NS
-            return b"" if self.silent else elkapod.heartbeat() * min(due, MOST_HEARTBEATS)
+            return elkapod.heartbeat() * min(due, MOST_HEARTBEATS)
 
     def close(self) -> None:
         """Change nothing: the controller and its servos stay on."""

@@ -1,5 +1,9 @@
 """The simulated controllers, with what a person at one sees and does."""
 
+from collections import deque
+from typing import Any
+
+from gateway.model.framing import Framing
 from gateway.simulation.controller import SimulatedController, SimulatedServos
 from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
 
@@ -11,8 +15,19 @@ def _power_cycle(servos: SimulatedServos) -> None:
         servos.stop(servo_id)
 
 
+KEPT_TRANSFERS = 10_000  # the newest; 33 s of six legs at 50 Hz
+
+
 class Controller(SimulatedController):
     """Of HexapodProtocol v1.0.0."""
+
+    def __init__(self, framing: Framing, **options: Any) -> None:
+        super().__init__(framing, **options)
+        self.transfers = deque[tuple[int, bytes]](maxlen=KEPT_TRANSFERS)
+
+    def take(self, data: bytes) -> None:
+        self.transfers.append((self._clock(), data))
+        super().take(data)
 
     @property
     def energised(self) -> frozenset[int]:
@@ -36,6 +51,40 @@ class Controller(SimulatedController):
 
 class Elkapod(SimulatedElkapod):
     """Of elkapod-2025."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self.transfers = deque[tuple[int, bytes]](maxlen=KEPT_TRANSFERS)
+        """The newest on SPI, with their times."""
+        self.messages = deque[tuple[int, bytes]](maxlen=KEPT_TRANSFERS)
+        """The newest START and SHUTDOWN on the UART, with their times."""
+        self.silent = False
+        """No heartbeats."""
+        self.frozen = False
+        """Each answer repeats the previous one."""
+        self.garbage: bytes | None = None
+        """These bytes in place of each measurement."""
+        self._on_ns = 0
+
+    def exchange(self, data: bytes) -> bytes:
+        self.transfers.append((self._clock(), data))
+        if self._clock() < self._on_ns:
+            return bytes(len(data))
+        before, answer = self._answer, super().exchange(data)
+        if self.garbage is not None or self.frozen:
+            self._answer = self.garbage or before
+        return answer
+
+    def write(self, data: bytes) -> None:
+        if self._clock() >= self._on_ns:
+            super().write(data)
+
+    def read(self) -> bytes:
+        return b"" if self.silent else super().read()
+
+    def _obey(self, message: bytes) -> None:
+        self.messages.append((self._clock(), message))
+        super()._obey(message)
 
     @property
     def energised(self) -> frozenset[int]:

@@ -25,6 +25,7 @@ from gateway.robot.spi.guard import IllegalTransferError
 from gateway.simulation.controller import SimulatedController
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
+from tests.support.controllers import Controller
 from tests.support.elkapod import elkapod
 from tests.support.robot import LEG_3, START, leg, started_and_quiet
 
@@ -149,7 +150,7 @@ def test_frame_gap_us(frame_gap_us: float, pause_us: int) -> None:
 @pytest.mark.parametrize(("framing", "written"), [("length-prefixed", False), ("plain", True)])
 def test_the_guard_knows_them(framing: str, written: bool) -> None:
     settings = Settings.of({"spi": {"framing": framing, "frame_gap_us": 20}})
-    controller = SimulatedController(settings.spi.framing)
+    controller = Controller(settings.spi.framing)
     bus = Bus(settings.spi, lambda: controller)
     bus.open()
     frame = OneServo(11, ServoOp(Op.SET, 1_99))
