@@ -173,16 +173,6 @@ class SimulatedController(ByteDevice):
         self._expire_receive(now_ns)
         self._receive(data, now_ns)
 
-    # ---- what a person at the robot sees
-
-    @property
-    def servos(self) -> dict[int, ServoState]:
-        """The 18 servos by id, as they are now."""
-        now_ns = self._clock()
-        self._expire_receive(now_ns)
-        self._servos.move(now_ns)
-        return self._servos
-
     # ---- the firmware
 
     def _receive(self, data: bytes, now_ns: int) -> None:

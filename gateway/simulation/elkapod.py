@@ -37,7 +37,7 @@ from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
 from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A
 from gateway.robot.spi import DuplexDevice
-from gateway.simulation.controller import ServoState, SimulatedServos
+from gateway.simulation.controller import SimulatedServos
 from schemas.robot import LEGS, SERVO_IDS
 
 FULL_V: Final = 8.4
@@ -151,15 +151,6 @@ class SimulatedElkapod(DuplexDevice):
 
     def close(self) -> None:
         """Change nothing: the controller and its servos stay on."""
-
-    # ---- what a person at the robot sees and does
-
-    @property
-    def servos(self) -> dict[int, ServoState]:
-        """The 18 servos by id, as they are now."""
-        with self._lock:
-            self._advance(self._clock())
-            return self._servos
 
     # ---- the firmware
 

@@ -30,6 +30,14 @@ class Controller(SimulatedController):
         super().take(data)
 
     @property
+    def servos(self) -> SimulatedServos:
+        """As they are now."""
+        now_ns = self._clock()
+        self._expire_receive(now_ns)
+        self._servos.move(now_ns)
+        return self._servos
+
+    @property
     def energised(self) -> frozenset[int]:
         """The ids of the servos whose PWM output is on now."""
         return frozenset(servo_id for servo_id, servo in self.servos.items() if servo.energised)
@@ -85,6 +93,13 @@ class Elkapod(SimulatedElkapod):
     def _obey(self, message: bytes) -> None:
         self.messages.append((self._clock(), message))
         super()._obey(message)
+
+    @property
+    def servos(self) -> SimulatedServos:
+        """As they are now."""
+        with self._lock:
+            self._advance(self._clock())
+            return self._servos
 
     @property
     def energised(self) -> frozenset[int]:
