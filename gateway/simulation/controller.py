@@ -34,7 +34,6 @@ import functools
 import math
 import struct
 import time
-from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -123,19 +122,7 @@ _ENTRIES_PAST_THE_TABLE: Final = {18: 11, 23: 21}
 _DONE: Final = {Op.START: "started at", Op.SET: "set to"}
 
 
-class ByteDevice(SpiDevice):
-    """A device that writes a batch transfer by transfer, without pauses."""
-
-    def transfer(self, batch: Batch) -> None:
-        for data, _ in batch:
-            self.take(data)
-
-    @abstractmethod
-    def take(self, data: bytes) -> None:
-        """Write one transfer of a batch. Raises SpiError, which ends the batch."""
-
-
-class SimulatedController(ByteDevice):
+class SimulatedController(SpiDevice):
     """A device with a simulated controller and its servos. Closing it stops no servo."""
 
     def __init__(
@@ -166,6 +153,10 @@ class SimulatedController(ByteDevice):
     # ---- the device
 
     most_transfers = 64
+
+    def transfer(self, batch: Batch) -> None:
+        for data, _ in batch:  # without pauses
+            self.take(data)
 
     def take(self, data: bytes) -> None:
         """Take the bytes of one transfer."""

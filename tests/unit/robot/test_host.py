@@ -152,7 +152,7 @@ def calls_to_the_device(robot: Robot, key: str, payload: object) -> int:
     finally:
         sys.setprofile(None)
     begin = next(place for place, name in enumerate(calls) if name == "Conductor.tick")
-    return next(place for place, name in enumerate(calls) if name == "ByteDevice.transfer") - begin
+    return next(place for place, name in enumerate(calls) if name == "SimulatedController.transfer") - begin
 
 
 @pytest.mark.virtual_time

@@ -1,5 +1,6 @@
 """The last attempt to stop the robot: each leg is tried, whatever another one's Stop met."""
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,14 +14,25 @@ from gateway.model.frames import stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
-from gateway.robot.spi import stop_all
+from gateway.robot.spi import Batch, SpiDevice, stop_all
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.stop_all import stop_before_service, stop_once, stop_servos
 from gateway.robot.spi.uart import Uart
-from gateway.simulation.controller import ByteDevice
 from schemas.robot import LEGS
 
 MISTAKES = [SpiError("told to fail"), SystemError("returned NULL"), TypeError("a mistake of our own"), KeyError(3)]
+
+
+class ByteDevice(SpiDevice):
+    """Writes a batch transfer by transfer."""
+
+    def transfer(self, batch: Batch) -> None:
+        for data, _ in batch:
+            self.take(data)
+
+    @abstractmethod
+    def take(self, data: bytes) -> None:
+        """Raises what ends the batch."""
 
 
 class Device(ByteDevice):
