@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
@@ -145,23 +145,7 @@ def _list(numbers: dict[int, Mount] | set[int]) -> str:
     return ", ".join(map(str, sorted(numbers)[:_MAX_FAULTS])) or "none"
 
 
-class Masses(NamedTuple):
-    """The masses of the body and of one leg's links, each spread evenly over its box in the URDF."""
-
-    body_kg: float = 1.30
-    coxa_kg: float = 0.09
-    femur_kg: float = 0.09
-    tibia_kg: float = 0.05
-
-    @property
-    def links_kg(self) -> tuple[float, float, float]:
-        """The links of one leg, from the body outward."""
-        return self.coxa_kg, self.femur_kg, self.tibia_kg
-
-    @property
-    def total_kg(self) -> float:
-        """The mass of the body and all 18 links."""
-        return self.body_kg + 6 * sum(self.links_kg)
-
-
-MASSES: Final = Masses()
+BODY_KG: Final = 1.30
+LINKS_KG: Final = (0.09, 0.09, 0.05)
+"""The masses of the body and of one leg's links, from the body outward, each spread evenly over its box in the URDF."""
+TOTAL_KG: Final = BODY_KG + 6 * sum(LINKS_KG)

@@ -7,7 +7,7 @@ from typing import Final
 from xml.etree import ElementTree as Xml
 
 from gateway.geometry.kinematics import BASE, LINKS, Vector, from_rpy, joint_name, link_name, plus, rotated
-from gateway.geometry.model import MASSES, MAX_SPEED_DEG_S, Geometry
+from gateway.geometry.model import BODY_KG, LINKS_KG, MAX_SPEED_DEG_S, Geometry
 from schemas.robot import JOINTS, LEGS
 
 _LIMB_M: Final = 0.025
@@ -33,7 +33,7 @@ def urdf(geometry: Geometry) -> str:
     xs, ys, zs = zip(*(mount.xyz_m for mount in geometry.leg_mounts.values()), strict=True)
     middle_m = (max(xs) + min(xs)) / 2, (max(ys) + min(ys)) / 2, (max(zs) + min(zs)) / 2
     size_m = max(max(xs) - min(xs), _LIMB_M), max(max(ys) - min(ys), _LIMB_M), BODY_HEIGHT_M
-    body = _tag("link", *_box("body", size_m, middle_m, _ZERO, MASSES.body_kg), name=BASE)
+    body = _tag("link", *_box("body", size_m, middle_m, _ZERO, BODY_KG), name=BASE)
     legs = chain.from_iterable(_leg(geometry, leg) for leg in LEGS)
     robot = _tag("robot", *materials, body, *legs, name=geometry.name)
     Xml.indent(robot)
@@ -44,7 +44,7 @@ def _leg(geometry: Geometry, leg: int) -> Iterator[Xml.Element]:
     mount = geometry.leg_mounts[leg]
     _, *ends = [part.origin_xyz_m for part in geometry.chain]
     parent = BASE
-    parts = zip(JOINTS, geometry.joints, LINKS, ends, MASSES.links_kg, strict=True)
+    parts = zip(JOINTS, geometry.joints, LINKS, ends, LINKS_KG, strict=True)
     for number, joint, link, end_m, mass_kg in parts:
         name = link_name(leg, link)
         yield _tag("link", *_limb(link, end_m, mass_kg), name=name)

@@ -31,7 +31,7 @@ from collections.abc import Callable
 from typing import Final
 
 from gateway.geometry.kinematics import Vector
-from gateway.geometry.model import MASSES
+from gateway.geometry.model import TOTAL_KG
 from gateway.host.shared_page import Sensed, SensedPage, ServoPage
 from gateway.model import elkapod
 from gateway.model.elkapod import BEGIN, END, FRAME_BYTES, SHUTDOWN, START, Measured
@@ -214,5 +214,5 @@ class SimulatedElkapod(DuplexDevice):
 
     def _at_rest(self) -> Sensed:
         stands = any(servo.driven for servo in self._servos.values())
-        foot_n = MASSES.total_kg * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
+        foot_n = TOTAL_KG * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
         return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())

@@ -4,9 +4,9 @@ from contextlib import suppress
 from typing import Any, Final, NamedTuple, Self
 
 from gateway.errors import ConfigError
-from gateway.geometry.model import MASSES
+from gateway.geometry.model import TOTAL_KG
 
-MASS_KG: Final = round(MASSES.total_kg, 2)
+MASS_KG: Final = round(TOTAL_KG, 2)
 """An assumption (gateway/geometry/model.py). The Elkapod's own description adds up to 5.03 kg."""
 TORQUE_NM: Final = 2.0
 """A servo of 20 kg·cm, the usual one in robots of this size. (An MG996R has 9.4 kg·cm at 4.8 V.)"""

@@ -15,7 +15,7 @@ import numpy as np
 from gateway.errors import ConfigError
 from gateway.geometry import Geometry, joint_name, urdf
 from gateway.geometry.kinematics import BASE, Quaternion, Vector, about, rotated
-from gateway.geometry.model import MASSES
+from gateway.geometry.model import TOTAL_KG
 from gateway.host.shared_page import Sensed
 from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.physics.assumed import TORQUE_NM, USUAL, Assumed, Terrain
@@ -46,7 +46,7 @@ def built(geometry: Geometry, assumed: Assumed) -> Any:
         spec.compiler.fusestatic = False
         spec.body(BASE).add_freejoint()
         friction = [assumed.friction, 0.005, 0.0001]
-        share = assumed.mass_kg / MASSES.total_kg
+        share = assumed.mass_kg / TOTAL_KG
         for body in spec.bodies:
             body.mass *= share
             body.inertia = body.inertia * share

@@ -7,7 +7,7 @@ from typing import Final
 
 from gateway.errors import WalkError
 from gateway.geometry.kinematics import Vector, plus
-from gateway.geometry.model import MASSES, Masses
+from gateway.geometry.model import BODY_KG, LINKS_KG
 from gateway.people.walking.gaits import TRIPODS
 from gateway.people.walking.inverse import Angles
 from gateway.people.walking.motion import BodyPose, scaled
@@ -22,18 +22,16 @@ MARGIN_M: Final = 0.010
 _ROUNDING_M: Final = 1e-9
 
 
-def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles], masses: Masses = MASSES) -> Vector:
+def centre_of_mass(robot: Robot, body: BodyPose, joints_rad: Mapping[int, Angles]) -> Vector:
     """Return the centre of mass in the ground frame (m)."""
     mounts = [mount.xyz_m for mount in robot.geometry.leg_mounts.values()]
     low, high = (tuple(limit(axis) for axis in zip(*mounts, strict=True)) for limit in (min, max))
-    moment = scaled(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2), masses.body_kg)
+    moment = scaled(((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2), BODY_KG)
     for leg, angles in joints_rad.items():
         positions = robot.limbs[leg].forward(angles)
-        for (begin, end), mass_kg in zip(
-            pairwise((*positions.joints_m, positions.foot_m)), masses.links_kg, strict=True
-        ):
+        for (begin, end), mass_kg in zip(pairwise((*positions.joints_m, positions.foot_m)), LINKS_KG, strict=True):
             moment = plus(moment, scaled(plus(begin, end), mass_kg / 2))
-    total_kg = masses.body_kg + len(joints_rad) * sum(masses.links_kg)
+    total_kg = BODY_KG + len(joints_rad) * sum(LINKS_KG)
     return body.grounded(scaled(moment, 1 / total_kg), body.turn)
 
 

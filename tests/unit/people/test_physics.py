@@ -8,7 +8,7 @@ from gateway.cli import run as run_command
 from gateway.errors import ConfigError
 from gateway.geometry import load
 from gateway.geometry.kinematics import about, rotated
-from gateway.geometry.model import MASSES
+from gateway.geometry.model import TOTAL_KG
 from gateway.host.shared_page import Sensed, SensedPage
 from gateway.model import elkapod
 from gateway.model.calibration import RobotCalibration, ServoMapping
@@ -138,7 +138,7 @@ def test_help_says_the_defaults() -> None:
     assert shown["mass_kg"].startswith(f"{MASS_KG}:")
     assert shown["servo_torque_nm"].startswith(f"{TORQUE_NM}:")
     assert shown["friction"].startswith(f"{FRICTION}:")
-    assert pytest.approx(MASSES.total_kg, abs=0.01) == MASS_KG
+    assert pytest.approx(TOTAL_KG, abs=0.01) == MASS_KG
     assert shown["terrain"] == str(assumed(None, None, None, None).terrain)
 
 
