@@ -39,7 +39,7 @@ class Actor(RclpyActor):
         if not self._client.wait_for_server(ANSWER_S / 2):
             raise TimeoutError(f"nobody serves {NAME}")
         fields = vars(pickle.loads(bytes.fromhex(packed_goal)))  # noqa: S301 - our own test's
-        value_of = import_module("gateway.people.ros2.node").ros_value
+        value_of = import_module("gateway.people.ros2.node").to_ros
         goal = self._type.Goal(**{name: value_of(value) for name, value in fields.items()})
         handle = self._done(self._client.send_goal_async(goal, feedback_callback=self._feed))
         self._handles.append(handle)

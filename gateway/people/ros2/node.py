@@ -290,19 +290,17 @@ def ros_type(type_name: str) -> Any:
         raise ConfigError(f"this ROS 2 has no {package}: {error}") from error
 
 
-def to_ros(message: Message) -> Any:
-    """Return rclpy's message with these fields and other defaults. Raises AssertionError as rclpy does."""
-    made = ros_type(message.TYPE)()
-    for name, value in vars(message).items():
-        setattr(made, name, bytes((value,)) if isinstance(getattr(made, name), bytes) else ros_value(value))
+def to_ros(value: Any) -> Any:
+    """Return a message or a field's value in rclpy's types. Fields that are not set have rclpy's defaults.
+
+    Raises AssertionError as rclpy does.
+    """
+    if not isinstance(value, Message):
+        return list(map(to_ros, value)) if isinstance(value, tuple) else value
+    made = ros_type(value.TYPE)()
+    for name, each in vars(value).items():
+        setattr(made, name, bytes((each,)) if isinstance(getattr(made, name), bytes) else to_ros(each))
     return made
-
-
-def ros_value(value: Any) -> Any:
-    """Return a field's value in rclpy's types."""
-    if isinstance(value, Message):
-        return to_ros(value)
-    return list(map(ros_value, value)) if isinstance(value, tuple) else value
 
 
 def _attempt(call: Callable[[], str]) -> tuple[bool, str]:

@@ -91,7 +91,7 @@ class Reports:
     def __post_init__(self) -> None:
         node, unknown_deg = self.topics.node, self.parameters.uncommanded_deg
         self._uncommanded_rad = {} if math.isnan(unknown_deg) else robot.all_at(self.topics.geometry, unknown_deg)
-        self._joints = CommandedJoints(self.topics.geometry)
+        self.joints = CommandedJoints(self.topics.geometry)
         self._state: GatewayState | None = None
         self._received_s = self._diagnosed_s = self._published_s = 0.0
         self._moved = False
@@ -106,10 +106,6 @@ class Reports:
         """The last odometry, and the length of the way until then (m)."""
         text = robot.description(self.topics.geometry, self.topics.joints.of, self.parameters.base_frame)
         node.publisher("robot_description", ros.String, latched=True)(text)
-
-    def begin(self, calibration: Calibration) -> None:
-        """Set the calibration in force at the start; later changes are received."""
-        self._joints.take(keys.CALIBRATION, calibration.model_dump(mode="json"))
 
     def tick(self, now_s: float) -> None:
         """Publish what was received since the last call. `now_s`: monotonic."""
@@ -127,7 +123,7 @@ class Reports:
                 self._measured[topic](message)
         if self._moved and now_s - self._published_s >= 1 / self.parameters.joint_states_hz - PERIOD_S / 2:
             self._moved, self._published_s = False, now_s
-            at_rad = self._uncommanded_rad | self._joints.rad
+            at_rad = self._uncommanded_rad | self.joints.rad
             self._joint_states(robot.joint_state(at_rad, time_ns, self.topics.joints.of))
             if self.with_tf:
                 self._tf(robot.frames(self.topics.geometry, at_rad, time_ns, base))
@@ -159,7 +155,7 @@ class Reports:
         except ValidationError:
             return None
         if report is not None:
-            self._joints.take(key, report.model_dump(mode="json"))
+            self.joints.take(key, report.model_dump(mode="json"))
         return report
 
     def _gateway(self, now_s: float) -> tuple[ros.Message, ...]:
@@ -232,7 +228,7 @@ def serve(
                 is_open=is_open,
             )
             with suppress(UnansweredError):  # an older gateway has none
-                reports.begin(client.calibration())
+                reports.joints.take(keys.CALIBRATION, client.calibration().model_dump(mode="json"))
             topics.subscribe()
             try:
                 FollowAction(topics)
