@@ -10,7 +10,7 @@ command, and rejects what was delayed on its way. Only the page itself renews it
 
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
-from pydantic import BaseModel, Discriminator, Field, Tag, TypeAdapter, model_validator
+from pydantic import BaseModel, Field, TypeAdapter, model_validator
 from pydantic_core import to_json
 
 from gateway.people.client.dangers import tone_of
@@ -53,25 +53,6 @@ _PAYLOADS: Final[dict[keys.Target, tuple[type[BaseModel], ...]]] = {
 }
 
 
-def _shape(payload: Any) -> str:
-    """The tag of the payload to validate it as."""
-    if isinstance(payload, dict):
-        if "legs" in payload:
-            return "legs"
-        if "op" in payload:
-            return "stop" if payload["op"] == "stop" else "move"
-    return "leg"
-
-
-Payload = Annotated[
-    Annotated[LegCommand, Tag("leg")]
-    | Annotated[LegsCommand, Tag("legs")]
-    | Annotated[MoveCommand, Tag("move")]
-    | Annotated[StopCommand, Tag("stop")],
-    Discriminator(_shape),
-]
-
-
 # ---- from the page
 
 
@@ -90,7 +71,7 @@ class CommandRequest(Closed):
 
     type: Literal["command"]
     key: Annotated[str, Field(max_length=32)]
-    payload: Payload
+    payload: LegCommand | LegsCommand | MoveCommand | StopCommand
     sent_ms: SentMs
     id: Id | None = None
 
