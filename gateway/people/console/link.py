@@ -9,10 +9,12 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal
 
 from gateway.errors import UnreachedError, ZenohError
+from gateway.geometry import Geometry
 from gateway.host.descriptors import Spare
 from gateway.people.client.blocking import Client
 from gateway.people.client.confirmed_stop import REQUESTS_AT_ONCE
@@ -21,6 +23,7 @@ from gateway.people.client.silence import CHECK_EVERY_S
 from gateway.people.commands import why
 from gateway.people.commands.options import Reach
 from gateway.people.console.pages.page_messages import Message, link_message
+from gateway.people.console.pages.page_tasks import Stops
 from schemas.telemetry import Ack, GatewayState
 
 STOPS_AT_ONCE: Final = 4
@@ -155,3 +158,16 @@ class GatewayLink(Receiver):
         if message != self._link:
             self._link = message
             self._link_changed(message)
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all pages of a console use. `new_link` writes a file, so a thread calls it."""
+
+    person: str
+    link: GatewayLink
+    stops: Stops[str]
+    geometry: Geometry
+    terrain: str
+    """The terrain of every page's walk."""
+    new_link: Callable[[], str]

@@ -26,10 +26,10 @@ from gateway.host import descriptors, logs, realtime
 from gateway.host.directories import console_state
 from gateway.people.commands.options import Reach
 from gateway.people.console import phone
-from gateway.people.console.link import STACK_BYTES, GatewayLink
+from gateway.people.console.link import STACK_BYTES, GatewayLink, Shared
 from gateway.people.console.pages.page_messages import ROLES, Role, json_of, least
 from gateway.people.console.pages.page_tasks import EndError, Stops, send_stopping
-from gateway.people.console.pages.pages import Page, Pages, Shared
+from gateway.people.console.pages.pages import Page, Pages
 from gateway.people.console.server.auth import Auth
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
 from gateway.people.console.server.sessions import LINK_S, Entry, Sessions

@@ -24,10 +24,9 @@ from typing import Final
 import zenoh
 
 from gateway.errors import GatewayError
-from gateway.geometry import Geometry
-from gateway.people.client.blocking import Client
 from gateway.people.client.lease import LentLease
 from gateway.people.client.walk import Walk
+from gateway.people.console.link import Shared
 from gateway.people.console.pages.page_messages import Message, WalkWish, walk_message
 from gateway.people.walking.motion import Velocity
 from gateway.people.walking.ride import Ride, Silences, Wish
@@ -49,19 +48,10 @@ _log: Final = logging.getLogger(__name__)
 class PageWalks:
     """The walks of one page, one after the other, each on a thread. Called on the event loop."""
 
-    def __init__(
-        self,
-        connect: Callable[[str], Client],
-        name: str,
-        geometry: Geometry,
-        terrain: str,
-        send: Callable[[Message], None],
-    ) -> None:
-        """`connect` opens a session under a name and blocks; it is called on a thread."""
+    def __init__(self, shared: Shared, name: str, send: Callable[[Message], None]) -> None:
         self._loop = asyncio.get_running_loop()
-        self._connect = partial(connect, name)
+        self._shared = shared
         self._name = name
-        self._geometry, self._terrain = geometry, terrain
         self.send = send
         self.active = False
         """Whether a walk of this page may run legs."""
@@ -138,10 +128,11 @@ class PageWalks:
 
     def _walk(self, token: str) -> str:
         """Returns why it has ended, in words."""
-        with closing(self._connect()) as client:
+        with closing(self._shared.link.connect(self._name)) as client:
             client.carry(LentLease(client, token))
-            gait, silences = self._newest.gait, SILENCES
-            walk = Walk(client, gait, self._geometry, SETPOINTS_HZ, silences=silences, once=True, terrain=self._terrain)
+            geometry, terrain, silences = self._shared.geometry, self._shared.terrain, SILENCES
+            gait, hz = self._newest.gait, SETPOINTS_HZ
+            walk = Walk(client, gait, geometry, hz, terrain=terrain, silences=silences, once=True)
             walk.open()
             try:
                 reported_s = 0.0

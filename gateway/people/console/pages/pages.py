@@ -14,7 +14,6 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -24,12 +23,11 @@ from pydantic import ValidationError
 
 from gateway.allowance import Allowance
 from gateway.errors import GatewayError
-from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.client.confirmed_stop import Press
 from gateway.people.client.dangers import PowerAlarm, power_now
 from gateway.people.client.live import Receiver
-from gateway.people.console.link import GatewayLink
+from gateway.people.console.link import Shared
 from gateway.people.console.pages import page_messages as messages
 from gateway.people.console.pages.page_calibration import PageCalibration
 from gateway.people.console.pages.page_lease import PageLease, StopButton
@@ -58,19 +56,6 @@ TELEMETRY_AT_ONCE: Final = 2
 _WORDS: Final = re.compile(r"[^\s,:]+")
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Shared:
-    """What all pages of a console use. `new_link` writes a file, so a thread calls it."""
-
-    person: str
-    link: GatewayLink
-    stops: Stops[str]
-    geometry: Geometry
-    terrain: str
-    """The terrain of every page's walk."""
-    new_link: Callable[[], str]
 
 
 class Pages(Receiver):
@@ -182,28 +167,27 @@ class Page:
 
     def __init__(self, number: int, role: messages.Role, shared: Shared, former: "Page | None" = None) -> None:
         """`former`: the tab's page before this one, whose lease and walk go on here."""
-        person, link = shared.person[:40], shared.link
+        person, self._link = shared.person[:40], shared.link
         self.source = f"{person} (page {number})"
         """Its name in states and events."""
         self.names: tuple[str, ...] = (*(() if former is None else former.names), self.source)[-MAX_NAMES:]
         self.outgoing = Outgoing()
         self._role = role
-        self._link = link
-        self._stops = shared.stops
-        self._new_link = shared.new_link
+        self._shared = shared
         self._former = former
         self._handed_on = False
-        self._calibration = PageCalibration(link, partial(self._signed, sent_ms=None), self.outgoing.put)
+        self._calibration = PageCalibration(self._link, partial(self._signed, sent_ms=None), self.outgoing.put)
         if former is None:
-            self._lease = PageLease(link.client, self.source, self.outgoing.put)
-            walker = f"{self.source} walks"
-            self._walks = PageWalks(link.connect, walker, shared.geometry, shared.terrain, self.outgoing.put)
+            self._lease = PageLease(self._link.client, self.source, self.outgoing.put)
+            self._walks = PageWalks(shared, f"{self.source} walks", self.outgoing.put)
         else:
             former._handed_on = True
             self._lease, self._walks = former._lease, former._walks
             self._lease.name = self.source
             self._lease.send = self._walks.send = self.outgoing.put
-        self._button = StopButton(link.client, f"{person}/page {number}", self.outgoing.put)
+        self.last_id = self._walks.newest_press
+        """The number of the newest press on the page before this one; 0: there was none."""
+        self._button = StopButton(self._link.client, f"{person}/page {number}", self.outgoing.put)
         self._max_age_ms = LimitsReport().max_age_ms
         self._staleness = Staleness(self._max_age_ms)
         self._wishes = Staleness(WISH_SILENT_S * 1000)
@@ -243,11 +227,6 @@ class Page:
         """Whether it has the lease."""
         return self._lease.mine
 
-    @property
-    def last_id(self) -> int:
-        """The number of the newest press on the page before this one; 0: there was none."""
-        return 0 if self._former is None else self._walks.newest_press
-
     def go_on(self) -> None:
         """Continue the driving of the page before this one. Nothing moves: all its presses are used up."""
         if self._former is not None:
@@ -257,7 +236,7 @@ class Page:
         """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk, unless the
         tab's next page drives on."""
         self._walks.when_over(self._release, sits=False)
-        self._stops.leave(self.outgoing)
+        self._shared.stops.leave(self.outgoing)
 
     def _release(self) -> None:
         if not self._handed_on:
@@ -266,7 +245,9 @@ class Page:
     def _do(self, message: messages.FromPage) -> None:
         match message:
             case messages.StopAllRequest():
-                self._stops.press(self.outgoing, message.id, self._button.name if message.button else self.source)
+                self._shared.stops.press(
+                    self.outgoing, message.id, self._button.name if message.button else self.source
+                )
             case messages.CommandRequest():
                 self._command(message)
             case messages.ResetRequest():
@@ -351,7 +332,7 @@ class Page:
 
     async def _invite(self, message_id: int) -> None:
         try:
-            url = await asyncio.to_thread(self._new_link)
+            url = await asyncio.to_thread(self._shared.new_link)
             code = await asyncio.to_thread(segno.make, url, error="l")
         except GatewayError as error:
             self.outgoing.put({"type": "link_for", "id": message_id, "error": str(error)})
