@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from gateway.errors import GatewayError, StoppedError, WalkError
@@ -22,7 +23,7 @@ from gateway.people.ros2.goals import GoalProgress
 from gateway.people.ros2.trajectory import JointsError, Trajectory, legs_deg
 from gateway.people.walking.motion import DOWN, STILL, Odometry, Posture, Velocity
 from gateway.people.walking.ride import REST_S, Ride, RideTask
-from gateway.people.walking.robot import Pose
+from gateway.people.walking.robot import Pose, Robot
 from schemas.robot import LEGS
 
 HZ: Final = 50.0
@@ -73,16 +74,12 @@ class JointCommands:
 class Course:
     """The poses of a trajectory in time, and what follows its end or its sender's. Pure: time is an argument."""
 
-    def __init__(
-        self, geometry: Geometry, ride: Callable[[Pose], Ride], *, whole: bool = False, limp_s: float = 0.0
-    ) -> None:
-        """`ride` makes one of legs that run already; it may raise WalkError. `whole`: only all legs start together.
+    def __init__(self, robot: Robot, ride: Callable[[Pose], Ride]) -> None:
+        """`ride` makes one of legs that run already; it may raise WalkError.
 
-        `limp_s`: how long a started servo may have no supply (`Robot.limp_s`). Until then a plan waits.
+        A started servo may have no supply for `robot.limp_s`. Until then a plan waits.
         """
-        self._geometry = geometry
-        self._whole = whole
-        self._limp_s = limp_s
+        self._robot = robot
         self._fed_s = self._advanced_s = -math.inf
         """When all that run have their supply; when the plan was looked at last."""
         self._make_ride = ride
@@ -109,7 +106,7 @@ class Course:
         self._advance(now_s)
         running = self._running()
         plan.begin(self._rad(running), now_s)
-        self._next_start({**running, **legs_deg(self._geometry, plan.at(now_s))})
+        self._next_start({**running, **legs_deg(self._robot.geometry, plan.at(now_s))})
         self._at = running
         self._plan, self._ride, self._rests_s, self._left = plan, None, plan.ends_s + REST_S, REPLACED
 
@@ -142,8 +139,8 @@ class Course:
     def next(self, now_s: float) -> Pose | None:
         """Return the pose to send; None: the course is over, and running servos must be stopped."""
         self._advance(now_s)
-        if self._limp_s and self._ride is None and not self._at.keys() <= self._sent.keys():
-            self._fed_s = now_s + self._limp_s
+        if self._robot.limp_s and self._ride is None and not self._at.keys() <= self._sent.keys():
+            self._fed_s = now_s + self._robot.limp_s
         if self._ride is None and now_s >= self._rests_s:
             self._ride = self._sitting(now_s)
             if self._ride is None:
@@ -168,13 +165,13 @@ class Course:
         return {leg: at for leg, at in self._at.items() if leg in self._sent or leg in self._sending}
 
     def _next_start(self, pose: Pose) -> Pose:
-        return next_start(pose, frozenset(self._sent), whole=self._whole)
+        return next_start(pose, frozenset(self._sent), whole=self._robot.starts_whole)
 
     def _rad(self, pose: Pose) -> dict[int, float]:
         return {
-            10 * leg + joint: self._geometry.joint_rad(10 * leg + joint, angle_deg)
+            10 * leg + joint: at_rad
             for leg, angles in pose.items()
-            for joint, angle_deg in enumerate(angles, start=1)
+            for joint, at_rad in enumerate(self._robot.joints_rad(leg, angles), start=1)
         }
 
     def _advance(self, now_s: float) -> None:
@@ -183,7 +180,7 @@ class Course:
                 waited_s = min(now_s, self._fed_s) - self._advanced_s
                 self._plan.postpone(waited_s)
                 self._rests_s += waited_s
-            self._at = {**self._at, **legs_deg(self._geometry, self._plan.at(now_s))}
+            self._at = {**self._at, **legs_deg(self._robot.geometry, self._plan.at(now_s))}
         self._advanced_s = now_s
 
     def _sitting(self, now_s: float) -> Ride | None:
@@ -207,13 +204,8 @@ class Following:
     title = "joint_trajectory"
 
     def __init__(self, client: Client, geometry: Geometry) -> None:
-        robot = robot_of(client, geometry, client.state())
-        self._course = Course(
-            geometry,
-            lambda pose: Ride(robot_of(client, geometry, client.state()), running=pose),
-            whole=robot.starts_whole,
-            limp_s=robot.limp_s,
-        )
+        robot = partial(robot_of, client, geometry)
+        self._course = Course(robot(client.state()), lambda pose: Ride(robot(client.state()), running=pose))
         self._changed = threading.Condition()
         self._is_there: Callable[[], bool] = lambda: True
         self._over = False

@@ -40,7 +40,7 @@ def plan(begins_s: float, *points: tuple[float, float], legs: tuple[int, ...] = 
 class Followed:
     """A course, and the shell's turns."""
 
-    course: Course = field(default_factory=lambda: Course(GEOMETRY, lambda pose: Ride(ROBOT, running=pose)))
+    course: Course = field(default_factory=lambda: Course(ROBOT, lambda pose: Ride(ROBOT, running=pose)))
     now_s: float = 0.0
     sent: list[Pose] = field(default_factory=list)
     over_s: float = math.inf
@@ -108,7 +108,7 @@ def test_a_robot_that_can_not_sit_is_stopped() -> None:
     def cannot(_: Pose) -> Ride:
         raise WalkError("it cannot sit")
 
-    one = Followed(Course(GEOMETRY, cannot))
+    one = Followed(Course(ROBOT, cannot))
     one.course.follow(plan(0.0, (30.0, 0.1)), 0.0)
     one.run(1.0)
     one.course.leave(one.now_s)
@@ -148,7 +148,7 @@ def test_a_plan_that_is_not_followed_is_not_held() -> None:
 
 def test_a_plan_waits_until_the_last_servo_that_it_starts_has_its_supply() -> None:
     """As a walk does: whatever moves before that is one leap, once the supply comes."""
-    fed = Followed(Course(GEOMETRY, lambda pose: Ride(FED_SINGLY, running=pose), limp_s=FED_SINGLY.limp_s))
+    fed = Followed(Course(FED_SINGLY, lambda pose: Ride(FED_SINGLY, running=pose)))
     fed.course.follow(waiting := plan(0.0, (0.2, 0.0), (1.2, 0.2)), 0.0)
     last_start_s = len(LEGS) * TICK_S
     fed.run(last_start_s + FED_SINGLY.limp_s - TICK_S)
