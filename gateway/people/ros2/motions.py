@@ -257,25 +257,22 @@ class Following:
 
     def _run(self) -> None:
         try:
-            while self._tick():
-                pass
+            while (pose := self._next()) is not None:
+                self._stream.set(pose)
+                with self._changed:
+                    self._course.sent(pose)
         except GatewayError as error:
             self._error = error
         except (ValueError, RuntimeError) as error:
             self._error = WalkError(str(error))
 
-    def _tick(self) -> bool:
-        """Send the next setpoint. Return whether there is another."""
+    def _next(self) -> Pose | None:
+        """Return the next pose to send; None: it is over."""
         with self._changed:
             self._changed.wait_for(lambda: self._course.begun or self._stops)
             pose = None if self._stops else self._course.next(time.monotonic())
             self._over = pose is None
-        if pose is None:
-            return False
-        self._stream.set(pose)
-        with self._changed:
-            self._course.sent(pose)
-        return True
+        return pose
 
 
 class Walking:
