@@ -56,9 +56,16 @@ class FollowAction:
         return GoalResponse.REJECT
 
     def _execute(self, handle: Any) -> Any:
-        """Follow a goal to its end, and return its result."""
+        """Follow a goal to its end, and return its result. If it cannot begin, the goal before it continues."""
+        is_there = presence(b"", self._callers)
         try:
-            followed = self._begin(handle)
+            with self._lock:
+                if not is_there():
+                    raise JointsError("its sender is not seen in the graph (any more), and could not cancel it")
+                plan = self._topics.plan(handle.request.trajectory)
+                followed = Followed(handle.request, self._topics.joints, plan)
+                self._topics.driving.follow(plan, is_there)
+                self._newest = handle
         except (JointsError, NotTakenError) as error:
             self._topics.reject(NAME, str(error))
             ends, result = handle.abort, GoalResult(error_code(error), str(error))
@@ -69,18 +76,6 @@ class FollowAction:
                 self._topics.driving.hold(followed.plan)
         ends()
         return self._type.Result(**result._asdict())
-
-    def _begin(self, handle: Any) -> Followed:
-        """Begin a goal. Raises JointsError or NotTakenError; then the goal before it continues."""
-        is_there = presence(b"", self._callers)
-        with self._lock:
-            if not is_there():
-                raise JointsError("its sender is not seen in the graph (any more), and could not cancel it")
-            plan = self._topics.plan(handle.request.trajectory)
-            followed = Followed(handle.request, self._topics.joints, plan)
-            self._topics.driving.follow(plan, is_there)
-            self._newest = handle
-        return followed
 
     def _follow(self, handle: Any, followed: Followed) -> tuple[Any, GoalResult]:
         """Wait for the end of the goal, and return its result."""
