@@ -234,14 +234,20 @@ class Simulation:
         now_ns = time.monotonic_ns()
         frames, answers = self._adapter.take(self._device.read())
         self._device.write(answers)
-        self._board.draws_ma[:] = self._draws_ma(now_ns)
+        sensed = None if self._sensed is None else self._sensed.read()
+        drawn_ma = self._draw.draw_ma(self._page.read(), () if sensed is None else sensed.torques_nm, now_ns)
+        drawn_ma |= self._drawn_anyway_ma
+        self._board.draws_ma[:] = [drawn_ma[servo_id] for servo_id in self._outputs]
         for frame in frames:
             self._note("<", frame, now_ns)
             if not self._silent:
                 self._answer(self._board.take(frame, now_ns), now_ns)
         self._make_flood(now_ns)
         self._answer(self._board.advance(now_ns), now_ns)
-        self._feed(now_ns)
+        if (fed := self._board.fed) != self._fed:
+            self._fed = fed
+            self._page.feed({servo_id for place, servo_id in enumerate(self._outputs) if fed >> place & 1})
+            self._record.write(f"{now_ns} = {fed:06x}\n")
         return min(self._board.due_ns, self._flood_due_ns) if self._flood_ns else self._board.due_ns
 
     def do(self, line: bytes) -> None:
@@ -293,19 +299,6 @@ class Simulation:
     def _pass_on(self, frame: CanFrame, now_ns: int) -> None:
         self._note(">", frame, now_ns)
         self._device.write(self._adapter.text(frame))
-
-    def _draws_ma(self, now_ns: int) -> list[float]:
-        sensed = None if self._sensed is None else self._sensed.read()
-        drawn_ma = self._draw.draw_ma(self._page.read(), () if sensed is None else sensed.torques_nm, now_ns)
-        drawn_ma |= self._drawn_anyway_ma
-        return [drawn_ma[servo_id] for servo_id in self._outputs]
-
-    def _feed(self, now_ns: int) -> None:
-        fed = self._board.fed
-        if fed != self._fed:
-            self._fed = fed
-            self._page.feed({servo_id for place, servo_id in enumerate(self._outputs) if fed >> place & 1})
-            self._record.write(f"{now_ns} = {fed:06x}\n")
 
     def _note(self, way: str, frame: CanFrame, now_ns: int) -> None:
         self._record.write(f"{now_ns} {way} {text_of(frame).decode().rstrip()}\n")

@@ -150,7 +150,7 @@ class Node(LifecycleNode):  # type: ignore[misc]
         `always`: a std_msgs/Empty on a topic of that name calls it, too.
         """
         qos = QoSProfile(depth=_REQUESTS)
-        made = self.create_service(Trigger, service, _nothing, qos_profile=qos, callback_group=self._own_threads)
+        made = self.create_service(Trigger, service, lambda *_: None, qos_profile=qos, callback_group=self._own_threads)
 
         def receive() -> None:
             request, header = made.handle.service_take_request(Trigger.Request)
@@ -178,7 +178,7 @@ class Node(LifecycleNode):  # type: ignore[misc]
         qos = QoSProfile(depth=1, reliability=reliability)
         quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
         made = self.create_subscription(
-            found, topic, _nothing, qos, raw=True, callback_group=self._own_threads, event_callbacks=quiet
+            found, topic, lambda *_: None, qos, raw=True, callback_group=self._own_threads, event_callbacks=quiet
         )
 
         def receive() -> None:
@@ -317,10 +317,6 @@ class _OwnThreads(CallbackGroup):  # type: ignore[misc]
     def can_execute(self, entity: Any) -> bool:
         del entity
         return False
-
-
-def _nothing(*_: object) -> None:
-    """The callback that no executor calls."""
 
 
 def _present(find: Callable[[], Iterable[bytes]]) -> Present:

@@ -40,11 +40,6 @@ class Parameters:
             if not _FRAME.fullmatch(frame):
                 raise ConfigError(f"{name}: {frame[:80]!r} is no name of a frame, such as base_link")
 
-    @property
-    def measured_in(self) -> str:
-        """The frame of imu/data."""
-        return self.imu_frame or self.base_frame
-
 
 def _check(name: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:

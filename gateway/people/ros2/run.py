@@ -119,7 +119,7 @@ class Reports:
             self._moved = True
         time_ns, base = time.time_ns(), self.parameters.base_frame
         while (telemetry := self._take(keys.TELEMETRY, Telemetry)) is not None:
-            for topic, message in robot.measured(telemetry, time_ns, base, self.parameters.measured_in):
+            for topic, message in robot.measured(telemetry, time_ns, base, self.parameters.imu_frame or base):
                 self._measured[topic](message)
         if self._moved and now_s - self._published_s >= 1 / self.parameters.joint_states_hz - PERIOD_S / 2:
             self._moved, self._published_s = False, now_s

@@ -72,6 +72,7 @@ class Engine:
         self._slowest = 0
         """The ID of the last servo that was too slow; 0: none."""
         self._cap: tuple[object, float] = (None, 1.0)
+        """The latest velocity, stance and gait, and the part (0 to 1) of it whose strides fit into the discs."""
         self._wanted: deque[Stance | None] = deque(maxlen=1)
         self.state = State(BodyPose(0.0), {}, {}, odometry=odometry)
         """The robot after the latest step; the pose of a lost leg is its last commanded one."""
@@ -96,7 +97,10 @@ class Engine:
         before, pace, slowest, holds = self.state, 1.0, 0, False
         pending = before.sits or before.moves or self._wanted or self._next_gait or self.lost
         target = STILL if pending or self._barred or before.goes_over(velocity) else velocity
-        cap = self._capped(target)
+        if self._cap[0] != (key := (target, self.stance, self._gait)):
+            most = tempo.TEMPO_SPARE / self._least_tempo
+            self._cap = key, largest(lambda part: self._stride_of(target.times(part)) <= most)
+        _, cap = self._cap
         for _ in range(_TRIES):
             after = before.copy()
             try:
@@ -170,7 +174,8 @@ class Engine:
         A foot that is being lowered counts.
         """
         left = [leg for leg in LEGS if leg not in self.lost]
-        return self.is_down or balanced(self.robot, self.state, left)
+        lies = self.state.body.height_m < self.robot.lying_m + ways.ON_GROUND_M
+        return lies or balanced(self.robot, self.state, left)
 
     # ---- its state
 
@@ -192,11 +197,6 @@ class Engine:
     def pose(self) -> Pose:
         """The angles (degrees) of all legs that are not lost, after the latest step."""
         return {leg: angles for leg, angles in self.state.pose.items() if leg not in self.lost}
-
-    @property
-    def is_down(self) -> bool:
-        """Whether the body lies on the ground."""
-        return self.state.body.height_m < self.robot.lying_m + ways.ON_GROUND_M
 
     @property
     def corrected_rad(self) -> float:
@@ -337,16 +337,6 @@ class Engine:
         half_s = self._gait.stance_s / 2
         rests = self.stance.feet.values()
         return max(math.dist(carried(rest, velocity, half_s), rest) for rest in rests) / self._within_m
-
-    def _capped(self, target: Velocity) -> float:
-        """Return the part (0 to 1) of this velocity whose strides fit into the discs."""
-        key = target, self.stance, self._gait
-        if self._cap[0] != key:
-            self._cap = (
-                key,
-                largest(lambda part: self._stride_of(target.times(part)) * self._least_tempo <= tempo.TEMPO_SPARE),
-            )
-        return self._cap[1]
 
     @property
     def _within_m(self) -> float:

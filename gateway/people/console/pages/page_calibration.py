@@ -193,12 +193,22 @@ class PageCalibration:
         self._tasks.start(self._run(step, mine=mine))
 
     async def _run(self, step: CalibrateRequest, *, mine: bool) -> None:
-        note = error = None
+        view: Message = {"type": "calibration", "id": step.id, "note": None, "error": None, "servos": {}}
         try:
-            note = await self._take(step, mine=mine)
+            view["note"] = await self._take(step, mine=mine)
         except (GatewayError, CalibrationError) as fault:
-            error = str(fault)
-        self._send(self._view(step.id, note, error))
+            view["error"] = str(fault)
+        if (guide := self._guide) is not None:
+            changed = guide.changed
+            view["servos"] = {
+                servo_id: {**servo.report.model_dump(), "changed": servo_id in changed}
+                for servo_id, servo in guide.draft.items()
+            }
+            view["landing"] = {servo_id: angle / 100 for servo_id, angle in guide.in_force.landing_cdeg.items()}
+            view |= {"revision": guide.in_force.revision, "servo": guide.servo_id}
+            if guide.servo_id is not None:
+                view |= {"shown_deg": guide.shown_deg, "command_deg": guide.command_deg}
+        self._send(view)
 
     async def _take(self, step: CalibrateRequest, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:
@@ -253,20 +263,6 @@ class PageCalibration:
                 f"another person changed the calibration meanwhile{also}; check it, then write your changes again"
             )
         raise CalibrationError(f"rejected: {ack.reason}: {ack.detail}")
-
-    def _view(self, number: int, note: str | None, error: str | None) -> Message:
-        guide, view = self._guide, {"type": "calibration", "id": number, "note": note, "error": error, "servos": {}}
-        if guide is not None:
-            changed = guide.changed
-            view["servos"] = {
-                servo_id: {**servo.report.model_dump(), "changed": servo_id in changed}
-                for servo_id, servo in guide.draft.items()
-            }
-            view["landing"] = {servo_id: angle / 100 for servo_id, angle in guide.in_force.landing_cdeg.items()}
-            view |= {"revision": guide.in_force.revision, "servo": guide.servo_id}
-            if guide.servo_id is not None:
-                view |= {"shown_deg": guide.shown_deg, "command_deg": guide.command_deg}
-        return view
 
 
 def _on_paper(step: CalibrateRequest, guide: Guide) -> str | None:

@@ -102,8 +102,14 @@ class Auth:
             found.force_close()
         elif url.path == WEBSOCKET:
             return found
+        elif url.path == "/session":
+            nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
+            made = proof(found.key_sha256, f"console {url.query.get('nonce')} {nonce}")
+            found = web.json_response({"nonce": nonce, "proof": made})
+        elif (file := self._files.get(_PAGES.get(url.path, url.path))) is not None:
+            found = file.response(headers)
         else:
-            found = self._for_session(found, url, headers)
+            found = web.Response(status=404, text="there is nothing here")
         found.headers.update(HEADERS)
         return found
 
@@ -128,14 +134,6 @@ class Auth:
         nonce, made = query.get("nonce", ""), query.get("proof", "")
         wanted = proof(entry.key_sha256, f"page {nonce}")
         return self._nonces.spend(nonce, time.monotonic_ns()) and hmac.compare_digest(wanted.encode(), made.encode())
-
-    def _for_session(self, entry: Entry, url: URL, headers: MultiMapping[str]) -> web.Response:
-        if url.path == "/session":
-            nonce = self._nonces.issue(secrets.token_hex(16), time.monotonic_ns())
-            made = proof(entry.key_sha256, f"console {url.query.get('nonce')} {nonce}")
-            return web.json_response({"nonce": nonce, "proof": made})
-        file = self._files.get(_PAGES.get(url.path, url.path))
-        return web.Response(status=404, text="there is nothing here") if file is None else file.response(headers)
 
     async def _exchange(self, token: str, card: str) -> web.Response:
         found = await asyncio.get_running_loop().run_in_executor(self._writer, self._sessions.exchange, token)
