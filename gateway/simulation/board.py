@@ -188,7 +188,14 @@ class SimulatedBoard:
         if self._say_pressed:
             sent.append(CanFrame(wire.OFF_PRESSED))
         if self._show:
-            sent.append(CanFrame(wire.ERROR, self._next_error()))
+            data = b""
+            if self._errors:
+                self._clearable = True
+                self._shown = self._next_shown
+                self._next_shown = (self._next_shown + 1) % len(self._errors)
+                code, mask = list(self._errors.items())[self._shown]
+                data = bytes((code,)) + mask.to_bytes(_MASK_BYTES.get(code, 0), "big")
+            sent.append(CanFrame(wire.ERROR, data))
         if self._say_cleared:
             sent.append(CanFrame(wire.CLEARED))
         self._say_pressed = self._show = self._say_cleared = False
@@ -221,15 +228,6 @@ class SimulatedBoard:
             elif code in (wire.CONVERTER_OVERCURRENT, wire.OVERTEMPERATURE):
                 self._off_converters |= mask
         self._retarget()
-
-    def _next_error(self) -> bytes:
-        if not self._errors:
-            return b""
-        self._clearable = True
-        self._shown = self._next_shown
-        self._next_shown = (self._next_shown + 1) % len(self._errors)
-        code, mask = list(self._errors.items())[self._shown]
-        return bytes((code,)) + mask.to_bytes(_MASK_BYTES.get(code, 0), "big")
 
     def _delete(self, place: int) -> None:
         if place < len(self._errors):

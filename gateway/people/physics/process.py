@@ -254,24 +254,19 @@ def main(arguments: Sequence[str]) -> int:
     os.setpriority(os.PRIO_PROCESS, 0, NICE)
     options: dict[str, Any] = json.loads(arguments[0])
     try:
-        return _run(options)
-    finally:
-        shutil.rmtree(options["folder"], ignore_errors=True)
-
-
-def _run(options: dict[str, Any]) -> int:
-    what = assumed(options["mass_kg"], options["torque_nm"], options["friction"], options["terrain"])
-    try:
+        what = assumed(options["mass_kg"], options["torque_nm"], options["friction"], options["terrain"])
         simulated = Simulated(load(options["geometry"] and Path(options["geometry"])), what)
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        if (overlap := simulated.world.overlap()) is not None:
+            _say(overlap)
+        simulate(simulated, ServoPage(options["page"]), SensedPage(options["sensed"]), Link())
     except GatewayError as error:
         sys.stdout.write(f"{error}\n")
         sys.stdout.flush()
         return error.exit_code
-    sys.stdout.write("ready\n")
-    sys.stdout.flush()
-    if (overlap := simulated.world.overlap()) is not None:
-        _say(overlap)
-    simulate(simulated, ServoPage(options["page"]), SensedPage(options["sensed"]), Link())
+    finally:
+        shutil.rmtree(options["folder"], ignore_errors=True)
     return 0
 
 

@@ -11,7 +11,7 @@ from gateway.people.ros2 import messages as ros
 from gateway.people.ros2.messages import ERROR, OK, WARN, Header, Marker, Message, Quaternion, Vector3
 from gateway.people.walking.motion import Odometry, Velocity
 from schemas.robot import JOINTS, SERVO_IDS
-from schemas.telemetry import Battery, GatewayState, Mode, Telemetry, WatchdogState
+from schemas.telemetry import GatewayState, Mode, Telemetry, WatchdogState
 
 UNKNOWN_DEG: Final = 90.0
 """The angle at which a never commanded servo is drawn."""
@@ -138,11 +138,22 @@ def description(geometry: Geometry, name_of: Callable[[int], str] = joint_name, 
 def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = BASE) -> Iterator[tuple[str, Message]]:
     """Return topics and messages of the robot's measurements, received at `time_ns`.
 
-    The robot reports neither its sensors' accuracy, nor where they are: they count as the body's own.
+    The robot reports neither its sensors' accuracy, nor where they are: they count as the body's own. ROS 2's
+    percentage is a part of 1; an unknown value is NaN.
     """
     header = Header(stamp(time_ns - round(min(found.age_ms, _MOST_AGE_MS) * 1_000_000)), base)
     if found.battery is not None:
-        yield "battery_state", _battery(found.battery, header)
+        voltage_v, percent = found.battery.voltage_v, found.battery.percent
+        yield (
+            "battery_state",
+            ros.BatteryState(
+                header,
+                voltage=voltage_v if abs(voltage_v) < _MOST_FLOAT32 else math.nan,
+                **dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan),
+                percentage=percent / 100 if 0 <= percent <= 100 else math.nan,
+                present=True,
+            ),
+        )
     if (imu := found.imu) is not None:
         w, x, y, z = imu.orientation_wxyz
         yield (
@@ -160,17 +171,6 @@ def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = 
     if (feet := found.feet) is not None:
         legs = ros.MultiArrayDimension("leg", len(feet), len(feet))
         yield "foot_forces", ros.Float64MultiArray(ros.MultiArrayLayout((legs,)), feet)
-
-
-def _battery(battery: Battery, header: Message) -> Message:
-    """ROS 2's percentage is a part of 1; an unknown value is NaN."""
-    return ros.BatteryState(
-        header,
-        voltage=battery.voltage_v if abs(battery.voltage_v) < _MOST_FLOAT32 else math.nan,
-        **dict.fromkeys(("temperature", "current", "charge", "capacity", "design_capacity"), math.nan),
-        percentage=battery.percent / 100 if 0 <= battery.percent <= 100 else math.nan,
-        present=True,
-    )
 
 
 def diagnostics(state: GatewayState) -> tuple[Message, ...]:

@@ -50,7 +50,34 @@ class Limb:
         self._axes = tuple(joint.axis for joint in geometry.joints)
         self._tip_m = geometry.foot.origin_xyz_m
         self._limits_rad = tuple(joint.limits_rad for joint in geometry.joints)
-        self._plan()
+        # The leg as a turntable and two rods in a plane, whose points are complex numbers.
+        first, second, third = self._turns
+        one = apply(first, self._axes[0])
+        two = apply(second, self._axes[1])
+        three = apply(second, apply(third, self._axes[2]))
+        upright = abs(one[2]) > math.cos(_OFF)
+        across = abs(dot(self._axes[0], two)) < math.sin(_OFF)
+        side = 1.0 if dot(two, three) > 0 else -1.0
+        parallel = side * dot(two, three) > math.cos(_OFF)
+        if not (upright and across and parallel):
+            raise WalkError(
+                f"leg {leg}: joint 1 must turn about the mount's z axis, and joints 2 and 3 about parallel axes "
+                "across it; for another chain there is no walking"
+            )
+        self._side = side
+        other = (1.0, 0.0, 0.0) if abs(self._axes[1][0]) < 0.9 else (0.0, 1.0, 0.0)
+        along = minus(other, scaled(self._axes[1], dot(other, self._axes[1])))
+        self._along = scaled(along, 1 / math.sqrt(dot(along, along)))
+        self._upward = cross(self._axes[1], self._along)
+        self._femur = self._in_plane(self._origins_m[2])
+        self._tibia = self._in_plane(apply(third, self._tip_m))
+        self._aside_m = dot(self._origins_m[1], two) + dot(
+            plus(self._origins_m[2], apply(third, self._tip_m)), self._axes[1]
+        )
+        self._across = two
+        low, high = self._limits_rad[2]
+        offset = cmath.phase(self._tibia / self._femur)
+        self._bend = 1.0 if side * (low + high) / 2 + offset > 0 else -1.0
 
     def forward(self, joints_rad: Angles) -> LegPositions:
         """Return the positions of the joints and the foot in the body's frame. `joints_rad`: in radians."""
@@ -78,36 +105,6 @@ class Limb:
         return angles
 
     # ---- the closed form
-
-    def _plan(self) -> None:
-        """Describe the leg as a turntable and two rods in a plane, whose points are complex numbers."""
-        first, second, third = self._turns
-        one = apply(first, self._axes[0])
-        two = apply(second, self._axes[1])
-        three = apply(second, apply(third, self._axes[2]))
-        upright = abs(one[2]) > math.cos(_OFF)
-        across = abs(dot(self._axes[0], two)) < math.sin(_OFF)
-        side = 1.0 if dot(two, three) > 0 else -1.0
-        parallel = side * dot(two, three) > math.cos(_OFF)
-        if not (upright and across and parallel):
-            raise WalkError(
-                f"leg {self.leg}: joint 1 must turn about the mount's z axis, and joints 2 and 3 about parallel axes "
-                "across it; for another chain there is no walking"
-            )
-        self._side = side
-        other = (1.0, 0.0, 0.0) if abs(self._axes[1][0]) < 0.9 else (0.0, 1.0, 0.0)
-        along = minus(other, scaled(self._axes[1], dot(other, self._axes[1])))
-        self._along = scaled(along, 1 / math.sqrt(dot(along, along)))
-        self._upward = cross(self._axes[1], self._along)
-        self._femur = self._in_plane(self._origins_m[2])
-        self._tibia = self._in_plane(apply(third, self._tip_m))
-        self._aside_m = dot(self._origins_m[1], two) + dot(
-            plus(self._origins_m[2], apply(third, self._tip_m)), self._axes[1]
-        )
-        self._across = two
-        low, high = self._limits_rad[2]
-        offset = cmath.phase(self._tibia / self._femur)
-        self._bend = 1.0 if side * (low + high) / 2 + offset > 0 else -1.0
 
     def _in_plane(self, vector: Vector) -> complex:
         return complex(dot(vector, self._along), dot(vector, self._upward))
