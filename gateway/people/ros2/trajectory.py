@@ -66,14 +66,21 @@ class JointNames:
         return servos
 
 
-def of_joints(what: str, servos: Sequence[int], values: Sequence[float]) -> dict[int, float]:
-    """Return servo → value; `what` names a value in errors. Raises JointsError if one is missing or not finite."""
+def of_joints(
+    what: str, servos: Sequence[int], values: Sequence[float], most: float = math.inf, unit: str = ""
+) -> dict[int, float]:
+    """Return servo → value; `what` names a value in errors. Raises JointsError if one is missing or beyond `most`."""
     if len(values) != len(servos):
         raise JointsError(f"there must be one {what} for each of {len(servos)} joints, not {len(values)}")
-    for servo_id, value in zip(servos, values, strict=True):
+    found = dict(zip(servos, values, strict=True))
+    for servo_id, value in found.items():
         if not math.isfinite(value):
             raise JointsError(f"the {what} of {joint_name(servo_id)} is {value}")
-    return dict(zip(servos, values, strict=True))
+        if abs(value) > most * _SPARE:
+            raise JointsError(
+                f"the {what} of {joint_name(servo_id)} is {value:.4g} {unit}, more than {most:.4g} (are these degrees?)"
+            )
+    return found
 
 
 def check_reach(geometry: Geometry, at_rad: Mapping[int, float]) -> None:
@@ -152,9 +159,12 @@ class Trajectory:
                     raise JointsError(f"its time {at_s:g} s is not between 0 and {MAX_S:g} s")
                 at_rad = of_joints("position", servos, point.positions)
                 check_reach(geometry, at_rad)
-                velocities = _bounded("velocity", servos, point.velocities, MAX_RAD_S, "rad/s")
-                _bounded("acceleration", servos, point.accelerations, MAX_RAD_S2, "rad/s²")
-                points.append(Waypoint(at_s, at_rad, velocities or None))
+                velocities = None
+                if point.velocities:  # for all joints or for none
+                    velocities = of_joints("velocity", servos, point.velocities, MAX_RAD_S, "rad/s")
+                if point.accelerations:
+                    of_joints("acceleration", servos, point.accelerations, MAX_RAD_S2, "rad/s²")
+                points.append(Waypoint(at_s, at_rad, velocities))
                 for before, after in pairwise(points[-2:]):
                     for servo_id in servos:
                         way = _JointCubic.of(before, after, servo_id)
@@ -253,19 +263,6 @@ def _check_speed(servo_id: int, speed_rad_s: float, where: str) -> None:
     if abs(speed_rad_s) > MAX_RAD_S * _SPARE:
         turns = f"{joint_name(servo_id)} would turn at {math.degrees(speed_rad_s):.4g}°/s {where}"
         raise JointsError(f"{turns}; at most {MAX_SPEED_DEG_S:g}°/s")
-
-
-def _bounded(
-    what: str, servos: tuple[int, ...], values: Sequence[float], most: float, unit: str
-) -> Mapping[int, float]:
-    """Servo → value, for all servos or for none. Raises JointsError."""
-    found = of_joints(what, servos, values) if values else {}
-    for servo_id, value in found.items():
-        if abs(value) > most * _SPARE:
-            raise JointsError(
-                f"the {what} of {joint_name(servo_id)} is {value:.4g} {unit}, more than {most:.4g} (are these degrees?)"
-            )
-    return found
 
 
 def _elapsed_s(message: Any, length_s: float, since_1970_ns: int) -> float:
