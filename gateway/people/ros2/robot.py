@@ -176,53 +176,44 @@ def measured(found: Telemetry, time_ns: int, base: str = BASE, imu_frame: str = 
 def diagnostics(state: GatewayState) -> tuple[Message, ...]:
     """Return a DiagnosticStatus for each part of the gateway."""
     expired = [leg.leg for leg in state.legs if leg.watchdog == WatchdogState.EXPIRED]
-    latency, lease, estopped = state.watchdog.stop_latency_us, state.lease, state.mode == Mode.ESTOPPED
-    return (
-        status(
+    fault, estopped, lease = state.mode == Mode.BUS_FAULT, state.mode == Mode.ESTOPPED, state.lease
+    latency_us = state.watchdog.stop_latency_us.model_dump()
+    commands = state.commands.model_dump(include={"accepted", "rejected"})
+    parts: tuple[tuple[str, int, str, dict[str, object]], ...] = (
+        (
             "gateway",
             _LEVELS.get(state.mode, WARN),
             state.mode,
-            mode=state.mode,
-            version=state.version,
-            simulated=state.simulated,
-            commands_accepted=state.commands.accepted,
-            commands_rejected=state.commands.rejected,
+            state.model_dump(include={"mode", "version", "simulated"})
+            | {f"commands_{name}": count for name, count in commands.items()},
         ),
-        status(
+        (
             "watchdog",
             WARN if expired else OK,
             f"it has stopped leg {', '.join(map(str, expired))}" if expired else "no leg is stopped by it",
-            timeout_ms=state.watchdog.timeout_ms,
-            expirations=state.watchdog.expirations,
-            stop_latency_p50_us=latency.p50,
-            stop_latency_p99_us=latency.p99,
-            stop_latency_max_us=latency.max,
+            state.watchdog.model_dump(include={"timeout_ms", "expirations"})
+            | {f"stop_latency_{name}_us": value for name, value in latency_us.items()},
         ),
-        status(
+        (
             "bus",
-            ERROR if state.mode == Mode.BUS_FAULT else OK,
-            "it does not answer" if state.mode == Mode.BUS_FAULT else "it answers",
-            device=state.spi.device,
-            frames=state.spi.frames,
-            errors=state.spi.errors,
-            controller_alive=state.controller.alive,
+            ERROR if fault else OK,
+            "it does not answer" if fault else "it answers",
+            state.spi.model_dump(include={"device", "frames", "errors"}) | {"controller_alive": state.controller.alive},
         ),
-        status(
+        (
             "emergency stop",
             ERROR if estopped else OK,
             f"engaged by {state.estop_source or 'somebody'}" if estopped else "not engaged",
-            number=state.estop,
-            source=state.estop_source,
+            {"number": state.estop, "source": state.estop_source},
         ),
-        status(
+        (
             "lease",
             OK,
             "nobody drives" if lease.holder is None else f"{lease.holder} drives",
-            holder=lease.holder,
-            verified=lease.verified,
-            asked_by=lease.asked_by,
+            lease.model_dump(include={"holder", "verified", "asked_by"}),
         ),
     )
+    return tuple(status(part, level, message, **values) for part, level, message, values in parts)
 
 
 def status(part: str, level: int, message: str, **values: object) -> Message:
