@@ -171,9 +171,7 @@ def send_stopping(press: Press[Outgoing, str], ack: Ack | None, error: str | Non
             "asked_ms_ago": (now_ns() - press.pressed_ns) / 1e6,
             "answered": ack is not None,
             "attempts": press.attempts,
-            "stop_frames": ack and ack.stop_frames,
-            "latency_us": ack and ack.latency_us,
-            "estop": ack and ack.estop,
+            **({} if ack is None else ack.model_dump(include={"stop_frames", "latency_us", "estop"})),
             "power": "" if ack is None else confirmed_off(ack),
             "error": error,
         }

@@ -164,15 +164,12 @@ class PageWalks:
         return walk_message(
             self._newest.press,
             ride.detail,
+            **{name: getattr(state, name) for name in ("posture", "gait", "limit", "lost")},
             id=self._newest.id,
-            posture=state.posture,
             now=walk.now,
-            gait=state.gait,
             height_m=round(state.height_m, 4),
             commanded=[round(each, 4) for each in state.commanded],
             scaled=[round(each, 4) for each in state.scaled],
-            limit=state.limit,
-            lost=list(state.lost),
             ground=ground_now(state),
             waits=self._newest.press <= ride.spent,
         )
