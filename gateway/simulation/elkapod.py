@@ -51,29 +51,6 @@ BASE_A: Final = 1.0
 """The computer and the controller, without servos."""
 
 
-class SimulatedBattery:
-    """A battery of two cells, full at first."""
-
-    def __init__(self) -> None:
-        self.charge = 1.0
-        self.current_a = BASE_A
-
-    def draw(self, current_a: float, seconds: float) -> None:
-        """Draw `current_a` for `seconds`."""
-        self.current_a = current_a
-        self.charge = max(0.0, self.charge - current_a * seconds / CAPACITY_AS)
-
-    @property
-    def voltage_v(self) -> float:
-        """The voltage at the plug, under the present load."""
-        return EMPTY_V + (FULL_V - EMPTY_V) * self.charge - RESISTANCE_OHM * self.current_a
-
-    @property
-    def percent(self) -> float:
-        """Charge estimated from the voltage, as simple boards do, 0 to 100: it falls under load, and recovers."""
-        return max(0.0, min(100.0, 100 * (self.voltage_v - EMPTY_V) / (FULL_V - EMPTY_V)))
-
-
 HEARTBEAT_NS: Final = 50_000_000
 MOST_HEARTBEATS: Final = 4096 // elkapod.HEARTBEAT_BYTES
 """The heartbeats that a terminal's buffer holds. Further ones are lost."""
@@ -110,7 +87,8 @@ class SimulatedElkapod(DuplexDevice):
         self._clock = clock
         self._say = on_change or (lambda _: None)
         self._sensed = sensed
-        self._battery = SimulatedBattery()
+        self._charge, self._drawn_a = 1.0, BASE_A
+        """Of the battery: from 1, full, to 0."""
         self._noise = random.Random(0)  # noqa: S311  (sensor noise, no secrets)
         self._lock = threading.Lock()
         now_ns = clock()
@@ -187,18 +165,21 @@ class SimulatedElkapod(DuplexDevice):
         body, servos = self._body(), self._servos.values()
         moving_a = MOVING_A * sum(servo.moves for servo in servos)
         works_a = moving_a if body is None else A_PER_NM * sum(map(abs, body.torques_nm))
-        drawn_a = BASE_A + IDLE_A * sum(servo.driven for servo in servos) + works_a
-        self._battery.draw(drawn_a, (now_ns - self._advanced_ns) / 1e9)
+        self._drawn_a = BASE_A + IDLE_A * sum(servo.driven for servo in servos) + works_a
+        drawn_as = self._drawn_a * (now_ns - self._advanced_ns) / 1e9
+        self._charge = max(0.0, self._charge - drawn_as / CAPACITY_AS)
         self._advanced_ns = now_ns
 
     def _measure(self, now_ns: int) -> Measured:
         body = self._body() or self._at_rest()
         one, two, three, four, five, six = body.feet_n
         passed_s = (now_ns - self._begun_ns) / 1e9
+        voltage_v = EMPTY_V + (FULL_V - EMPTY_V) * self._charge - RESISTANCE_OHM * self._drawn_a
         return Measured(
             temperature_c=_AMBIENT_C + _WARMS_BY_C * (1 - math.exp(-passed_s / _WARMS_IN_S)),
-            voltage_v=self._battery.voltage_v,
-            percent=self._battery.percent,
+            voltage_v=voltage_v,
+            # Estimated from the voltage, as simple boards do: it falls under load, and recovers.
+            percent=max(0.0, min(100.0, 100 * (voltage_v - EMPTY_V) / (FULL_V - EMPTY_V))),
             orientation_wxyz=body.orientation_wxyz,
             angular_velocity_rad_s=self._noisy(body.angular_velocity_rad_s, _GYRO_NOISE_RAD_S),
             linear_acceleration_m_s2=self._noisy(body.linear_acceleration_m_s2, _ACCELEROMETER_NOISE_M_S2),
