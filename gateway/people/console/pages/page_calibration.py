@@ -213,16 +213,29 @@ class PageCalibration:
     async def _take(self, step: CalibrateRequest, *, mine: bool) -> str | None:
         if step.do == "open" or self._guide is None:
             await self._refresh()
-        guide = self._guide
+        guide, deg = self._guide, step.deg or 0.0
         if guide is None:
             raise CalibrationError("no calibration has been read yet")
-        if step.do in ("write", "landing", "accept_default"):
-            if not mine:
-                raise CalibrationError("this page does not have the lease; press Drive first")
-            if guide.servo_id is not None and step.do != "landing":
-                raise CalibrationError(f"servo {guide.servo_id} is under test; stop it first")
-            return await self._write(step, guide)
-        return _on_paper(step, guide)
+        match step.do:
+            case "write" | "landing" | "accept_default":
+                if not mine:
+                    raise CalibrationError("this page does not have the lease; press Drive first")
+                if guide.servo_id is not None and step.do != "landing":
+                    raise CalibrationError(f"servo {guide.servo_id} is under test; stop it first")
+                return await self._write(step, guide)
+            case "test":
+                guide.choose(step.servo or 0, deg)
+            case "leave":
+                guide.servo_id = None
+            case "jog":
+                guide.jog(round(deg * 100))
+            case "undo":
+                servo_id = guide.undo()
+                return "there is nothing to take back" if servo_id is None else f"taken back: servo {servo_id}"
+            case how if how != "open":
+                guide.change(how, deg)
+                return "turned round: + now has to be the way in which its angle grows" if how == "wrong_way" else None
+        return None
 
     async def _refresh(self) -> list[int]:
         """Read the calibration in force into the guide. Returns the servos that both this draft and others changed."""
@@ -263,22 +276,3 @@ class PageCalibration:
                 f"another person changed the calibration meanwhile{also}; check it, then write your changes again"
             )
         raise CalibrationError(f"rejected: {ack.reason}: {ack.detail}")
-
-
-def _on_paper(step: CalibrateRequest, guide: Guide) -> str | None:
-    """Change the draft or the wanted angle, and nothing else. Returns what to show. Raises CalibrationError."""
-    deg = 0.0 if step.deg is None else step.deg
-    match step.do:
-        case "test" if step.servo is not None:
-            guide.choose(step.servo, deg)
-        case "leave":
-            guide.servo_id = None
-        case "jog":
-            guide.jog(round(deg * 100))
-        case "undo":
-            servo_id = guide.undo()
-            return "there is nothing to take back" if servo_id is None else f"taken back: servo {servo_id}"
-        case how if how not in ("open", "test"):
-            guide.change(how, deg)
-            return "turned round: + now has to be the way in which its angle grows" if how == "wrong_way" else None
-    return None
