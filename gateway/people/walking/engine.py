@@ -17,7 +17,7 @@ from typing import Final
 from gateway.errors import WalkError
 from gateway.people.walking import balance, gaits, tempo, ways
 from gateway.people.walking.balance import NOTHING, Felt, Senses
-from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried
+from gateway.people.walking.motion import ORIGIN, STILL, BodyPose, Odometry, Posture, Velocity, carried, travelled
 from gateway.people.walking.planning import Planner, balanced
 from gateway.people.walking.robot import LIFT_M, WIDE_RAD, Pose, Robot, Stance, largest
 from gateway.people.walking.swing import State, Swing
@@ -270,7 +270,7 @@ class Engine:
         if velocity.moves:
             velocity = velocity.times(self._begun(state, velocity) if began else self._allowed(state, velocity))
         state.velocity = velocity
-        state.odometry = state.odometry.after(velocity, seconds)
+        state.odometry = state.odometry.then(Odometry(*travelled(velocity, seconds)))
         for leg, foot in state.feet.items():
             if leg not in state.swings and leg not in self.lost:
                 state.feet[leg] = carried(foot, velocity, seconds)

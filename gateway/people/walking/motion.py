@@ -99,10 +99,6 @@ class Odometry(NamedTuple):
     y_m: float = 0.0
     heading_rad: float = 0.0
 
-    def after(self, velocity: Velocity, seconds: float) -> "Odometry":
-        """Return the odometry after a further motion with `velocity` (body's frame). @private"""
-        return self.then(Odometry(*travelled(velocity, seconds)))
-
     def then(self, further: "Odometry") -> "Odometry":
         """Return the odometry after `further`, which began here. @private"""
         cosine, sine = math.cos(self.heading_rad), math.sin(self.heading_rad)
@@ -138,12 +134,6 @@ class BodyPose(NamedTuple):
         """Return a point of the body's frame in the ground frame. `turn`: as for `seen`."""
         x, y, z = apply(turn, point)
         return x, y, z + self.height_m
-
-    def towards(self, other: "BodyPose", part: float) -> "BodyPose":
-        """Return the pose between this (`part` 0) and `other` (`part` 1)."""
-        pairs = zip(self, other, strict=True)
-        height_m, roll_rad, pitch_rad = (a + (b - a) * part for a, b in pairs)
-        return BodyPose(height_m, roll_rad, pitch_rad)
 
 
 class Posture(StrEnum):

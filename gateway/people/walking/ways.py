@@ -44,7 +44,7 @@ class Shift(NamedTuple):
         return max(_LEAST_S, rise_m / _SINK_M_S, max(roll, pitch) / _LEAN_RAD_S)
 
     def at(self, part: float) -> BodyPose:
-        return self.begin.towards(self.end, smooth(part))
+        return BodyPose(*between(self.begin, self.end, smooth(part)))
 
 
 class Footsteps(NamedTuple):
