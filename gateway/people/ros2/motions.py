@@ -178,7 +178,7 @@ class Course:
         if self._plan is not None and self._ride is None:
             if self._advanced_s < self._fed_s:  # the plan stands still until then
                 waited_s = min(now_s, self._fed_s) - self._advanced_s
-                self._plan.postpone(waited_s)
+                self._plan.begins_s += waited_s
                 self._rests_s += waited_s
             self._at = {**self._at, **legs_deg(self._robot.geometry, self._plan.at(now_s))}
         self._advanced_s = now_s

@@ -135,7 +135,7 @@ class Trajectory:
     def __init__(self, points: tuple[Waypoint, ...], begins_s: float) -> None:
         """`begins_s`: the time from which its points count, by the clock of `at`."""
         self._points = points
-        self._begins_s = begins_s
+        self.begins_s = begins_s
         self._from = points[0]
 
     @classmethod
@@ -178,11 +178,11 @@ class Trajectory:
     @property
     def ends_s(self) -> float:
         """When the last point is due, by the clock of `at`."""
-        return self._begins_s + self._points[-1].at_s
+        return self.begins_s + self._points[-1].at_s
 
     def elapsed_s(self, now_s: float) -> float:
         """Return the seconds since the trajectory's start."""
-        return now_s - self._begins_s
+        return now_s - self.begins_s
 
     def begin(self, present_rad: Mapping[int, float], now_s: float) -> None:
         """Start from the present angles. A joint that is not in `present_rad` begins at the next point.
@@ -196,10 +196,6 @@ class Trajectory:
         for servo_id, at in at_rad.items():
             _check_speed(servo_id, (after.positions_rad[servo_id] - at) / length_s, "from where it is")
         self._from = before
-
-    def postpone(self, by_s: float) -> None:
-        """Delay each point by `by_s` seconds: the joints wait."""
-        self._begins_s += by_s
 
     def at(self, now_s: float) -> dict[int, float]:
         """Return servo → radians at `now_s`. Call `begin` first."""

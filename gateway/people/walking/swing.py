@@ -35,7 +35,8 @@ class Swing(NamedTuple):
         The foot waits `waits_s` for its contact before it goes on down, and longer at the lowest point. A contact is
         reported `lag_s` late: the ground is where the foot was at contact.
         """
-        met_m = self._height_m(lag_s, now_m)
+        before = (at_m for ago_s, at_m in self.trail if ago_s >= lag_s - _ALMOST)
+        met_m = next(before, now_m) if lag_s else now_m
         if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > balance.EARLY_M)):
             return Descent(now_m, rises_m=max(0.0, met_m - now_m - _PRESSED_M))
         trail = ((ago_s + seconds, at_m) for ago_s, at_m in self.trail if ago_s < balance.LATE_S)
@@ -56,11 +57,6 @@ class Swing(NamedTuple):
     def met_now(self, touches: bool | None) -> bool:
         """Return whether the foot is felt on the ground after it was in the air."""
         return self.free and touches is True
-
-    def _height_m(self, ago_s: float, now_m: float) -> float:
-        """Return the height of the foot (m) `ago_s` ago."""
-        before = (at_m for since_s, at_m in self.trail if since_s >= ago_s - _ALMOST)
-        return next(before, now_m) if ago_s else now_m
 
 
 class Descent(NamedTuple):
