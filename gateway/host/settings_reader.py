@@ -4,7 +4,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, fields, is_dataclass
-from typing import Any, Final, Literal, NamedTuple, TypeVar, cast, get_args, get_origin
+from typing import Any, Final, Literal, TypeVar, cast, get_args, get_origin
 
 from gateway.host.settings_table import (
     FOR_STOPS,
@@ -22,14 +22,9 @@ from schemas.robot import SERVO_IDS
 
 SERVOS: Final = frozenset(map(str, SERVO_IDS))
 NO_SETTING: Final = "is no setting"
+Fault = tuple[Place, str]
+"""The place of a fault, and its sentence."""
 S = TypeVar("S", bound=Section)
-
-
-class SettingFault(NamedTuple):
-    """A fault: its place and its sentence."""
-
-    place: Place
-    sentence: str
 
 
 def dotted(place: Place) -> str:
@@ -38,7 +33,7 @@ def dotted(place: Place) -> str:
     return text.removeprefix(".")
 
 
-def read(kind: type[S], table: object, faults: list[SettingFault], place: Place = ()) -> S:
+def read(kind: type[S], table: object, faults: list[Fault], place: Place = ()) -> S:
     """Return the section (or all settings) in this table.
 
     Faults are added to `faults`. A value of the wrong type or out of range is replaced by its default.
@@ -54,10 +49,10 @@ def read(kind: type[S], table: object, faults: list[SettingFault], place: Place 
             allowed = each.metadata.get("allowed", _ANY)
             value = _value(each.type, allowed, others.pop(each.name), (*place, each.name), faults)
             found |= {} if value is None else {each.name: value}
-    faults += [SettingFault((*place, name), REMOVED.get((*place, name), NO_SETTING)) for name in others]
+    faults += [((*place, name), REMOVED.get((*place, name), NO_SETTING)) for name in others]
     made = kind(**found)
     if len(faults) == before:
-        faults += [SettingFault((*place, *below), sentence) for below, sentence in made.faults()]
+        faults += [((*place, *below), sentence) for below, sentence in made.faults()]
     return made
 
 
@@ -77,16 +72,16 @@ class ForStops:
     """None: the section is wrong, which must not prevent Stops."""
 
 
-def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[SettingFault]]:
+def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[Fault]]:
     """Return the settings that a Stop needs, and the faults that prevent it: only in [wire], [spi] and the UART."""
-    prevent, of_others = list[SettingFault](), list[SettingFault]()
+    prevent, of_others = list[Fault](), list[Fault]()
     wire = read(WireSettings, tables.get("wire", {}), prevent, ("wire",))
     spi = read(SpiSettings, tables.get("spi", {}), prevent, ("spi",))
     controller = read(ControllerSettings, tables.get("controller", {}), of_others, ("controller",))
     power = read(PowerSettings, tables.get("power", {}), of_others, ("power",))
-    needed = [fault for fault in of_others if fault.place[1:] == () or fault.place[1] in FOR_STOPS[str(fault.place[0])]]
-    prevent += [fault for fault in needed if fault.place[0] == "controller"]
-    wrong = any(fault.place[0] == "power" for fault in needed)
+    needed = [fault for fault in of_others if len(place := fault[0]) == 1 or place[1] in FOR_STOPS[str(place[0])]]
+    prevent += [fault for fault in needed if fault[0][0] == "controller"]
+    wrong = any(place[0] == "power" for place, _ in needed)
     return ForStops(wire, spi.of(wire), controller, None if wrong else power), prevent
 
 
@@ -94,7 +89,7 @@ _ANY: Final = Allowed("")
 _NAMES: Final = {bool: "a valid boolean", int: "a valid integer", float: "a valid number", str: "a valid string"}
 
 
-def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[SettingFault]) -> Any:
+def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[Fault]) -> Any:
     """Return the value in its setting's type; None if it is wrong, whose faults are added."""
     if is_dataclass(kind):
         return read(cast("type[Section]", kind), value, faults, place)
@@ -104,7 +99,7 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[S
         found = tuple(_value(get_args(kind)[0], _ANY, each, (*place, at), faults) for at, each in enumerate(value))
     elif of is Mapping and isinstance(value, Mapping):
         known = "an id is the leg (1 to 6) and the joint (1 to 3), such as 32"
-        faults += [SettingFault(place, f"{key_name(name)} is no servo; {known}") for name in value.keys() - SERVOS]
+        faults += [(place, f"{key_name(name)} is no servo; {known}") for name in value.keys() - SERVOS]
         of_servos = {name: each for name, each in value.items() if name in SERVOS}
         found = {
             name: _value(get_args(kind)[1], allowed, each, (*place, name), faults) for name, each in of_servos.items()
@@ -115,12 +110,12 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[S
     else:
         found = kind(value) if kind is float or isinstance(kind, enum.EnumMeta) else value
     sentence = "" if len(faults) > before else allowed.fault(found)
-    faults += [SettingFault(place, sentence)] if sentence else []
+    faults += [(place, sentence)] if sentence else []
     return found
 
 
-def _wrong(place: Place, value: object, wanted: str) -> SettingFault:
-    return SettingFault(place, f"{echo(value)} is not allowed: input should be {wanted}")
+def _wrong(place: Place, value: object, wanted: str) -> Fault:
+    return (place, f"{echo(value)} is not allowed: input should be {wanted}")
 
 
 def words(kind: Any) -> tuple[str, ...]:

@@ -20,8 +20,8 @@ from gateway.host.directories import CONFIGURATION
 from gateway.host.settings_reader import (
     NO_SETTING,
     SERVOS,
+    Fault,
     ForStops,
-    SettingFault,
     dotted,
     is_others,
     read,
@@ -108,9 +108,9 @@ class Settings(Section):
     @classmethod
     def of(cls, tables: Mapping[str, Any]) -> Self:
         """Return settings from a TOML file's tables. Raises ConfigError with one line for each fault."""
-        faults: list[SettingFault] = []
+        faults: list[Fault] = []
         found = read(cls, tables, faults)
-        _raise([f"{dotted(fault.place)}: {fault.sentence}" for fault in faults])
+        _raise([f"{dotted(place)}: {sentence}" for place, sentence in faults])
         return found
 
     def faults(self) -> Iterable[tuple[Place, str]]:
@@ -167,11 +167,11 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
         lines.append(str(error))
     unread = bool(lines)
     variables, misnamed = _environment()
-    in_file, merged, faults = list[SettingFault](), _merged(tables, variables), list[SettingFault]()
+    in_file, merged, faults = list[Fault](), _merged(tables, variables), list[Fault]()
     read(Settings, tables, in_file)
     found = read(Settings, merged, faults)
     lines += [_line(path, fault) for fault in in_file]
-    lines += [f"{key_name(variable)}: {fault.sentence}" for variable, fault in misnamed]
+    lines += [f"{key_name(variable)}: {sentence}" for variable, (_, sentence) in misnamed.items()]
     lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
     if not (simulated or unread):
         _require_framing(path, merged, lines)
@@ -187,25 +187,28 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     variables, misnamed = _environment()
     merged = _merged(_read(path), variables)
     found, faults = read_for_stops(merged)
-    wrong = [(variable, fault) for variable, fault in misnamed if fault.place[0] == "spi"]
-    lines = [f"{key_name(variable)}: {fault.sentence}" for variable, fault in wrong if not _harmless(fault)]
-    lines += [_line(path, fault, variables) for fault in faults if not _harmless(fault)]
+    lines = [
+        f"{key_name(variable)}: {sentence}"
+        for variable, (place, sentence) in misnamed.items()
+        if place[0] == "spi" and not _harmless(place)
+    ]
+    lines += [_line(path, fault, variables) for fault in faults if not _harmless(fault[0])]
     _require_framing(path, merged, lines)
     _raise(lines)
     return found
 
 
-def _harmless(fault: SettingFault) -> bool:
-    """Return whether the fault is a removed setting that no Stop needs."""
-    return fault.place in REMOVED and fault.place != ("spi", "protocol")
+def _harmless(place: Place) -> bool:
+    """Return whether this is a removed setting that no Stop needs."""
+    return place in REMOVED and place != ("spi", "protocol")
 
 
-def _line(path: Path | None, fault: SettingFault, variables: Variables = MappingProxyType({})) -> str:
+def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyType({})) -> str:
     """Return the fault after its variables, which set its value, a part of it, or a table that contains it; else after
     its place in the file."""
-    place = fault.place
+    place, sentence = fault
     named = [variable for at, (variable, _) in variables.items() if place[: len(at)] == at or at[: len(place)] == place]
-    return f"{' and '.join(named) or f'{path or CONFIGURATION}: {dotted(place)}'}: {fault.sentence}"
+    return f"{' and '.join(named) or f'{path or CONFIGURATION}: {dotted(place)}'}: {sentence}"
 
 
 _WHICH_FRAMING: Final = (
@@ -249,13 +252,13 @@ def _read(path: Path | None) -> dict[str, Any]:
 # ---- the environment
 
 
-def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
+def _environment() -> tuple[Variables, dict[str, Fault]]:
     """Return the variables that begin with ENV_PREFIX, and the faults in them.
 
     A variable that names no setting is a fault. CONNECT_VARIABLE is for client commands and is skipped.
     """
     found: dict[tuple[str, ...], tuple[str, Any]] = {}
-    faults: list[tuple[str, SettingFault]] = []
+    faults: dict[str, Fault] = {}
     for variable, text in sorted(os.environ.items()):
         if not variable.upper().startswith(ENV_PREFIX) or variable == CONNECT_VARIABLE:
             continue
@@ -263,13 +266,13 @@ def _environment() -> tuple[Variables, list[tuple[str, SettingFault]]]:
         kind = _kind(place) if variable == variable.upper() else None
         if kind is None:
             why = REMOVED.get(place) or REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
-            faults.append((variable, SettingFault(place, why)))
+            faults[variable] = place, why
             continue
         try:
             found[place] = variable, _typed(kind, text)
         except (ValueError, RecursionError):
             example = """write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
-            faults.append((variable, SettingFault(place, f"{echo(text)} is not allowed: {example}")))
+            faults[variable] = place, f"{echo(text)} is not allowed: {example}"
     return found, faults
 
 
