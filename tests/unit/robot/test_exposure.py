@@ -114,13 +114,22 @@ def test_no_option_brings_quic_together_with_certificates(dialled: bool) -> None
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
-    [("anna:secret\n", False), ("", True), ("\n\n", True), ("anna\n", True), (":secret\n", True), ("anna:\n", True)],
+    ("text", "endpoint", "expected"),
+    [
+        *(
+            ("anna:secret\n", endpoint, False)
+            for endpoint in ("tcp/0.0.0.0:7447", "tcp/robot:7447", "udp/0.0.0.0:7447")
+        ),
+        *(("anna:secret\n", endpoint, True) for endpoint in ("udp/224.0.0.224:7446", "udp/group:7446")),  # multicast
+        *((text, "tcp/0.0.0.0:7447", True) for text in ("", "\n\n", "anna\n", ":secret\n", "anna:\n")),
+    ],
 )
-def test_passwords_and_that_an_empty_dictionary_is_none(tmp_path: Path, text: str, expected: bool) -> None:
+def test_passwords_and_that_an_empty_dictionary_is_none(
+    tmp_path: Path, text: str, endpoint: str, expected: bool
+) -> None:
     users = tmp_path / "users.txt"
     users.write_text(text)
-    assert rejected("tcp/0.0.0.0:7447", **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
+    assert rejected(endpoint, **{"transport/auth/usrpwd/dictionary_file": str(users)}) is expected
 
 
 @pytest.mark.parametrize("content", [None, b"anna:\xff"], ids=["missing", "no text"])

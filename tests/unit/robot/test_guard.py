@@ -18,7 +18,6 @@ from tests.unit.model.test_frames import ILLEGAL, bytes_near_a_frame, frames
 PREFIXED = Framing.LENGTH_PREFIXED
 STOP_1 = stop_leg(1).to_bytes()
 START_11 = OneServo(11, ServoOp(Op.START, 90_00)).to_bytes()
-STOP_WITH_ANGLE = bytes.fromhex("06 02 20 02 5a 00")
 ZERO = b"\0"
 
 
@@ -86,12 +85,6 @@ def test_legal_frames_pass_and_nothing_else(batch: list[list[bytes]], framing: F
     assert passes(framing, *data) is legal(framing, data)
 
 
-def test_the_two_lengths_that_may_be_announced() -> None:
-    for length in range(1, 256):
-        body = START_11 if length == 6 else STOP_1
-        assert passes(PREFIXED, bytes((length,)), body) is (length in (6, 14))
-
-
 def test_an_announcement_and_its_body_are_in_one_batch() -> None:
     assert not passes(PREFIXED, b"\x0e")
     assert not passes(PREFIXED, b"\x0e", STOP_1, b"\x06")
@@ -125,11 +118,6 @@ def test_no_stop_is_rejected_for_its_angle() -> None:
         device = Recorder()
         Guard(device, Framing.PLAIN, (0, 180_01)).transfer([(stop.to_bytes(), 0)])
         assert len(device.batches) == 1
-
-
-def test_a_stop_with_an_angle_is_not_what_the_encoder_writes() -> None:
-    with pytest.raises(IllegalTransferError, match=r"06 02 20 02 5a 00\] is no frame"):
-        Guard(Recorder(), Framing.PLAIN).transfer([(STOP_WITH_ANGLE, 0)])
 
 
 @pytest.mark.parametrize("zeros", [bytes(length) for length in range(2, 20)], ids=len)
