@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare
@@ -46,6 +46,8 @@ class KernelDevice(SpiDevice, DuplexDevice):
     contains speed and bits, and `put_right` checks the mode, which no segment has.
     """
 
+    _spi: Any = None
+
     def __init__(
         self, path: str, speed_hz: int, *, mode: int = 0, exclusive: bool = True, spare: Spare | None = None
     ) -> None:
@@ -58,7 +60,6 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._spare = spare
         self._speed_hz = speed_hz
         self._flags = bytes((mode,))
-        self._spi = ioctls.spi_dev()()
         self._listener: Listener | None = None
         self.most_transfers = most_transfers()
         self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
@@ -90,7 +91,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
         while True:
             more = self._spare is not None and self._spare.give_up()
             try:
-                self._spi.open_path(path)
+                self._spi = ioctls.open_device(path)
             except Exception as error:
                 if not (more and isinstance(error, OSError) and error.errno == errno.EMFILE):
                     raise
@@ -145,7 +146,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
             mode = self._read(_READ_MODE)
             if mode == self._mode:
                 return None
-        except OSError:  # the device is going away, and the next transfer will report it
+        except (OSError, ValueError):  # the device is going away, and the next transfer will report it
             return None
         with suppress(OSError):
             fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
