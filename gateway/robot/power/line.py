@@ -92,8 +92,7 @@ class PowerLine:
 
     def start(self) -> None:
         """Open the interface, or let the sender try until it opens. Raises ConfigError if it never can."""
-        with suppress(LineError):
-            self._use(self._opener(self._settings))
+        self._open()
         self._receiver.start()
         self._sender.start()
 
@@ -124,11 +123,7 @@ class PowerLine:
 
     def news(self) -> list[News | Confirmed]:
         """Return the events since the last call."""
-        news = []
-        with suppress(IndexError):
-            while True:
-                news.append(self._news.popleft())
-        return news
+        return [self._news.popleft() for _ in range(len(self._news))]
 
     def _request(self, request: Callable[[], None]) -> None:
         self._requests.append(request)
@@ -151,10 +146,13 @@ class PowerLine:
         while self._requests:
             self._requests.popleft()()
 
-    def _use(self, bus: "can.BusABC") -> None:
-        with self._lock:
-            self._bus = bus
-            self._board.opened(self._clock())
+    def _open(self) -> None:
+        """Try to open the interface. Raises ConfigError if it never can."""
+        with suppress(LineError):
+            bus = self._opener(self._settings)
+            with self._lock:
+                self._bus = bus
+                self._board.opened(self._clock())
 
     def _lose(self, bus: "can.BusABC", error: Exception) -> None:
         """Record that the interface is gone. Neither thread uses it any more."""
@@ -174,7 +172,10 @@ class PowerLine:
             if bus is None:
                 if closing:
                     return
-                self._open_again()
+                # Once in RETRY_S at most: with the bus off, it opens but sends nothing.
+                time.sleep(max(0, self._retry_ns - time.monotonic_ns()) / NS_PER_S)
+                self._retry_ns = time.monotonic_ns() + round(RETRY_S * NS_PER_S)
+                self._open()
                 continue
             self._send_due(bus)
             if closing:
@@ -185,13 +186,6 @@ class PowerLine:
             with self._lock:
                 wait_ns = 0 if self._requests else self._board.due_ns - self._clock()
             self._wake.acquire(timeout=max(0, wait_ns) / NS_PER_S)
-
-    def _open_again(self) -> None:
-        """Try to open the interface, once in RETRY_S at most: with the bus off, it opens but sends nothing."""
-        time.sleep(max(0, self._retry_ns - time.monotonic_ns()) / NS_PER_S)
-        self._retry_ns = time.monotonic_ns() + round(RETRY_S * NS_PER_S)
-        with suppress(LineError):
-            self._use(self._opener(self._settings))
 
     def _send_due(self, bus: "can.BusABC") -> None:
         from can import CanError  # noqa: PLC0415
@@ -205,14 +199,13 @@ class PowerLine:
             with self._lock:
                 self._take_requests()
                 frames = self._board.next_frames(self._clock())
-            left = deque(frames)
             try:
-                while left:
-                    send(bus, left[0], SEND_S)
-                    left.popleft()
+                while frames:
+                    send(bus, frames[0], SEND_S)
+                    del frames[0]
             except BusyError:
                 with self._lock:
-                    self._board.not_sent(left, self._clock())
+                    self._board.not_sent(frames, self._clock())
                 time.sleep(BUSY_S)
         except (CanError, OSError, ValueError) as error:
             self._lose(bus, error)
@@ -244,11 +237,8 @@ class PowerLine:
             message = bus.recv(POLL_S)
             while message is not None:
                 frame = received(message, self._settings)
-                if frame is not None:
-                    frames.append(frame)
-                if len(frames) >= AT_ONCE:
-                    break
-                message = bus.recv(0)
+                frames += [] if frame is None else [frame]
+                message = bus.recv(0) if len(frames) < AT_ONCE else None
         except (CanError, OSError, ValueError) as error:
             self._lose(bus, error)
         return frames
