@@ -7,11 +7,11 @@ query gets no answer, and its sender notices.
 """
 
 import re
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from queue import Empty, SimpleQueue
-from typing import Final, Generic, TypeVar
+from typing import Final
 
 import zenoh
 from zenoh.handlers import Handler
@@ -22,7 +22,6 @@ from schemas.command import MAX_PAYLOAD_BYTES
 
 TokenCheck = Callable[[str], bool]
 """Returns whether a token is valid. For any thread."""
-Item = TypeVar("Item")
 
 QUESTIONS_DEPTH: Final = 1024
 """Queries in the ring: 40 000 a second fill it in 25 ms. Each may keep the 64 KiB in which Zenoh received it."""
@@ -44,71 +43,51 @@ MOST_ENDING: Final = 4096
 _TOKEN: Final = re.compile(rb'"(?:lease|button)"\s*:\s*"([0-9a-f]{32})"')
 
 
-class Questions(Generic[Item]):
-    """The waiting queries of one key. Pure: time is an argument."""
-
-    def __init__(self, knows: TokenCheck) -> None:
-        self._knows = knows
-        self._first: deque[tuple[str, Item]] = deque()
-        self._of_token: Counter[str] = Counter()
-        self._others: deque[Item] = deque()
-        self._allowance = AllowanceBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
-
-    def add(self, item: Item, payload: bytes, source: str | None, now_ns: int) -> bool:
-        """Queue a query that arrived at `now_ns`. Return whether it was queued; if not, the caller drops it."""
-        found = _TOKEN.search(payload)
-        token = None if found is None else found[1].decode()
-        if token is not None and self._knows(token):
-            if self._of_token[token] == MOST_OF_TOKEN:
-                return False
-            self._of_token[token] += 1
-            self._first.append((token, item))
-            return True
-        if len(self._others) == MAX_WITHOUT_TOKEN or self._allowance.admit(source, now_ns) is None:
-            return False
-        self._others.append(item)
-        return True
-
-    def next(self) -> Item | None:
-        """Return the query to read next, or None if none waits."""
-        if not self._first:
-            return self._others.popleft() if self._others else None
-        token, item = self._first.popleft()
-        self._of_token[token] -= 1
-        if not self._of_token[token]:
-            del self._of_token[token]
-        return item
-
-
 class QuestionRing:
-    """A ring of queries, read in the order of `Questions`. Not thread-safe."""
+    """A ring of queries, of which those with a valid token are read first. Not thread-safe."""
 
     def __init__(self, ring: Handler[zenoh.Query], knows: TokenCheck, now_ns: Callable[[], int]) -> None:
         self._ring = ring
+        self._knows = knows
         self._now_ns = now_ns
-        self._questions: Questions[zenoh.Query] = Questions(knows)
+        self._first: deque[tuple[str, zenoh.Query]] = deque()
+        self._others: deque[zenoh.Query] = deque()
+        self._allowance = AllowanceBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
         self._endings = Worker("end questions", priority=None)
 
     def try_recv(self) -> zenoh.Query | None:
         """Return the next query, or None if none waits. Raises ZError once the ring is closed."""
         for _ in range(QUESTIONS_DEPTH):
-            item = self._ring.try_recv()
-            if item is None:
+            query = self._ring.try_recv()
+            if query is None:
                 break
-            self._sort(item)
-        return self._questions.next()
+            if not self._keeps(query) and self._endings.waiting < MOST_ENDING:
+                # Sending a query's end blocks while its sender's link is full, so another thread does it.
+                self._endings.do(query.drop)
+        if self._first:
+            return self._first.popleft()[1]
+        return self._others.popleft() if self._others else None
 
     def close(self) -> None:
         """End the background thread. The ring must be closed. Blocks."""
         self._endings.close()
 
-    def _sort(self, query: zenoh.Query) -> None:
+    def _keeps(self, query: zenoh.Query) -> bool:
+        """Queue the query. Return False if too many wait, or come from its source."""
         payload, info = query.payload, query.source_info
         read = b"" if payload is None or len(payload) > MAX_PAYLOAD_BYTES else payload.to_bytes()
+        found = _TOKEN.search(read)
+        token = "" if found is None else found[1].decode()
+        if token and self._knows(token):
+            if sum(each == token for each, _ in self._first) == MOST_OF_TOKEN:
+                return False
+            self._first.append((token, query))
+            return True
         source = None if info is None else str(info.source_id.zid)
-        if not self._questions.add(query, read, source, self._now_ns()) and self._endings.waiting < MOST_ENDING:
-            # Sending a query's end blocks while its sender's link is full, so another thread does it.
-            self._endings.do(query.drop)
+        if len(self._others) == MAX_WITHOUT_TOKEN or self._allowance.admit(source, self._now_ns()) is None:
+            return False
+        self._others.append(query)
+        return True
 
 
 class WokenRing:
