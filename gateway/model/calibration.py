@@ -12,7 +12,10 @@ from typing import Final, NamedTuple, Self
 
 from gateway.model.frames import (
     MAX_ANGLE_CDEG,
+    OP_START,
     OP_STOP,
+    SETS,
+    STARTS,
     STOP,
     Frame,
     OneLeg,
@@ -113,23 +116,19 @@ class RobotCalibration:
 
     def frame(self, frame: Frame) -> Frame:
         """Return the wire's frame for one in users' angles, which `why_not` allows."""
-        return _mapped(frame, self._wire_op) if self.servos else frame
-
-    def _wire_op(self, servo_id: int, op: ServoOp) -> ServoOp:
-        servo = self.servos.get(servo_id)
-        if servo is None or op.op is OP_STOP:
-            return op
-        return ServoOp(op.op, servo.wire_cdeg(op.angle_cdeg))
+        return _mapped(frame, lambda servo_id, cdeg: self.of(servo_id).wire_cdeg(cdeg)) if self.servos else frame
 
     def user_frame(self, frame: Frame) -> Frame:
         """Return the wire's frame in users' angles. Raises FrameError if an angle is outside 0 to 18000."""
-        return _mapped(frame, self._user_op)
-
-    def _user_op(self, servo_id: int, op: ServoOp) -> ServoOp:
-        return STOP if op.op is OP_STOP else ServoOp(op.op, self.of(servo_id).user_cdeg(op.angle_cdeg))
+        return _mapped(frame, lambda servo_id, cdeg: self.of(servo_id).user_cdeg(cdeg))
 
 
-def _mapped(frame: Frame, op_of: Callable[[int, ServoOp], ServoOp]) -> Frame:
+def _mapped(frame: Frame, cdeg_of: Callable[[int, int], int]) -> Frame:
+    def op_of(servo_id: int, op: ServoOp) -> ServoOp:
+        if op.op is OP_STOP:
+            return STOP
+        return (STARTS if op.op is OP_START else SETS)[cdeg_of(servo_id, op.angle_cdeg)]
+
     if isinstance(frame, OneServo):
         return OneServo(frame.servo_id, op_of(frame.servo_id, frame.command))
     first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)
@@ -168,8 +167,7 @@ def changed(before: RobotCalibration, change: wire.CalibrationCommand) -> RobotC
     servos, landing = dict(report.servos), dict[str, float | None](report.landing)
     for name, servo in change.servos.items():
         servos[name] = servos[name].model_copy(update=servo.model_dump(exclude_none=True))
-    for name, angle_deg in change.landing.items():
-        landing[name] = angle_deg
+    landing.update(change.landing.items())
     left = {name: angle_deg for name, angle_deg in landing.items() if angle_deg is not None}
     return calibration_of(wire.Calibration(revision=before.revision + 1, servos=servos, landing=left))
 

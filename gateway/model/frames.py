@@ -203,23 +203,33 @@ def stop_leg(leg: int) -> OneLeg:  # mutants accepted (LeaveOut): OneLeg rejects
     return _STOPS[leg] if leg in _STOPS else OneLeg(leg, (STOP, STOP, STOP))
 
 
+_KINDS: Final = {ONE_LEG_TYPE: ("ONE LEG", ONE_LEG_LEN), ONE_SERVO_TYPE: ("ONE SERVO", ONE_SERVO_LEN)}
+
+
 def decode(data: bytes) -> Frame:
     """Return the frame in these bytes, of either type. Raises FrameError, which names the first wrong byte."""
     if len(data) < 2:
         raise FrameError(f"byte {len(data) + 1} is missing; a frame starts with FRAME LEN and FRAME TYPE")
-    if data[1] == ONE_SERVO_TYPE:
-        _check_length(data, "ONE SERVO", ONE_SERVO_LEN)
-        return OneServo(_read_servo_id(data, 2), _read_op(data, 3))
-    if data[1] != ONE_LEG_TYPE:
+    if data[1] not in _KINDS:
         raise FrameError(f"{_found(data, 1)}; a FRAME TYPE is 1 (ONE LEG) or 2 (ONE SERVO)")
-    _check_length(data, "ONE LEG", ONE_LEG_LEN)
-    leg = leg_of(_read_servo_id(data, 2))
-    for index, expected_id in zip((2, 6, 10), servo_ids_of(leg), strict=True):
-        if _read_servo_id(data, index) != expected_id:
+    name, size = _KINDS[data[1]]
+    if data[0] != size:
+        raise FrameError(f"{_found(data, 0)}; the FRAME LEN of a {name} frame (FRAME TYPE {data[1]}) is {size}")
+    if len(data) < size:
+        raise FrameError(f"byte {len(data) + 1} is missing; a {name} frame has {size} bytes")
+    if len(data) > size:
+        raise FrameError(f"byte {size + 1} is too many; a {name} frame has {size} bytes, here are {len(data)}")
+    ops = []
+    for joint, index in enumerate(range(2, size, 4), 1):
+        if data[index] not in _SERVO_ID_SET:
+            raise FrameError(f"{_found(data, index)}; {_SERVO_ID_RULE}")
+        expected_id = 10 * (data[2] // 10) + joint
+        if size == ONE_LEG_LEN and data[index] != expected_id:
             raise FrameError(
                 f"{_found(data, index)} in place of {expected_id}; a ONE LEG frame holds joints 1, 2, 3 of one leg"
             )
-    return OneLeg(leg, (_read_op(data, 3), _read_op(data, 7), _read_op(data, 11)))
+        ops.append(_read_op(data, index + 1))
+    return OneLeg(data[2] // 10, (ops[0], ops[1], ops[2])) if size == ONE_LEG_LEN else OneServo(data[2], ops[0])
 
 
 _SERVO_ID_RULE: Final = "a servo id is leg 1-6 then joint 1-3, such as 13"
@@ -227,23 +237,6 @@ _SERVO_ID_RULE: Final = "a servo id is leg 1-6 then joint 1-3, such as 13"
 
 def _found(data: bytes, index: int) -> str:
     return f"byte {index + 1} is {data[index]} (0x{data[index]:02x})"
-
-
-def _check_length(data: bytes, name: str, frame_len: int) -> None:
-    if data[0] != frame_len:
-        raise FrameError(f"{_found(data, 0)}; the FRAME LEN of a {name} frame (FRAME TYPE {data[1]}) is {frame_len}")
-    if len(data) < frame_len:
-        raise FrameError(f"byte {len(data) + 1} is missing; a {name} frame has {frame_len} bytes")
-    if len(data) > frame_len:
-        raise FrameError(
-            f"byte {frame_len + 1} is too many; a {name} frame has {frame_len} bytes, here are {len(data)}"
-        )
-
-
-def _read_servo_id(data: bytes, index: int) -> int:
-    if data[index] not in _SERVO_ID_SET:
-        raise FrameError(f"{_found(data, index)}; {_SERVO_ID_RULE}")
-    return data[index]
 
 
 def _read_op(data: bytes, index: int) -> ServoOp:
