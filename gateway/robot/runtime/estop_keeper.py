@@ -6,6 +6,7 @@ Only one write runs at a time. The next one writes the latest state, so an older
 import asyncio
 import logging
 import threading
+from contextlib import suppress
 from datetime import UTC
 from functools import partial
 from typing import Final
@@ -44,39 +45,40 @@ class EstopKeeper:
         self._folder = folder
         self._wanted: KeptEstop | None = None
         self._written: KeptEstop | None = None
-        self._writing: KeptEstop | None = None
+        self._writes = False
         self._unknown: str | None = None
         """Why an earlier run's emergency stop is not known, until a reset. None: it is known."""
         self._fault: str | None = None
         self._idle = threading.Event()
         self._idle.set()
         self._ending = False
-        self._read: asyncio.Future[KeptEstop] = loop.create_future()
+        self._found: KeptEstop | None = None
+        self._is_read = asyncio.Event()
         if folder is None:
             return
         self._next = OwnersTimer(loop, conductor.owner, self._write_next)
-        self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
+        late = partial(self._report, f"the disk has not answered for {SLOW_S:g} s")
+        self._slow = OwnersTimer(loop, conductor.owner, late)
         self._disk = DiskWriter("keep estop", loop, conductor.owner)
-        found: list[KeptEstop] = []
-        self._disk.write(
-            lambda: found.append(_read(folder)),
-            lambda _: loop.call_soon_threadsafe(self._take, found[0]),
-        )
+        self._disk.write(partial(self._read, folder), lambda _: loop.call_soon_threadsafe(self._is_read.set))
 
     # ---- the start
 
-    def _take(self, found: KeptEstop) -> None:
-        if not self._read.done():
-            self._read.set_result(found)
+    def _read(self, folder: StateFolder) -> None:
+        try:
+            folder.own()
+            self._found = estop_file.read(folder.path)
+        except ConfigError as error:
+            self._found = estop_file.unknown(str(error))
 
     async def known(self) -> None:
         """Report the earlier run's emergency stop to the supervisor, before any command. Takes READ_S at most."""
         if self._folder is None:
             return
-        try:
-            found = await asyncio.wait_for(self._read, READ_S)
-        except TimeoutError:
-            found = estop_file.unknown(f"{self._folder.path}: the disk has not answered for {READ_S:g} s")
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._is_read.wait(), READ_S)
+        silent = f"{self._folder.path}: the disk has not answered for {READ_S:g} s"
+        found = self._found or estop_file.unknown(silent)
         conductor = self._conductor
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
@@ -93,7 +95,7 @@ class EstopKeeper:
         if self._folder is None:
             logger.info("an emergency stop is kept in memory only, until this process ends (state.path)")
             return
-        found = self._written or self._writing or self._wanted
+        found = self._written
         if self._unknown is not None:
             number = self._conductor.supervisor.latch.number
             what = f"emergency stop {number} is engaged, since it is not known what an earlier run has left"
@@ -123,33 +125,27 @@ class EstopKeeper:
 
     def _write_next(self) -> None:
         wanted = self._wanted
-        if self._writing is not None or wanted is None or self._folder is None:
+        if self._writes or wanted is None or self._folder is None:
             return
         if wanted == self._written:
             self._idle.set()
             return
-        self._writing = wanted
+        self._writes = True
         self._slow.set_in(SLOW_S)
-        self._disk.write(partial(_write, self._folder, wanted), self._ended)
+        self._disk.write(partial(_write, self._folder, wanted), partial(self._ended, wanted))
 
-    def _ended(self, fault: str | None) -> None:
-        writing, self._writing = self._writing, None
+    def _ended(self, written: KeptEstop, fault: str | None) -> None:
+        self._writes = False
         self._slow.cancel()
         self._report(fault)
         if fault is not None:
             self._idle.set()  # `flush` does not wait for the next attempt
             self._next.set_in(RETRY_S)
             return
-        self._written = writing
-        if self._wanted == writing:
-            self._idle.set()
-        if self._wanted == writing or (_only_number(writing, self._wanted) and not self._ending):
-            self._next.set_in(PAUSE_S)
-        else:
+        self._written = written
+        self._next.set_in(PAUSE_S)
+        if self._ending or self._wanted == written or not _only_number(written, self._wanted):
             self._write_next()
-
-    def _note_delay(self) -> None:
-        self._report(f"the disk has not answered for {SLOW_S:g} s")
 
     def _report(self, fault: str | None) -> None:
         """Publish why the emergency stop, or its end, is not kept. None: it is kept."""
@@ -177,14 +173,6 @@ class EstopKeeper:
             if not self._idle.is_set():
                 self._write_next()
         self._idle.wait(FLUSH_S)
-
-
-def _read(folder: StateFolder) -> KeptEstop:
-    try:
-        folder.own()
-    except ConfigError as error:
-        return estop_file.unknown(str(error))
-    return estop_file.read(folder.path)
 
 
 def _write(folder: StateFolder, kept: KeptEstop) -> None:
