@@ -8,7 +8,7 @@ frames have the servos' own. All conversions between the two, and to the degrees
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from gateway.model.frames import (
     MAX_ANGLE_CDEG,
@@ -62,12 +62,6 @@ class ServoMapping(NamedTuple):
             min_deg=self.min_cdeg / 100,
             max_deg=self.max_cdeg / 100,
         )
-
-    @classmethod
-    def of_report(cls, report: wire.ServoCalibration) -> Self:
-        """Return the mapping of a published form. Raises OverflowError if an angle is infinite."""
-        trim_cdeg, min_cdeg, max_cdeg = map(centidegrees, (report.trim_deg, report.min_deg, report.max_deg))
-        return cls(trim_cdeg, report.inverted, min_cdeg, max_cdeg)
 
 
 AS_DRAWN: Final = ServoMapping()
@@ -151,10 +145,13 @@ def report_of(calibration: RobotCalibration) -> wire.Calibration:
 
 def calibration_of(report: wire.Calibration) -> RobotCalibration:
     """Return the calibration of a published form. Raises CalibrationError, or another ValueError, if it is invalid."""
+    servos: dict[int, ServoMapping] = {}
     for name in (*report.servos, *report.landing):
         _check_name(name)
     try:
-        servos = {int(name): ServoMapping.of_report(servo) for name, servo in report.servos.items()}
+        for name, each in report.servos.items():
+            trim_cdeg, min_cdeg, max_cdeg = map(centidegrees, (each.trim_deg, each.min_deg, each.max_deg))
+            servos[int(name)] = ServoMapping(trim_cdeg, each.inverted, min_cdeg, max_cdeg)
         landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
     except OverflowError as error:
         raise CalibrationError("an angle is infinite") from error

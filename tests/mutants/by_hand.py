@@ -109,8 +109,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/core/latch.py": (
         ByHand(
             "a reset that was sent before the second emergency stop leaves it",
-            "        self.number += 1\n",
-            "        self.number += first\n",
+            "                self.number += 1\n",
+            "                self.number += first\n",
         ),
     ),
     "gateway/model/calibration.py": (

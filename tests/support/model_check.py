@@ -75,7 +75,7 @@ _KNOWN: Final = (
     (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
     (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),
     (_ROBOT.legs, "_speeds rest sends"),
-    (_ROBOT.legs.rest, "_round_ns _run_ns _settle_ns _settled_ns _runs_left runs due_ns"),
+    (_ROBOT.legs.rest, "_rules _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "stopping _silent _first_stops _fed"),  # these count within a step
     (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),

@@ -32,29 +32,22 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
 
     def take(self, event: EmergencyStop | Reset | EstopKept, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
         match event:
-            case EmergencyStop():
-                return self._engage(event, legs)
             case Reset():
                 return self._leave(event, legs.instant_ns)
-            case EstopKept():
-                return self._kept(event, legs.instant_ns)
-
-    def _engage(self, event: EmergencyStop, legs: Legs) -> list[Effect]:
-        first = self.since_ns is None
-        self.number += 1
-        self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
-        detail = "emergency stop; all commands are rejected until a reset"
-        if not legs.sends:
-            detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
-        return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key)] if first else []
-
-    def _kept(self, event: EstopKept, instant_ns: int) -> list[Effect]:
-        """Take the earlier run's state. This run's emergency stops are numbered after it."""
-        self.unknown = False
-        self.number += event.number
-        if event.engaged and self.since_ns is None:
-            self.since_ns = instant_ns
-        return []
+            case EstopKept():  # this run's emergency stops are numbered after the earlier run's
+                self.unknown = False
+                self.number += event.number
+                if event.engaged and self.since_ns is None:
+                    self.since_ns = legs.instant_ns
+                return []
+            case EmergencyStop():
+                first = self.since_ns is None
+                self.number += 1
+                self.since_ns = legs.instant_ns  # not now: a reset of the same instant may be older
+                detail = "emergency stop; all commands are rejected until a reset"
+                if not legs.sends:
+                    detail += "; the SPI bus does not answer, and the Stop frames follow as soon as it does"
+                return [Announce(Kind.ESTOP_ENGAGED, detail, event.source, event.key)] if first else []
 
     def _leave(self, reset: Reset, instant_ns: int) -> list[Effect]:
         why_not = self._why_not_left(reset.estop, instant_ns)

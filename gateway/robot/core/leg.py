@@ -273,12 +273,6 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
         return any(servo.starts for servo in self.servos)
 
     @property
-    def is_bound(self) -> bool:
-        """Whether one of its servos is on its way to a target."""
-        first, second, third = self.servos
-        return not (first.target_cdeg is second.target_cdeg is third.target_cdeg is None)
-
-    @property
     def armed(self) -> bool:
         """Whether one of its servos runs, or waits to be started."""
         first, second, third = self.servos

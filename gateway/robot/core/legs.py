@@ -115,7 +115,8 @@ class Legs:
             else:
                 leg.unfed_ns = None
             if self.landing is not None and runs:
-                leg_ns = self._land_due_ns(self.landing, leg)
+                moves = self.landing.moves(leg.servos)  # one that has arrived waits for the end
+                leg_ns = min(self.landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if moves else NEVER)
             if waits:
                 next_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
                 slot_ns = self._queue.due_ns(leg.number, next_ns)
@@ -176,10 +177,6 @@ class Legs:
                     servo.announced_cdeg = servo.waiting.angle_cdeg
                 found[servo_id] = self._limits.calibration.of(servo_id).wire_cdeg(servo.announced_cdeg)
         return found
-
-    def _land_due_ns(self, landing: Landing, leg: Leg) -> int:
-        """Return when a landing leg gets its next frame, or, if it has arrived, when the landing ends."""
-        return min(landing.ends_ns, max(self.land_ns, leg.slots.next_ns) if landing.moves(leg.servos) else NEVER)
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """Return the repeated Stops that are due. If nothing runs, all pending repeats leave together: one preamble."""
@@ -351,7 +348,8 @@ class Legs:
         if (queue.legs or (starts and queue.pause_ns)) and not queue.passes(leg.number, leg.slots, now_ns, starts):
             return []
         slot_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
-        if not (waiting or (limited and leg.is_bound)) or now_ns < slot_ns:
+        bound = waiting or (limited and any(servo.target_cdeg is not None for servo in leg.servos))
+        if not bound or now_ns < slot_ns:
             return []
         leg.slots.take(now_ns)
         if limited:

@@ -12,9 +12,7 @@ class RestStops:
     """The next round or run of Stops, and how many runs are left."""
 
     def __init__(self, rules: Rules) -> None:  # mutants accepted (Forget, Step): the first Stop sets both
-        self._round_ns = rules.rest_ns
-        self._run_ns = rules.rest_run_ns
-        self._settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
+        self._rules = rules
         self._settled_ns = 0
         """When runs begin to count, after the last Stop and its repeats."""
         self._runs_left = 0
@@ -29,15 +27,17 @@ class RestStops:
 
         A leg that starts ends the runs and begins the rounds.
         """
+        rules = self._rules
         if not at_rest:
-            self._runs_left, self.due_ns = 0, now_ns + self._round_ns
+            self._runs_left, self.due_ns = 0, now_ns + rules.rest_ns
             return
         if stopped:
-            self._runs_left, self._settled_ns = self.runs, now_ns + self._settle_ns
+            settle_ns = rules.repeats * rules.repeat_interval_ns + rules.rest_run_ns
+            self._runs_left, self._settled_ns = self.runs, now_ns + settle_ns
         if not self._runs_left:
             self.due_ns = None
         elif self.due_ns is None:
-            next_ns = now_ns + self._run_ns
+            next_ns = now_ns + rules.rest_run_ns
             self.due_ns = self._settled_ns if self._settled_ns > next_ns else next_ns
 
     def take(self, now_ns: int, *, is_run: bool) -> bool:

@@ -8,7 +8,7 @@ from typing import Final
 
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.robot.core import calibration_intake
-from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
+from gateway.robot.core.events import Calibrate, CalibrationSaved
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import Rejection
 from gateway.robot.host.calibration_file import SLOW_S
@@ -85,10 +85,8 @@ class Calibrations(RequestAnswers):
             return
         event.number = executor.next_number()
         keep = conductor.ask(event).keep
-        if keep is not None:
-            self._hand_on(keep)
-
-    def _hand_on(self, keep: SaveCalibration) -> None:
+        if keep is None:
+            return
         kept = partial(self._kept, keep.number)
         if self._keep is None:
             kept(None)
