@@ -71,16 +71,14 @@ def _stopped_by(part: object, servo_ids: tuple[int, ...]) -> tuple[int, ...]:
     """Return those of these servos that a part of a payload may stop: all, unless it has a place for each of them."""
     if "stop" not in json.dumps(part, ensure_ascii=False).casefold():
         return ()
-    if not isinstance(part, dict) or len(servo_ids) not in _FIELDS:
-        return servo_ids
-    rest = dict(part)
-    inner = rest.pop(_FIELDS[len(servo_ids)], None)
-    if _stopped_by(rest, servo_ids[:1]):
-        return servo_ids
-    if isinstance(inner, dict) and len(servo_ids) > len(JOINTS) and inner.keys() <= _NUMBERS.keys():
+    field = _FIELDS.get(len(servo_ids))
+    inner = part.get(field) if isinstance(part, dict) else None
+    if field == "legs" and isinstance(inner, dict) and inner.keys() <= _NUMBERS.keys():
         parts: list[tuple[tuple[int, ...], object]] = [(_NUMBERS[leg], each) for leg, each in inner.items()]
-    elif isinstance(inner, list) and len(inner) == len(servo_ids) == len(JOINTS):
+    elif field == "servos" and isinstance(inner, list) and len(inner) == len(JOINTS):
         parts = [((servo_id,), each) for servo_id, each in zip(servo_ids, inner, strict=True)]
     else:
+        return servo_ids
+    if isinstance(part, dict) and _stopped_by({**part, field: None}, servo_ids[:1]):
         return servo_ids
     return tuple(servo_id for its_ids, each in parts for servo_id in _stopped_by(each, its_ids))
