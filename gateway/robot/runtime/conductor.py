@@ -6,6 +6,7 @@ The owner of the state (`robot.host.ownership`) makes all calls here, on any thr
 import asyncio
 import logging
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Final
 
 from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
@@ -66,63 +67,47 @@ _LOST: Final = Verb.LOST  # see `frames.OP_STOP`
 logger = logging.getLogger(__name__)
 
 
+@dataclass(eq=False)
 class Conductor:
     """One robot's gateway, from received messages to written frames."""
 
-    def __init__(
-        self,
-        settings: Settings,
-        supervisor: Supervisor,
-        bus: Wire,
-        outbox: Outbox,
-        loop: asyncio.AbstractEventLoop,
-        *,
-        clock: Callable[[], int],
-        recorder: Recorder,
-        simulated: bool,
-        physics: str | None = None,
-        owner: Ownership | None = None,
-        calibration_kept: bool = False,
-        supply: RobotSupply | None = None,
-    ) -> None:
-        """`physics` is the Zenoh id of the process that simulates the robot's body, if there is one.
+    settings: Settings
+    supervisor: Supervisor
+    bus: Wire
+    outbox: Outbox
+    loop: asyncio.AbstractEventLoop
+    _: KW_ONLY
+    clock: Callable[[], int]
+    """Returns the monotonic time in ns."""
+    recorder: Recorder
+    simulated: bool
+    physics: str | None = None
+    owner: Ownership = field(default_factory=Ownership)
+    """Callers own the state while they call."""
+    calibration_kept: bool = False
+    supply: RobotSupply | None = None
+    """The power board's; None: there is no board."""
 
-        `clock` returns the monotonic time in ns. `supply` is the power board's; None: there is no board.
-        """
-        self.supervisor = supervisor
-        self.bus = bus
-        self.owner = owner or Ownership()
-        """Callers own the state while they call."""
+    def __post_init__(self) -> None:
+        settings, supervisor, bus, supply = self.settings, self.supervisor, self.bus, self.supply
         self.metrics = Metrics()
-        self.recorder = recorder
-        self.telemetry = LatestTelemetry(outbox, clock, supply)
-        self.events = EventPublisher(outbox, recorder, self.metrics, clock)
-        self.supply = supply
+        self.telemetry = LatestTelemetry(self.outbox, self.clock, supply)
+        self.events = EventPublisher(self.outbox, self.recorder, self.metrics, self.clock)
         self.executor = Executor(bus, supervisor, supply, self.events, publish_frames=settings.telemetry.frames)
         if supply is not None:
             supply.on_news = self.power_changed
-        self._clock = clock
-        self._instant_ns = clock()
-        self.reports = StateReports(
-            settings,
-            supervisor,
-            bus,
-            self.events,
-            self.telemetry,
-            simulated=simulated,
-            physics=physics,
-            calibration_kept=calibration_kept,
-        )
+        self._instant_ns = self.clock()
+        run = self.simulated, self.physics, self.calibration_kept
+        self.reports = StateReports(settings, supervisor, bus, self.events, self.telemetry, *run)
         self._messages: Messages = NoMessages()
         self._losses = Losses()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
-        self._loop = loop
-        self._timer = OwnersTimer(loop, self.owner, self.tick)
-        self._reopen_timer = OwnersTimer(loop, self.owner, self._reopen)
+        self._timer = OwnersTimer(self.loop, self.owner, self.tick)
+        self._reopen_timer = OwnersTimer(self.loop, self.owner, self._reopen)
         # Only a controller that reads announced frames can be out of sync.
         self._preamble = None
         if isinstance(bus, Bus) and bus.announces:
-            self._preamble = PreambleInPauses(bus, loop, self.owner, clock, self.bus_failed)
+            self._preamble = PreambleInPauses(bus, self.loop, self.owner, self.clock, self.bus_failed)
         self._in_fault = False
         self.closed = False
         """Whether the conductor is closed and writes nothing more."""
@@ -137,7 +122,7 @@ class Conductor:
     def start(self) -> None:
         """Open the bus, write the preamble, stop all six legs. Raises SpiError if any of that fails."""
         self.bus.open()
-        fault = self.executor.carry_out(self.supervisor.step(BusOpened(), self._clock())).fault
+        fault = self.executor.carry_out(self.supervisor.step(BusOpened(), self.clock())).fault
         if fault is not None:
             raise fault
         self._check_stop_servos()
@@ -191,7 +176,7 @@ class Conductor:
 
     def _instant(self) -> int:
         if not self._messages.instant_open:
-            self._instant_ns = self._clock()
+            self._instant_ns = self.clock()
         return self._instant_ns
 
     def _serve_estops(self, instant_ns: int) -> None:
@@ -201,7 +186,7 @@ class Conductor:
 
     def record_alive(self) -> int:
         """Return now (ns) and record that the process runs. Call it ten times a second: a gap shows that it did not."""
-        now_ns = self._clock()
+        now_ns = self.clock()
         if self._staleness is not None:
             self._staleness.record_alive(now_ns)
         return now_ns
@@ -217,9 +202,9 @@ class Conductor:
 
     def check_outside(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
         """Check for `stop-servos` on the same device, changed settings, and stopped servos that draw current."""
-        if self.supply is not None and self.supply.judge_currents(self._clock()):
+        if self.supply is not None and self.supply.judge_currents(self.clock()):
             self.power_changed()
-        silent = self.bus.silent(self._clock())  # here, too: a transfer that hangs keeps the cycle from this check
+        silent = self.bus.silent(self.clock())  # here, too: a transfer that hangs keeps the cycle from this check
         if silent is not None:
             self.bus_failed(silent)
         meddled = self.bus.put_right()
@@ -257,11 +242,11 @@ class Conductor:
         for each in announcements:
             self.events.announce(each)
         if any(each.kind is Kind.OFF_BUTTON for each in announcements):
-            self._emergency_stop(off_button(self._clock()), self._clock())
+            self._emergency_stop(off_button(self.clock()), self.clock())
         self.reports.publish()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
-        if self.supervisor.due_ns is not None and self._clock() >= self.supervisor.due_ns:
+        if self.supervisor.due_ns is not None and self.clock() >= self.supervisor.due_ns:
             self._step(TimePassed(), instant_ns)
 
     def _receive(self, received: Received, instant_ns: int) -> None:
@@ -276,7 +261,7 @@ class Conductor:
         if type(command) is Rejection:
             self._reject_unread(received, command, instant_ns)
             return
-        now_ns = self._clock()
+        now_ns = self.clock()
         too_old = self.too_old(command, now_ns, instant_ns)
         if too_old is not None and not command.only_stops:  # a late Stop does no harm
             if type(command) is not Command or not command.stops:
@@ -320,7 +305,7 @@ class Conductor:
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
-        latency_ns = max(0, self._clock() - received.received_ns)
+        latency_ns = max(0, self.clock() - received.received_ns)
         request = Request(
             key=received.key, source=self.events.estop_source, verb=received.verb, received_ns=received.received_ns
         )
@@ -337,7 +322,7 @@ class Conductor:
         self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, command: Request | None = None
     ) -> Outcome:
         """Let the supervisor take an event, and carry out its effects. `command` is the event's request, to record."""
-        now_ns = self._clock() if now_ns is None else now_ns
+        now_ns = self.clock() if now_ns is None else now_ns
         outcome = self.executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
         if outcome.fault is not None:
             self._bus_failed(outcome.fault)
@@ -363,7 +348,7 @@ class Conductor:
     def _bus_failed(self, fault: SpiError) -> None:
         self.bus.release()
         kind = _KINDS.get(type(fault), Kind.BUS_FAULT)
-        effects = self.supervisor.step(BusFailed(str(fault), kind), self._clock())
+        effects = self.supervisor.step(BusFailed(str(fault), kind), self.clock())
         again, self._in_fault = self._in_fault, True
         if again and kind is not Kind.CONTROLLER_SILENT:
             effects = [each for each in effects if not (isinstance(each, Announce) and each.kind is kind)]
@@ -407,7 +392,7 @@ class Conductor:
             due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)
         if due_ns is None:
             if self.supervisor.mode is Mode.STOPPING:
-                self._loop.call_soon_threadsafe(self.done.set)
+                self.loop.call_soon_threadsafe(self.done.set)
             self._timer.cancel()
         else:
             self._timer.set(due_ns / 1e9)

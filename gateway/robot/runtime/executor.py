@@ -61,48 +61,41 @@ class Outcome:
         return sum(sent.received and transmit.cause is cause for transmit, sent in self.written)
 
 
+@dataclass(slots=True)
 class Executor:
-    """Carries out effects; numbers requests, and answers each once. For the owner of the state."""
+    """Carries out effects; numbers requests, and answers each once. For the owner of the state.
 
-    def __init__(
-        self,
-        bus: Wire,
-        supervisor: Supervisor,
-        supply: RobotSupply | None,
-        events: EventPublisher,
-        *,
-        publish_frames: bool,
-    ) -> None:
-        """Answers to Stops wait until the power board (`supply`) confirms them. None: there is no board."""
-        self._bus = bus
-        self._events = events
-        self._recorder = events.recorder
-        self._metrics = events.metrics
-        self._publish_frames = publish_frames
-        self._supervisor = supervisor
-        self._supply = supply
-        self._number = 0
+    Answers to Stops wait until the power board (`supply`) confirms them. None: there is no board.
+    """
+
+    bus: Wire
+    supervisor: Supervisor
+    supply: RobotSupply | None
+    events: EventPublisher
+    publish_frames: bool
+    number: int = 0
+    """The number of the latest request to the supervisor."""
 
     # ---- the answers
 
     def next_number(self) -> int:
         """Return the number for the next request to the supervisor."""
-        self._number += 1
-        return self._number
+        self.number += 1
+        return self.number
 
     def answer(self, request: Request, ack: Ack, stopped: Collection[int] = ()) -> None:
         """Answer a request, if its sender waits; if it has stopped servos, once the power board has confirmed that."""
         reply = request.reply
         if reply is None:
             return
-        if self._supply is None or not stopped:
+        if self.supply is None or not stopped:
             reply(ack.model_dump_json().encode())
             return
 
         def confirmed(whether: bool, ms: float | None) -> None:
             reply(ack.model_copy(update={"confirmed": whether, "confirmed_ms": ms}).model_dump_json().encode())
 
-        self._supply.confirm(stopped, request.received_ns, confirmed)
+        self.supply.confirm(stopped, request.received_ns, confirmed)
 
     def reject_unread(self, key: str, source: str | None, detail: str, reason: Reason = Reason.INVALID) -> None:
         """Reject a message on a key that takes no commands: an unknown key, or a key for `get` only."""
@@ -110,12 +103,12 @@ class Executor:
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
         """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
-        self._recorder.step(received, (), ((request, reason, detail),))
+        self.events.recorder.step(received, (), ((request, reason, detail),))
         self._end(request, reason, detail)
 
     def _end(self, request: Request, verdict: Verdict, detail: str) -> None:
         """Count and answer an ended request, and publish a rejection."""
-        metrics = self._metrics
+        metrics = self.events.metrics
         if type(verdict) is not Reason:
             if isinstance(request, Command) and request.lost:
                 return  # no client sent it
@@ -135,7 +128,7 @@ class Executor:
         ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)
         self.answer(request, ack, request.stopped)
         legs_named = legs_of(request.servo_ids)
-        self._events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, verdict))
+        self.events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, verdict))
 
     # ---- the effects
 
@@ -145,17 +138,17 @@ class Executor:
         `command` is the request of this step. The power board cuts servos before the frames, and powers servos after
         them.
         """
-        supply = self._supply
+        supply = self.supply
         if supply is None:
             return self._carry_out(effects, command)
-        cuts = supply.before_step(self._supervisor)
+        cuts = supply.before_step(self.supervisor)
         outcome = self._carry_out(effects, command)
         if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
             supply.reset()
         if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
-            supply.after_step(self._supervisor)
+            supply.after_step(self.supervisor)
         for each in cuts:
-            self._events.announce(each)
+            self.events.announce(each)
         return outcome
 
     def _carry_out(self, effects: Sequence[Effect], command: Request | None) -> Outcome:
@@ -168,11 +161,11 @@ class Executor:
         outcome.results = results(effects, failed, f"the frame could not be written: {outcome.fault}" if failed else "")
         for request, _, _ in outcome.results if failed else ():
             request.stopped = ()
-        self._recorder.step(command, outcome.written, outcome.results)
+        self.events.recorder.step(command, outcome.written, outcome.results)
         for result in outcome.results:
             self._end(*result)
         if outcome.meddled is not None:
-            self._events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
+            self.events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             match effect:
                 case Transmit() | Completed() | Rejected():
@@ -180,15 +173,15 @@ class Executor:
                 case Announce(kind=Kind.BUS_RECOVERED | Kind.CONTROLLER_RETURNED) if outcome.fault is not None:
                     pass  # the device opened but did not take six Stops: the fault lasts, and has been published
                 case Announce():
-                    self._events.announce(effect)
+                    self.events.announce(effect)
                 case RequestAnswer():
                     outcome.answer = effect
                 case SaveCalibration():
                     outcome.keep = effect
                 case _:
                     assert_never(effect)
-        if self._publish_frames:
-            self._events.frames(outcome.written)
+        if self.publish_frames:
+            self.events.frames(outcome.written)
         return outcome
 
     def _write(self, effects: Sequence[Effect], outcome: Outcome) -> None:
@@ -211,15 +204,15 @@ class Executor:
         for batch in first, repeated, moves:
             if not batch or outcome.fault is not None:
                 continue
-            report = self._bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)
+            report = self.bus.write([transmit.frame for transmit in batch], preamble=batch is repeated)
             for sent in report.sent:
                 transmit = batch[sent.place]
                 outcome.written += [(transmit, sent)]
-                self._metrics.frames[transmit.cause] += 1
+                self.events.metrics.frames[transmit.cause] += 1
                 for command in transmit.commands:
                     command.written += (transmit.frame.leg,)
                 if transmit.deadline_ns is not None and sent.received:
-                    self._metrics.watchdog_stops.record(self._bus.ended_ns - transmit.deadline_ns)
+                    self.events.metrics.watchdog_stops.record(self.bus.ended_ns - transmit.deadline_ns)
             if report.rejection is not None:
                 logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled

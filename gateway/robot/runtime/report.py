@@ -1,7 +1,7 @@
 """Makes the state; its parts are the payloads of `hexapod/state` and `hexapod/config`."""
 
 import logging
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Final
 
@@ -25,37 +25,29 @@ from schemas.telemetry import Kind, Mode
 logger: Final = logging.getLogger(__name__)
 
 
+@dataclass
 class StateReports:
     """Makes and publishes the state and the configuration of one run. For the owner of the state."""
 
-    def __init__(
-        self,
-        settings: Settings,
-        supervisor: Supervisor,
-        bus: Wire,
-        events: EventPublisher,
-        measurements: LatestTelemetry,
-        *,
-        simulated: bool,
-        physics: str | None,
-        calibration_kept: bool,
-    ) -> None:
-        self._settings = settings
-        self._supervisor = supervisor
-        self._bus = bus
-        self._events = events
-        self._measurements = measurements
-        self._simulated = simulated
-        self._physics = physics
-        self._calibration_kept = calibration_kept
-        """Whether the calibration outlasts this process."""
-        self._started_ns = events.clock()
-        self._limits = limits_of(settings)
-        wire = settings.wire
-        can = wire.capabilities._replace(whole_robot=settings.starts_whole)
+    settings: Settings
+    supervisor: Supervisor
+    bus: Wire
+    events: EventPublisher
+    measurements: LatestTelemetry
+    simulated: bool
+    physics: str | None
+    """The Zenoh id of the process that simulates the robot's body, if there is one."""
+    calibration_kept: bool
+    """Whether the calibration outlasts this process."""
+
+    def __post_init__(self) -> None:
+        self._started_ns = self.events.clock()
+        self._limits = limits_of(self.settings)
+        wire = self.settings.wire
+        can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
         self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.supply_starts, **can._asdict())
         self.measures = wire.capabilities.measures
-        self.protocol = settings.protocol
+        self.protocol = self.settings.protocol
         self.certificate: telemetry.CertificateReport | None = None
         """The certificate in use that expires first, or None."""
         self._missing: tuple[str, ...] = ()
@@ -75,16 +67,16 @@ class StateReports:
 
     def announce_start(self) -> None:
         """Publish that commands are accepted from now on."""
-        self._events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
+        self.events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
         self.published_mode = Mode.STARTING
         self.publish_mode()
 
     def publish_mode(self) -> None:
         """Publish the state if its mode has changed."""
-        mode = self._supervisor.mode
+        mode = self.supervisor.mode
         if mode is not self.published_mode is not None:
             self.published_mode = mode
-            self._events.recorder.mode(mode)
+            self.events.recorder.mode(mode)
             logger.info("mode %s", mode, extra={"mode": mode})
             self.publish()
 
@@ -93,8 +85,8 @@ class StateReports:
         report, config = self.payloads.of(self.state())
         if config != self._published:
             self._published = config
-            self._events.outbox.publish(keys.CONFIG, config)
-        self._events.outbox.publish(keys.STATE, report)
+            self.events.outbox.publish(keys.CONFIG, config)
+        self.events.outbox.publish(keys.STATE, report)
 
     def answer_state(self, reply: Reply) -> None:
         reply(self.payloads.of(self.state())[0].model_dump_json().encode())
@@ -103,8 +95,8 @@ class StateReports:
         reply(self.payloads.of(self.state())[1].model_dump_json().encode())
 
     def state(self) -> telemetry.GatewayState:
-        supervisor, bus, metrics, now_ns = self._supervisor, self._bus, self._events.metrics, self._events.clock()
-        settings = self._settings
+        supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.events.metrics, self.events.clock()
+        settings = self.settings
         buttons = supervisor.buttons
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -114,8 +106,8 @@ class StateReports:
             uptime_s=(now_ns - self._started_ns) / 1e9,
             version=__version__,
             protocol=self.protocol,
-            simulated=self._simulated,
-            physics=self._physics,
+            simulated=self.simulated,
+            physics=self.physics,
             legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
             commands=telemetry.CommandCounts(
                 accepted=metrics.accepted,
@@ -125,7 +117,7 @@ class StateReports:
                 lost=metrics.lost,
             ),
             spi=telemetry.SpiReport(
-                device="simulated controller" if self._simulated else settings.device,
+                device="simulated controller" if self.simulated else settings.device,
                 framing=settings.framing,
                 frames=bus.frames,
                 errors=bus.errors,
@@ -137,10 +129,10 @@ class StateReports:
                 stop_latency_us=telemetry.StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
             estop=supervisor.latch.number,
-            estop_source=self._events.estop_source,
+            estop_source=self.events.estop_source,
             estop_since=self.estop_since,
             estop_fault=self.estop_fault,
-            incident=self._events.recorder.incident,
+            incident=self.events.recorder.incident,
             loop_lag_us=telemetry.LoopLag(
                 p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
             ),
@@ -149,7 +141,7 @@ class StateReports:
             calibration=telemetry.CalibrationReport(
                 revision=supervisor.calibrating.in_force.revision,
                 fault=supervisor.calibrating.fault,
-                kept=self._calibration_kept,
+                kept=self.calibration_kept,
             ),
             telemetry=telemetry.TelemetryReport(frames=settings.telemetry.frames),
             certificate=self.certificate,
@@ -158,8 +150,8 @@ class StateReports:
             limits=self._limits,
             wire=self._wire,
             controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
-            battery=self._measurements.battery,
-            power=self._measurements.power(),
+            battery=self.measurements.battery,
+            power=self.measurements.power(),
         )
 
 
