@@ -52,6 +52,7 @@ from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.late_addresses import LateAddresses
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
+from gateway.robot.zenoh_io.proofs import Proofs
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.robot.zenoh_io.revoked import list_common_names, revocation_state
 from gateway.robot.zenoh_io.rings import put_depth
@@ -282,8 +283,8 @@ class _Service:
     def inbox_of(self, session: zenoh.Session) -> Inbox:
         """Return what receives all messages of this session."""
         conductor, settings = self.conductor, self.settings
-        lease = LeaseAnswers(conductor, settings.lease.ttl_ms, self.checker)
-        button = ButtonAnswers(conductor, settings.buttons, self.checker)
+        lease = LeaseAnswers(conductor, Proofs(self.checker, wall_clock))
+        button = ButtonAnswers(conductor, Proofs(self.checker, wall_clock, watching=True))
         answers: dict[str, Callable[[Reply], None]] = {
             STATE: conductor.reports.answer_state,
             CONFIG: conductor.reports.answer_config,

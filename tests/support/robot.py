@@ -23,12 +23,14 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
 from gateway.robot.runtime.conductor import Conductor
+from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch
 from gateway.robot.spi.bus import Bus
+from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
@@ -86,8 +88,9 @@ class Robot:
         )
         self.conductor.connect(self)
         fresh = (f"{number:032x}" for number in itertools.count(1))
-        self.leases = LeaseAnswers(self.conductor, self.settings.lease.ttl_ms, None, fresh=lambda: next(fresh))
-        self.buttons = ButtonAnswers(self.conductor, self.settings.buttons, None, fresh=lambda: next(fresh))
+        proofs = Proofs(None, wall_clock, lambda: next(fresh))
+        self.leases = LeaseAnswers(self.conductor, proofs)
+        self.buttons = ButtonAnswers(self.conductor, proofs)
         self.calibrations = Calibrations(self.conductor, keep, self.loop)
         self._beat()
 

@@ -4,32 +4,25 @@ The receiver thread parses one request after another and checks its proof, witho
 owner of the state decides and answers.
 """
 
-import datetime as dt
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import zenoh
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from gateway.host.settings_table import ButtonSettings
 from gateway.robot.core.events import ButtonRequest, LeaseRequest, RequestAnswer
 from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import BAD_ENCODING, Rejection, explain, too_large
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.event_publisher import wall_clock
-from gateway.robot.zenoh_io.proofs import Proofs, fresh_token
+from gateway.robot.zenoh_io.proofs import Proofs
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from schemas import keys
 from schemas.button import BUTTON_REQUEST, Alive, ButtonAck, Leave, Register
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
-
-if TYPE_CHECKING:
-    from gateway.certs.proof import ProofChecker
 
 PAUSE_S: Final = 0.05
 """The pause between two requests that may write a file: 20 a second, each of which may take a millisecond."""
@@ -137,19 +130,6 @@ class LeaseAnswers(_ProvedAnswers):
     schema = LEASE_REQUEST
     denied = Reason.LEASE_DENIED
 
-    def __init__(
-        self,
-        conductor: Conductor,
-        ttl_ms: float,
-        checker: "ProofChecker | None",
-        *,
-        wall_clock: Callable[[], dt.datetime] = wall_clock,
-        fresh: Callable[[], str] = fresh_token,
-    ) -> None:
-        """Without a `checker`, names are accepted unproved."""
-        super().__init__(conductor, Proofs(checker, wall_clock, fresh))
-        self._ttl_ms = ttl_ms
-
     def _event(self, request: Claim | Renew | Release, now_ns: int) -> LeaseRequest:  # noqa: ARG002
         match request:
             case Claim():
@@ -161,9 +141,9 @@ class LeaseAnswers(_ProvedAnswers):
                 return LeaseRequest("release", token=request.lease, to=request.to)
 
     def _granted(self, answer: RequestAnswer) -> dict[str, object]:
-        lease = self._conductor.supervisor.lease
+        lease, ttl_ms = self._conductor.supervisor.lease, self._conductor.settings.lease.ttl_ms
         verified = None if lease.holder is None else lease.verified
-        return {"lease": answer.token, "holder": lease.holder, "ttl_ms": self._ttl_ms, "verified": verified}
+        return {"lease": answer.token, "holder": lease.holder, "ttl_ms": ttl_ms, "verified": verified}
 
 
 class ButtonAnswers(_ProvedAnswers):
@@ -171,18 +151,6 @@ class ButtonAnswers(_ProvedAnswers):
     ack = ButtonAck
     schema = BUTTON_REQUEST
     denied = Reason.BUTTON_DENIED
-
-    def __init__(
-        self,
-        conductor: Conductor,
-        settings: ButtonSettings,
-        checker: "ProofChecker | None",
-        *,
-        fresh: Callable[[], str] = fresh_token,
-    ) -> None:
-        """Without a `checker`, names are accepted unproved."""
-        super().__init__(conductor, Proofs(checker, wall_clock, fresh, watching=True))
-        self._settings = settings
 
     def _event(self, request: Register | Alive | Leave, now_ns: int) -> ButtonRequest:
         match request:
@@ -197,23 +165,24 @@ class ButtonAnswers(_ProvedAnswers):
 
     def _registration(self, request: Register, now_ns: int) -> ButtonRequest:
         """A button counts if `buttons.names` has its person (`anna` of `anna/phone`) or its certificate's role."""
-        holder = self._proofs.holder(request.proof)
+        holder, names = self._proofs.holder(request.proof), self._conductor.settings.buttons.names
         named = {request.source.partition("/")[0]} if holder is None else {holder.name, holder.role}
         return ButtonRequest(
             "register",
             now_ns,
             request.source,
             None if holder is None else f"{holder.common_name} {holder.name}",
-            not self._settings.names or not named.isdisjoint(self._settings.names),
+            not names or not named.isdisjoint(names),
             sent_ms=request.sent_ms,
             fresh_token=self._proofs.fresh(),
         )
 
     def _granted(self, answer: RequestAnswer) -> dict[str, object]:
+        settings = self._conductor.settings.buttons
         return {
             "detail": answer.detail or None,
             "button": answer.token,
-            "timeout_ms": self._settings.timeout_ms,
+            "timeout_ms": settings.timeout_ms,
             "alive": self._conductor.supervisor.buttons.alive,
-            "required": self._settings.required,
+            "required": settings.required,
         }

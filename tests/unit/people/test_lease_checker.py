@@ -5,6 +5,7 @@ import datetime as dt
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -15,14 +16,14 @@ from cryptography.x509.oid import NameOID
 
 from gateway.certs import authority
 from gateway.certs.proof import DRIVING, WATCHING, ProofChecker, Purpose
-from gateway.host.settings_table import ButtonSettings
 from gateway.nonces import Nonces
 from gateway.people.client.requests import Identity
 from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
-from gateway.robot.zenoh_io.proofs import CHECKS_PER_S, NONCE_NS
+from gateway.robot.settings import Settings
+from gateway.robot.zenoh_io.proofs import CHECKS_PER_S, NONCE_NS, Proofs
 from schemas.lease import LeaseAck, Proof, signed_text
 from schemas.telemetry import Reason
 from tests.support.certs_folder import with_one_bit_changed
@@ -202,7 +203,7 @@ class Desk(LeaseAnswers):
     """Wants proofs, in a time of the test's; keeps what it would ask the conductor, and what it rejects."""
 
     def __init__(self) -> None:
-        super().__init__(cast(Conductor, None), 1000, CHECKER, wall_clock=lambda: NOW)
+        super().__init__(cast(Conductor, None), Proofs(CHECKER, lambda: NOW))
         self.now_ns = 1_000_000_000_000
         self.requests: list[LeaseRequest] = []
         self.rejected: list[tuple[str | None, Reason, str]] = []
@@ -237,10 +238,10 @@ class Desk(LeaseAnswers):
 def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(
     monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], counts: bool
 ) -> None:
-    monkeypatch.setattr("gateway.robot.runtime.request_answers.wall_clock", lambda: NOW)
     asked: list[ButtonRequest] = []
     rejected: list[tuple[object, ...]] = []
-    buttons = ButtonAnswers(cast(Conductor, None), ButtonSettings(names=names), CHECKER)
+    conductor = SimpleNamespace(settings=Settings.of({"buttons": {"names": names}}))
+    buttons = ButtonAnswers(cast(Conductor, conductor), Proofs(CHECKER, lambda: NOW, watching=True))
     monkeypatch.setattr(buttons, "ask", lambda request, _reply: asked.append(request))
     monkeypatch.setattr(buttons, "reject", lambda *why: rejected.append(why[:2]))
     answers: list[bytes] = []
