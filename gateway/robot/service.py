@@ -180,7 +180,7 @@ class _Service:
         )
         self.keeper = EstopKeeper(self.conductor, state, loop)
         self.calibrations = _calibrations(settings, state, self.conductor, loop)
-        self.revocations = Revocations(self.conductor, self.shut_out, loop, self.end.begin_again)
+        self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
         self.beat: asyncio.TimerHandle | None = None
 
     def configure(self) -> None:

@@ -1,6 +1,5 @@
 """Takes a newer list of revoked certificates: writes it, then stops all legs and restarts the service to apply it."""
 
-import asyncio
 import logging
 from collections.abc import Callable
 from contextlib import suppress
@@ -37,19 +36,12 @@ class Revocations(RequestAnswers):
     most_bytes = MAX_REVOCATION_BYTES
     pause_s = PAUSE_S
 
-    def __init__(
-        self,
-        conductor: Conductor,
-        kept: RevocationState | None,
-        loop: asyncio.AbstractEventLoop,
-        begin_again: Callable[[], None],
-    ) -> None:
+    def __init__(self, conductor: Conductor, kept: RevocationState | None, begin_again: Callable[[], None]) -> None:
         """`kept` is None without a CA. `begin_again` is called on the loop and restarts the service."""
         super().__init__(conductor)
         self._kept = kept
-        self._loop = loop
         self._begin_again = begin_again
-        self._disk = DiskWriter("keep list", loop, conductor.owner)
+        self._disk = DiskWriter("keep list", conductor.loop, conductor.owner)
         self._keeps = False
         """Whether a list is being written; the service restarts afterwards."""
         known = None if kept is None else kept.known
@@ -110,4 +102,4 @@ class Revocations(RequestAnswers):
         self._conductor.events.announce(Announce(Kind.REVOKED, detail, key=self.key))
         reply(self.accepted(number=found.number))
         with suppress(RuntimeError):  # the loop is closed: the service has ended
-            self._loop.call_soon_threadsafe(self._begin_again)
+            self._conductor.loop.call_soon_threadsafe(self._begin_again)

@@ -1,6 +1,5 @@
 """Certificates: files, modes, contents, chains, the commands that make them; and one sentence for each fault."""
 
-import asyncio
 import datetime as dt
 import ipaddress
 import json
@@ -337,7 +336,7 @@ async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: 
     """Else an older one that comes meanwhile would take its place on the disk."""
     conductor = HarnessedRobot().conductor
     in_force = revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
-    changes = Revocations(conductor, in_force, asyncio.get_running_loop(), lambda: None)
+    changes = Revocations(conductor, in_force, lambda: None)
     answers: SimpleQueue[bytes] = SimpleQueue()
     for number, accepted in ((6, True), (5, False)):
         changes.change(list_of(folder, number), answers.put)
