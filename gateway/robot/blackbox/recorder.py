@@ -51,45 +51,6 @@ CLOSE_S: Final = 1.0
 """Longest wait for a copy; one of the largest ring takes about 10 ms."""
 
 
-class IncidentCopies:
-    """Copies the ring for incidents, on a thread of its own. A copy that fails stops nothing.
-
-    A flood of emergency stops makes one copy: the next one needs servos that have run since, and FOLLOW_NS.
-    """
-
-    def __init__(self) -> None:
-        self._ring: Path | None = None
-        self._due = self._running = False
-        self._ran = True
-        self._copied_ns = -FOLLOW_NS
-
-    def open(self, ring: Path) -> None:
-        """Begin with an open ring at this path, which has no other writer."""
-        self._ring = ring
-        self._worker = Worker("copy incident")
-
-    def servos_run(self, running: bool) -> None:
-        """Record whether servos run from now on."""
-        self._running = running
-        self._ran |= running
-
-    def happened(self) -> None:
-        """Have the time before an incident copied, later: its Stops come first."""
-        self._due |= self._ran
-
-    def copy_due(self, now_ns: int, newest: int) -> None:
-        """If a copy is due, have the records up to sequence number `newest` copied. Returns at once."""
-        if self._ring is not None and self._due and now_ns - self._copied_ns >= FOLLOW_NS:
-            self._due, self._ran, self._copied_ns = False, self._running, now_ns
-            self._worker.do(partial(_take, self._ring, newest))
-
-    def close(self, newest: int) -> None:
-        """Make a copy that is due, and wait for it, CLOSE_S at most."""
-        if self._ring is not None:
-            self.copy_due(self._copied_ns + FOLLOW_NS, newest)
-            self._worker.close(CLOSE_S)
-
-
 def _take(ring: Path, newest: int) -> None:
     try:
         copy(ring, newest)
@@ -213,7 +174,9 @@ class Recorder:
         self._about_ns = -ABOUT_NS
         self._measured_ns = -MEASURED_NS
         self._first_ns = self._until_ns = 0  # begin and end of the latest incident
-        self._copies = IncidentCopies()
+        self._copy_due = self._runs = False
+        self._ran = True  # since the latest copy
+        self._copied_ns = -FOLLOW_NS
         self._on = state_directory(settings.state.path) is not None
         self._about = form.text(json.dumps(_about(settings, facts)))
         self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
@@ -236,13 +199,13 @@ class Recorder:
             return
         waiting, self._waiting = self._waiting, []
         try:
-            ring = paths.prepare(folder)
-            self._ring = RecordRing(ring, paths.slots_for(self._settings))
+            self._path = paths.prepare(folder)
+            self._ring = RecordRing(self._path, paths.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
             self._on, self.incident = False, None
             return
-        self._copies.open(ring)
+        self._worker = Worker("copy incident")
         if self._ring.note:
             logger.warning(self._ring.note)
         for each in waiting:
@@ -252,7 +215,8 @@ class Recorder:
         """Close the ring; later records are discarded."""
         self._on = False
         if self._ring is not None:
-            self._copies.close(self._ring.sequence - 1)
+            self._copy(self._ring, self._copied_ns + FOLLOW_NS)
+            self._worker.close(CLOSE_S)
             self._ring.close()
             self._ring = None
 
@@ -309,7 +273,8 @@ class Recorder:
         """Record a change of the gateway's mode. If it changes too often, record it at the next beat."""
         now_ns = self._clock()
         self._mode = mode
-        self._copies.servos_run(mode is Mode.ACTIVE)
+        self._runs = mode is Mode.ACTIVE
+        self._ran |= self._runs
         if self._modes.take(now_ns):
             self._record_mode(now_ns)
 
@@ -334,7 +299,7 @@ class Recorder:
             return
         now_ns = self._clock()
         if self._ring is not None:
-            self._copies.copy_due(now_ns, self._ring.sequence - 1)
+            self._copy(self._ring, now_ns)
         self._record_mode(now_ns)
         if lag_ns > LAG_NS:
             self._append(form.LAG, now_ns, form.number(lag_ns))
@@ -346,6 +311,15 @@ class Recorder:
         if now_ns - self._about_ns >= ABOUT_NS:
             self._about_ns = now_ns
             self._append(form.ABOUT, now_ns, self._about)
+
+    def _copy(self, ring: RecordRing, now_ns: int) -> None:
+        """Have the time before an incident copied, if that is due. Returns at once.
+
+        A flood of emergency stops makes one copy: the next one needs servos that have run since, and FOLLOW_NS.
+        """
+        if self._copy_due and now_ns - self._copied_ns >= FOLLOW_NS:
+            self._copy_due, self._ran, self._copied_ns = False, self._runs, now_ns
+            self._worker.do(partial(_take, self._path, ring.sequence - 1))
 
     def measured(self, values: Measured, now_ns: int) -> None:
         """Record the robot's measurements, at most once in MEASURED_NS."""
@@ -390,7 +364,7 @@ class Recorder:
             self.incidents += 1
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.at_wall_time(wall_ns, self.incident))
-        self._copies.happened()
+        self._copy_due |= self._ran
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident
 
