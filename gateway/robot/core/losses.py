@@ -12,10 +12,9 @@ from typing import Final
 
 from gateway.model.frames import OP_START, STOP, servo_ids_of
 from gateway.robot.core.events import Targets
-from gateway.robot.core.intake import TARGETS, stops_of, words_of_stop
+from gateway.robot.core.intake import TARGETS, words_of_stop
 from gateway.robot.core.message import Received
 from gateway.robot.core.rejections import each_name_once
-from schemas.keys import COMMAND_KEYS
 from schemas.robot import JOINTS, LEGS, SERVO_IDS
 
 DETAIL: Final = (
@@ -24,27 +23,10 @@ DETAIL: Final = (
 )
 
 
-class Losses:
-    """The key whose messages are handled after a loss (else ""), and the Stops that it needs."""
-
-    def __init__(self) -> None:
-        self.key = ""
-        self._stops: Targets = ()
-
-    def note(self, key: str) -> None:
-        """Record that messages put on `key` were lost, older than those that are handled next."""
-        self.key, self._stops = key, stops_of(COMMAND_KEYS[key])
-
-    def accepted(self, targets: Targets) -> None:
-        """Remove the Stops of the servos that one of the next messages started."""
-        started = {servo_id for servo_id, op in targets if op.op is OP_START}
-        self._stops = tuple(stop for stop in self._stops if stop[0] not in started)
-
-    def take(self) -> tuple[str, Targets]:
-        """Return the key and the Stops still needed after the last of these messages, and forget both."""
-        found = self.key, self._stops
-        self.key, self._stops = "", ()
-        return found
+def not_started(stops: Targets, by: Targets) -> Targets:
+    """Return those of the Stops of lost messages that are still needed after an accepted message with these targets."""
+    started = {servo_id for servo_id, op in by if op.op is OP_START}
+    return tuple(stop for stop in stops if stop[0] not in started)
 
 
 def stops_in(rejected: Received) -> Targets:

@@ -31,10 +31,11 @@ from gateway.robot.core.events import (
     Request,
     ShutDown,
     StoppedOutside,
+    Targets,
     TimePassed,
 )
-from gateway.robot.core.intake import read
-from gateway.robot.core.losses import DETAIL, Losses, stops_in
+from gateway.robot.core.intake import read, stops_of
+from gateway.robot.core.losses import DETAIL, not_started, stops_in
 from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, Verb
 from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
@@ -49,6 +50,7 @@ from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi.bus import Bus
+from schemas.keys import COMMAND_KEYS
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack, Cause, Kind, Mode, Reason
 
@@ -100,7 +102,9 @@ class Conductor:
         run = self.simulated, self.physics, self.calibration_kept
         self.reports = StateReports(settings, supervisor, bus, self.events, self.telemetry, *run)
         self._messages: Messages = NoMessages()
-        self._losses = Losses()
+        self._lost_key = ""
+        """The key whose messages are handled after a loss, else ""."""
+        self._lost_stops: Targets = ()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer = OwnersTimer(self.loop, self.owner, self.tick)
         self._reopen_timer = OwnersTimer(self.loop, self.owner, self._reopen)
@@ -164,7 +168,7 @@ class Conductor:
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
         self._serve_estops(instant_ns)
-        if self._losses.key:
+        if self._lost_key:
             self._stop_what_lost_stops_named(instant_ns)
         self._do_what_is_due(instant_ns)
         self._arm()
@@ -250,10 +254,10 @@ class Conductor:
             self._step(TimePassed(), instant_ns)
 
     def _receive(self, received: Received, instant_ns: int) -> None:
-        if self._losses.key and (received.key != self._losses.key or received.verb is Verb.GET):
+        if self._lost_key and (received.key != self._lost_key or received.verb is Verb.GET):
             self._stop_what_lost_stops_named(instant_ns)
         if received.verb is _LOST:
-            self._losses.note(received.key)
+            self._lost_key, self._lost_stops = received.key, stops_of(COMMAND_KEYS[received.key])
             self.metrics.overflows += 1
             self.metrics.lost += received.size
             return
@@ -274,8 +278,8 @@ class Conductor:
         except Exception:
             self.recorder.step(command, (), ())  # the command that broke the gateway
             raise
-        if self._losses.key and not outcome.rejects(command):
-            self._losses.accepted(command.targets)
+        if self._lost_key and not outcome.rejects(command):
+            self._lost_stops = not_started(self._lost_stops, command.targets)
 
     def _reject_unread(self, received: Received, why: Rejection, instant_ns: int) -> None:
         """Reject a message that could not be read. Carry out the Stops that it may contain."""
@@ -291,8 +295,8 @@ class Conductor:
         self._step(command, instant_ns, command=command)
 
     def _stop_what_lost_stops_named(self, instant_ns: int) -> None:
-        key, targets = self._losses.take()
-        stops = tuple(stop for stop in targets if self.supervisor.legs.servos[stop[0]].will_run)
+        key, self._lost_key = self._lost_key, ""
+        stops = tuple(stop for stop in self._lost_stops if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
             command = Command(stops, key=key, number=self.executor.next_number(), lost=True)
             self._step(command, instant_ns)
