@@ -1,5 +1,6 @@
 """Without access control: programs that answer besides the gateway, with nonsense or to be believed."""
 
+import json
 import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -14,12 +15,20 @@ from schemas import keys
 from schemas.telemetry import Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, dialling, free_port
-from tests.support.router import zenoh_listening
 
 FALSE = '{"accepted": true, "stop_frames": 6, "latency_us": 1}'
 NONSENSE = ["{}", "nonsense", '{"accepted": true}', '{"accepted": true, "stop_frames": 6}', "[]", ""]
 TIMES = 20
 """Who is first is a matter of luck; with so many questions, the stranger once was in each trial."""
+
+
+def router_at(endpoint: str) -> zenoh.Session:
+    """What a gateway dials: a program that listens there, in this process."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", json.dumps([endpoint]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    return zenoh.open(config)
 
 
 @contextmanager
@@ -70,7 +79,7 @@ def test_who_claims_to_be_complete_does_not_take_the_stop_away(tmp_path: Path, t
     router = f"tcp/127.0.0.1:{free_port()}"
     settings = {"zenoh": {"config": dialling(tmp_path, router, mode="client")}}
     with (
-        zenoh_listening(router),
+        router_at(router),
         Gateway(tmp_path, settings),
         answering(router, text, keys.ESTOP),
         Client(router, timeout_s=20) as client,

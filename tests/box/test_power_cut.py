@@ -9,16 +9,56 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Self
 
 import pytest
 
 from tests.box.box import PATH_INSIDE, Box
-from tests.box.disk import Disk, copies_at_once
 from tests.box.installed import CONFIGURATION, NAME
 from tests.box.package import LIBRARY, Packages, Robot, dpkg, install, prepare, share, simulate
 from tests.support.child import Child
 
 pytestmark = pytest.mark.systemd
+
+SIZE = "2G"  # sparse; an installation takes some 200 MB
+ROOM = "16G"  # sparse; copies share what they have in common
+
+
+@contextmanager
+def copies_at_once(folder: Path) -> Iterator[Path]:
+    """A folder in which disks can be cut. What lies there is gone afterwards.
+
+    XFS copies a file as it is at one moment, whatever is being written: each write is in the copy or is missing.
+    """
+    room = folder.with_name(f"{folder.name}.xfs")
+    subprocess.run(["truncate", f"--size={ROOM}", str(room)], check=True)
+    subprocess.run(["mkfs.xfs", "-q", "-m", "reflink=1", str(room)], check=True)
+    subprocess.run(["mount", "-o", "loop", str(room), str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+        room.unlink()
+
+
+class Disk:
+    """An ext4 image that a box runs from: its file has what the kernel has given to the disk, and no more."""
+
+    def __init__(self, image: Path) -> None:
+        self.image = image
+
+    @classmethod
+    def new(cls, image: Path) -> Self:
+        """An empty one. Nothing is left for the kernel to initialise in the background, as on a card in use."""
+        options = "lazy_itable_init=0,lazy_journal_init=0"
+        subprocess.run(["mkfs.ext4", "-q", "-E", options, str(image), SIZE], check=True, capture_output=True)
+        return cls(image)
+
+    def cut(self, copy: Path) -> "Disk":
+        """What would be on the disk if the power failed now."""
+        subprocess.run(["cp", "--reflink=always", str(self.image), str(copy)], check=True)
+        return Disk(copy)
+
 
 LIFE_S = 3600
 FIRST, SECOND = (0.05, 0.3, 0.6, 0.8, 0.95), (1.05, 1.3, 1.6, 1.8, 1.95)

@@ -1,15 +1,15 @@
 """What moves the robot through the bridge, and what stops it: joint commands, walking, trajectories, several nodes."""
 
 import itertools
+import math
 from functools import partial
 from typing import Final
 
 import pytest
 
 from gateway.client import Client
-from gateway.people.ros2.messages import JointState, Message, Odometry, Twist
+from gateway.people.ros2.messages import Header, JointState, Message, Odometry, Time, Twist, Vector3
 from schemas.telemetry import Kind, Mode
-from tests.support.bad_ros2 import BAD
 from tests.support.bridged import (
     GEOMETRY,
     LONG_S,
@@ -24,11 +24,37 @@ from tests.support.bridged import (
 )
 from tests.support.heard import events, frames, running, states
 from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, RclpyPeer, needs_rclpy
-from tests.support.ros2_messages import Float64, Int32, JointTrajectory, TwistStamped
+from tests.support.ros2_messages import (
+    Duration,
+    Float64,
+    Int32,
+    JointTrajectory,
+    JointTrajectoryPoint,
+    TwistStamped,
+    replace,
+)
 
 pytestmark = needs_rclpy
 VELOCITIES: Final = "/hexapod/cmd_vel"
 TRAJECTORY: Final = "/hexapod/joint_trajectory"
+SIMULATED: Final = Header(Time(12, 500_000_000))
+"""As a simulator's clock has it, some seconds after its start."""
+MANY: Final = tuple(f"joint_{number}" for number in range(10_000))
+TO_ZERO: Final = JointTrajectoryPoint((0.0,) * len(MANY), time_from_start=Duration(1))
+LATE: Final = "it has a stamp of 1970-01-01"
+BAD: Final[tuple[tuple[str, Message, str], ...]] = (
+    ("joint_commands", JointState(name=MANY, position=(0.0,) * 10_000), "and at most 4096 are taken"),
+    ("joint_commands", replace(resting(), header=SIMULATED), LATE),
+    ("joint_trajectory", JointTrajectory(Header(), MANY, (TO_ZERO,)), "there is no joint"),
+    ("cmd_vel", Twist(Vector3(math.nan)), "cmd_vel: "),
+    ("cmd_vel_stamped", TwistStamped(SIMULATED, Twist(Vector3(0.05))), LATE),
+    ("cmd_base_height", Float64(math.nan), "a height and a leaning are finite numbers"),
+    ("cmd_gait_type", Int32(77), "there is no gait 77"),
+)
+"""What ROS peers must not send, of each topic one or two: topic, message and what the diagnostics say.
+
+None of it moves anything. All: tests/unit/people/test_ros2_joints.py.
+"""
 
 
 # ---- joint commands
@@ -62,7 +88,7 @@ def test_joint_commands_become_frames_in_any_order_and_their_silence_stops_the_l
 def test_bad_messages_move_nothing_and_each_is_explained(driven: RclpyPeer, watcher: Client) -> None:
     before = watcher.state().commands
     driven.advertise("/hexapod/cmd_vel_stamped", TwistStamped)
-    for topic, message, why in BAD.values():
+    for topic, message, why in BAD:
         driven.not_taken(f"/hexapod/{topic}", message, why)
     assert watcher.state().commands == before
     assert watcher.state().lease.holder == "ros2", "it drives on"
