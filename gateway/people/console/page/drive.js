@@ -3,7 +3,7 @@
 
 import { attribute, byId, element, enable, show, text, typesText } from "./dom.js";
 import { barred } from "./hold.js";
-import { whenReleased } from "./keys.js";
+import { placeOf, whenReleased } from "./keys.js";
 import { JOINTS, LEGS } from "./kinematics.js";
 import { Poses } from "./targets.js";
 
@@ -166,7 +166,7 @@ export class Drive {
         if (!(event instanceof KeyboardEvent) || event.key === "Enter") this.hold.release(what);
       });
     }
-    whenReleased((code) => code === null && this.hold.release(what));
+    whenReleased((place) => place === null && this.hold.release(what));
   }
 
   #keys() {
@@ -175,10 +175,10 @@ export class Drive {
       const modified = event.ctrlKey || event.altKey || event.metaKey;
       if (event.key.toLowerCase() !== HOLD_KEY || event.repeat || modified || typesText(event.target)) return;
       if (byId("question", HTMLDialogElement).open) return;
-      held = event.code;
+      held = placeOf(event);
       this.hold.press("key");
     });
-    whenReleased((code) => (code === null || code === held) && this.hold.release("key"));
+    whenReleased((place) => (place === null || place === held) && this.hold.release("key"));
   }
 
   #poseForm() {

@@ -15,17 +15,21 @@ const DIRECTIONS = {
 /** Part of a full push: a key cannot be pushed half. */
 const PART = 0.6;
 
+/** The key's place, or its letter on a keyboard without places, such as a remote desktop's. @param {KeyboardEvent} event */
+export function placeOf(event) {
+  return event.code || event.key.toLowerCase();
+}
+
 /**
- * Call `released` with the code of each key that is let go, or null: all are. A code is the key's place: with AltGr, Option or
- * another layout the key's letter is another one by then. macOS reports no release while Command is held, so Command counts
- * as the release of all keys.
- * @param {(code: string | null) => void} released
+ * Call `released` with the place of each key that is let go, or null: all are. With AltGr, Option or another layout the key's
+ * letter is another one by then. macOS reports no release while Command is held, so Command counts as the release of all keys.
+ * @param {(place: string | null) => void} released
  */
 export function whenReleased(released) {
   for (const name of /** @type {const} */ (["keydown", "keyup"])) {
     window.addEventListener(name, (event) => {
       if (event.key === "Meta") released(null);
-      else if (name === "keyup") released(event.code);
+      else if (name === "keyup") released(placeOf(event));
     });
   }
 }
@@ -33,7 +37,7 @@ export function whenReleased(released) {
 export class Keys {
   /** @param {() => void} changed */
   constructor(changed) {
-    /** The letters of the keys that are held, by their codes. @type {Map<string, string>} */
+    /** The letters of the keys that are held, by their places. @type {Map<string, string>} */
     this.down = new Map();
     window.addEventListener("keydown", (event) => {
       const key = event.key.toLowerCase();
@@ -41,10 +45,10 @@ export class Keys {
       const elsewhere = typesText(event.target) || event.target instanceof HTMLSelectElement;
       if (!(key in DIRECTIONS) || event.repeat || modified || elsewhere) return;
       if (byId("question", HTMLDialogElement).open) return;
-      this.down.set(event.code, key);
+      this.down.set(placeOf(event), key);
       changed();
     });
-    whenReleased((code) => (code === null ? this.release() : this.down.delete(code)));
+    whenReleased((place) => (place === null ? this.release() : this.down.delete(place)));
   }
 
   get x() {
