@@ -64,6 +64,17 @@ def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
     alive(watcher, 0)
 
 
+@pytest.mark.parametrize("key", ["Escape", "Space"])
+def test_on_a_laptop_the_keys_of_stop_all_stop_wherever_the_focus_is(
+    visitor: Visitor, watcher: Client, key: str
+) -> None:
+    page = watching(visitor, watcher)
+    page["leave"].focus()
+    page.page.keyboard.press(key)
+    expect(page["known"]).to_have_text("6 Stops written")
+    assert watcher.state().mode == Mode.ESTOPPED
+
+
 def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_connection(
     visitor: Visitor, watcher: Client, console: Console
 ) -> None:

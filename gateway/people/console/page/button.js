@@ -9,6 +9,7 @@
 import { attribute, byId, text } from "./dom.js";
 import { Link } from "./link.js";
 import { Awake, TAP_MS, fillScreen, shake } from "./phone.js";
+import { stops } from "./stop.js";
 import { because, ended, sentence } from "./words.js";
 
 /** Check-ins within the time for which one counts. */
@@ -68,6 +69,7 @@ class StopButton {
       if (!this.watches) this.#begin();
       else if (event.detail === 0) this.#stop(event); // of a keyboard
     });
+    window.addEventListener("keydown", (event) => this.watches && stops(event) && !event.repeat && this.#stop(event), { capture: true });
     window.addEventListener("contextmenu", (event) => event.preventDefault());
     window.addEventListener("pagehide", () => this.#leave());
     byId("leave").addEventListener("click", () => this.#leave());

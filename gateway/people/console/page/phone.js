@@ -47,8 +47,9 @@ export class Awake {
   }
 }
 
-/** Only a tap or a click may ask for it. */
+/** Only a tap or a click may ask for it. Not where there is a mouse, and perhaps a keyboard: Escape would only leave it. */
 export function fillScreen() {
+  if (matchMedia("(any-pointer: fine)").matches) return;
   void document.documentElement.requestFullscreen?.().catch(() => {});
 }
 

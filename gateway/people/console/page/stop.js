@@ -12,6 +12,16 @@ const SAME_TAP_MS = 1000;
 /** If the console is silent for this long after a press, the page connects again. */
 const DEAF_MS = 1000;
 
+/** Whether this is the space bar: with Option or AltGr its character is another space. @param {KeyboardEvent} event */
+function isSpace(event) {
+  return event.key === " " || event.code === "Space";
+}
+
+/** Whether a key is STOP ALL: Escape, or space where no text is typed. @param {KeyboardEvent} event */
+export function stops(event) {
+  return !event.isComposing && (event.key === "Escape" || (isSpace(event) && !typesText(event.target)));
+}
+
 /**
  * What the band next to STOP ALL shows: the situation, and the one thing to do next; `reason` is shown by a tap.
  * @param {{looks: boolean, touch: boolean, cut: import("./words.js").End | null, askedMsAgo: number | null, answer: StopMessage | null,
@@ -159,11 +169,9 @@ export class StopAll {
 
   /** @param {KeyboardEvent} event */
   #key(event) {
-    const space = event.key === " " || event.code === "Space"; // with Option or AltGr its character is another space
-    const stops = event.key === "Escape" || (space && !typesText(event.target));
-    if (!stops || event.isComposing) return;
+    if (!stops(event)) return;
     event.preventDefault();
-    if (space) event.stopPropagation(); // it presses no other button
+    if (isSpace(event)) event.stopPropagation(); // it presses no other button
     if (!event.repeat) this.press();
   }
 
