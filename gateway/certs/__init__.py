@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from gateway.certs import authority, files, folder, proof, revocation, zenoh_files
+    from gateway.certs import authority, files, folder, proof, revocation
 
 OPERATOR: Final = "operator"
 OBSERVER: Final = "observer"
@@ -20,7 +20,7 @@ CONSOLE_DAYS: Final = 459
 WARN_DAYS: Final = 60
 """Warn this long before a certificate expires: enough to find the person with the CA's key."""
 
-__all__ = ["authority", "files", "folder", "proof", "revocation", "zenoh_files"]
+__all__ = ["authority", "files", "folder", "proof", "revocation"]
 
 
 def __getattr__(name: str) -> ModuleType:

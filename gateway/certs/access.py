@@ -1,4 +1,4 @@
-"""Access by role: the laptops' common names, and one table of the messages that people and a robot may exchange.
+"""Access by role: common names, one table of the messages that people and a robot may exchange, and the Zenoh files.
 
 Zenoh's access control identifies a laptop by its whole common name, without patterns. So each laptop has a common name
 of its own, such as `operator-07`, which can be revoked alone. The rules in gateway.json5 name roles; the gateway
@@ -10,13 +10,17 @@ observer who may declare `hexapod/*` could declare 20 000 keys, which would dela
 gateway's own declarations, a wildcard is cheap, and docs/interface.md promises it: a put on `hexapod/leg/*/cmd` means
 every leg.
 
-Zenoh compares a rule's keys with those on the wire, which begin with the robot's namespace.
+Zenoh compares a rule's keys with those on the wire, which begin with the robot's namespace. Each role is tried with
+real sessions (tests/zenoh/test_security.py).
 """
 
+import hashlib
 import json
 import re
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
+from gateway import limits
 from gateway.certs import BUTTON, LAPTOP_ROLES, OPERATOR
 from schemas import keys
 from schemas.keys import ALIVE, ALL_COMMANDS, ASKABLE, CALIBRATION, ESTOP, PUBLISHED, SIM_BODY, SIM_UPRIGHT
@@ -28,7 +32,7 @@ NOBODY: Final = "(nobody)"
 """A common name without a certificate, for a subject whose names are all revoked: to Zenoh, a subject without names
 means everyone."""
 
-_COMMON_NAME: Final = re.compile(rf"({'|'.join(LAPTOP_ROLES)})-\d{{2,3}}")
+_COMMON_NAME: Final = re.compile(rf"\A({'|'.join(LAPTOP_ROLES)})-\d{{2,3}}\Z")
 
 
 def every(role: str) -> list[str]:
@@ -38,8 +42,7 @@ def every(role: str) -> list[str]:
 
 def role_of(common_name: str) -> str:
     """Return a laptop's role; for any other common name (`gateway`, `console`), the name itself."""
-    found = _COMMON_NAME.fullmatch(common_name)
-    return common_name if found is None else found[1]
+    return _COMMON_NAME.sub(r"\1", common_name)
 
 
 class Traffic(NamedTuple):
@@ -86,7 +89,7 @@ BODY: Final = (
 """Traffic between a gateway and the process that simulates its robot's body."""
 
 
-def lists() -> str:
+def _lists() -> str:
     """Return the lists of Zenoh's access control for TRAFFIC as JSON5: rules, subjects and policies, one a line."""
     made = {
         "rules": [rule(each, "") for each in TRAFFIC],
@@ -109,3 +112,110 @@ def rule(each: Traffic, namespace: str) -> dict[str, Any]:
         "messages": each.messages,
         "key_exprs": [f"{namespace}/{key}" if namespace else key for key in each.keys],
     }
+
+
+# ---- gateway.json5 for the robot, NAME.json5 for a laptop. Paths in them are relative to the file's own folder
+
+_GATEWAY = """\
+// The gateway's Zenoh configuration, made by `hexapod-gateway certs` for @HOSTS@.
+// The robot needs this file, ca.pem, gateway.pem and gateway.key in one folder. Keep ca.key elsewhere: it admits all.
+{
+  mode: "peer",
+  // All addresses, IPv4 and IPv6. On a kernel without IPv6: tls/0.0.0.0:@PORT@
+  listen: { endpoints: ["tls/[::]:@PORT@"] },
+  connect: { endpoints: [] },
+  scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
+  adminspace: { enabled: false },
+  transport: {
+    unicast: { max_sessions: @MAX_SESSIONS@, accept_timeout: @ACCEPT_TIMEOUT_MS@ },
+    shared_memory: { enabled: false },  // it would go around the size limit
+    link: {
+      protocols: ["tls"],
+      // A link that is silent for this long (ms) is dead, and what waited on it is dropped with it.
+      tx: { lease: 1000 },
+      // Limit in bytes of a message of fragments.
+      rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
+      tls: {
+        root_ca_certificate: "ca.pem",
+        listen_certificate: "gateway.pem",
+        listen_private_key: "gateway.key",
+        connect_certificate: "gateway.pem",  // where the gateway dials another Zenoh program
+        connect_private_key: "gateway.key",
+        enable_mtls: true, verify_name_on_connect: true, close_link_on_expiration: true,
+      },
+    },
+  },
+  // At its start the gateway replaces each role by its laptops' common names (operator-00, operator-01, …) without the
+  // revoked ones, so a new laptop needs no change here. Keys are exact: subscribe to hexapod/state, not to hexapod/*.
+  access_control: {
+    enabled: true, default_permission: "deny",
+@ACCESS@  },
+  // The gateway answers payloads over 4096 bytes with `too_large`; far larger ones are dropped before they reach it.
+  low_pass_filter: [
+    { id: "size", flows: ["ingress"], messages: ["put", "delete", "query", "reply"], key_exprs: ["**"],
+      size_limit: @SIZE_LIMIT@ },
+  ],
+}
+"""
+
+_MARK = b"// `setup` renews the access rules of an unedited file. SHA-256 of the lines above: "
+
+_LAPTOP = """\
+// @NAME@ as @ROLE@, made by `hexapod-gateway certs issue`.
+//   hexapod-gateway status --zenoh-config @FILE@
+// Paths are relative to this file's folder: keep ca.pem, @NAME@.pem and @NAME@.key there.
+{
+  mode: "client",
+  connect: { endpoints: @ENDPOINTS@, retry: { period_init_ms: 100, period_max_ms: 500, period_increase_factor: 1.5 } },
+  scouting: { multicast: { enabled: false }, gossip: { enabled: false } },
+  transport: {
+    // How long one host may take, name and handshake included. By default it would delay the next one by 10 s.
+    unicast: { open_timeout: 1000 },
+    shared_memory: { enabled: false },
+    link: {
+      protocols: ["tls"],
+      // The laptop's lease decides how soon a cut is noticed. With 1000 ms, what waited for 3 s is not sent late.
+      tx: { lease: 1000 },
+      rx: { max_message_size: @MAX_MESSAGE_SIZE@ },
+      tls: {
+        root_ca_certificate: "ca.pem",
+        connect_certificate: "@NAME@.pem",
+        connect_private_key: "@NAME@.key",
+        enable_mtls: true, verify_name_on_connect: true,
+      },
+    },
+  },
+}
+"""
+
+
+def gateway_json5(hosts: Sequence[str], port: int) -> bytes:
+    """Return the robot's Zenoh configuration: mTLS on all addresses, access by role, a size limit, no scouting."""
+    return marked(_fill(_GATEWAY, HOSTS=", ".join(hosts), PORT=port, ACCESS=_lists()))
+
+
+def is_unedited(config: bytes) -> bool:
+    """Return whether a gateway.json5 is as `gateway_json5` made it, in this release or an earlier one."""
+    text, begin, _ = config.rpartition(_MARK)
+    return bool(begin) and config == marked(text)
+
+
+def marked(text: bytes) -> bytes:
+    """Return a gateway.json5 with the line by which `is_unedited` recognises it."""
+    return text + _MARK + hashlib.sha256(text).hexdigest().encode() + b"\n"
+
+
+def laptop_json5(name: str, role: str, endpoints: Sequence[str], file: str) -> bytes:
+    """Return a laptop's Zenoh configuration, with the name `file`, that dials these endpoints of a robot."""
+    return _fill(_LAPTOP, NAME=name, FILE=file, ROLE=role, ENDPOINTS=json.dumps(endpoints))
+
+
+def endpoint(host: str, port: int) -> str:
+    """Return Zenoh's TLS endpoint, with brackets for an IPv6 address."""
+    return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
+
+
+def _fill(template: str, **values: object) -> bytes:
+    """Return the template with each @NAME@ replaced by its value, or by the limit of this name."""
+    known = vars(limits) | values
+    return re.sub("@([A-Z_]+)@", lambda found: str(known[found[1]]), template).encode()

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
@@ -21,16 +20,6 @@ from gateway.errors import ConfigError
 
 PUBLIC: Final = (".pem", ".json5", ".crl")
 """Names of the files that everybody may read. All others are secret."""
-UNREADABLE: Final = (
-    ValueError,
-    TypeError,
-    UnsupportedAlgorithm,
-    x509.DuplicateExtension,
-    x509.ExtensionNotFound,
-    x509.InvalidVersion,
-    x509.UnsupportedGeneralNameType,
-)
-"""What `cryptography` raises for a malformed certificate or list; for some parts only when they are read."""
 
 
 def read_certificate(path: Path) -> x509.Certificate:
@@ -40,11 +29,12 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 def read_certificates(path: Path) -> list[x509.Certificate]:
     """Return all certificates of a PEM file, at least one. Raises ConfigError."""
+    data = read_file(path, "certificate")
     try:
-        found = x509.load_pem_x509_certificates(read_file(path, "certificate"))
+        found = x509.load_pem_x509_certificates(data)
         for each in found:
             _ = each.subject, each.issuer, each.extensions  # parsed at first access
-    except UNREADABLE as error:
+    except Exception as error:  # of the parser, which documents none
         raise ConfigError(f"{path} holds no certificate in PEM form: restore it, or issue a new one") from error
     return found
 
@@ -67,8 +57,7 @@ def read_file(path: Path, what: str) -> bytes:
             raise ConfigError(f"{path} is not a file: the {what} should be there")
         return path.read_bytes()
     except OSError as error:
-        fix = "check the path and who owns the file"
-        raise ConfigError(f"cannot read the {what} {path}: {error.strerror}; {fix}") from error
+        raise ConfigError(f"cannot read the {what} {path}: {error.strerror}; check the path and its owner") from error
 
 
 def mode_of(path: Path) -> int:
@@ -115,5 +104,4 @@ def _explained(path: Path) -> Iterator[None]:
     except FileExistsError as error:
         raise ConfigError(f"{path} exists and is never overwritten: choose another name, or move it away") from error
     except OSError as error:
-        fix = "choose a directory that you may write to, or run this as its owner"
-        raise ConfigError(f"cannot write {path}: {error.strerror}; {fix}") from error
+        raise ConfigError(f"cannot write {path}: {error.strerror}; is the directory yours?") from error

@@ -18,17 +18,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from gateway import nesting
-from gateway.certs import (
-    LAPTOP_ROLES,
-    LEAF_DAYS,
-    access,
-    authority,
-    files,
-    first_fault,
-    how_to_renew,
-    revocation,
-    zenoh_files,
-)
+from gateway.certs import LAPTOP_ROLES, LEAF_DAYS, access, authority, files, first_fault, how_to_renew, revocation
 from gateway.certs.authority import CA, CONSOLE, GATEWAY, Certificate, KeyPair, is_issued
 from gateway.certs.files import read_certificate
 from gateway.certs.revocation import RevocationList, Revoked
@@ -97,7 +87,7 @@ def issue(
         made = authority.make_leaf(ca, common_name, name, (), days, now).files(directory / name)
         for robot, folder in robots_of(directory).items():
             config = directory / (f"{name}.json5" if robot == GATEWAY else f"{name}.{robot}.json5")
-            made[config] = zenoh_files.laptop_json5(name, role, endpoints_of(folder), config.name)
+            made[config] = access.laptop_json5(name, role, endpoints_of(folder), config.name)
     if bundle in made or (bundle is not None and bundle.suffix in files.PUBLIC):
         raise ConfigError(f"--bundle {bundle} is the place of another file: name it NAME.zip")
     if bundle is not None:
@@ -109,7 +99,7 @@ def issue(
 def _robot(directory: Path, ca: KeyPair, hosts: Sequence[str], port: int, days: int) -> dict[Path, bytes]:
     dialled = _dialled_hosts(hosts)
     made = authority.make_leaf(ca, GATEWAY, GATEWAY, dialled, days, now_utc())
-    return made.files(directory / GATEWAY) | {directory / "gateway.json5": zenoh_files.gateway_json5(dialled, port)}
+    return made.files(directory / GATEWAY) | {directory / "gateway.json5": access.gateway_json5(dialled, port)}
 
 
 def renew(directory: Path, name: str, *, hosts: Sequence[str] = (), days: int = LEAF_DAYS) -> Certificate:
@@ -141,7 +131,7 @@ def revoke(directory: Path, name: str) -> RevocationList:
 
     The laptop's files are deleted, so that its name can be issued again. Raises ConfigError.
     """
-    known, now = revoked(directory), now_utc()
+    known = revoked(directory)
     before = known.entries if known else ()
     laptops = (each for each in expiries(directory) if each.role in LAPTOP_ROLES)
     found = next((each for each in laptops if name in (each.name, each.common_name)), None)
@@ -150,7 +140,7 @@ def revoke(directory: Path, name: str) -> RevocationList:
     if not found and access.role_of(name) == name:
         raise ConfigError(f"{directory} has no laptop {name!r}: `hexapod-gateway certs list` names them")
     entry = (found.common_name, found.name, found.serial) if found else (name, "", _NO_SERIAL)
-    made = _sign(directory, known, (*before, Revoked(*entry, now)))
+    made = _sign(directory, known, (*before, Revoked(*entry, now_utc())))
     for path in directory.glob(f"{found.path.stem}.*") if found else ():
         if path.suffix in (".pem", ".key", ".json5"):
             path.unlink()
@@ -217,7 +207,7 @@ def describe(path: Path) -> Certificate:
 def endpoints_of(robot: Path) -> list[str]:
     """Return the Zenoh endpoints of the robot with this folder. Raises ConfigError."""
     port = port_of(robot / "gateway.json5")
-    return [zenoh_files.endpoint(host, port) for host in describe(robot / "gateway.pem").hosts]
+    return [access.endpoint(host, port) for host in describe(robot / "gateway.pem").hosts]
 
 
 def robots_of(directory: Path) -> dict[str, Path]:

@@ -17,7 +17,6 @@ from cryptography.hazmat.primitives import hashes, serialization
 
 from gateway import durable
 from gateway.certs.authority import KeyPair
-from gateway.certs.files import UNREADABLE
 from gateway.errors import ConfigError
 
 REVOCATION_FILE: Final = "revoked.crl"
@@ -26,7 +25,6 @@ MAX_LIST_BYTES: Final = 1_000_000
 
 _HOLDER: Final = x509.ObjectIdentifier("2.25.304287190233465927514019364182720945113")
 """`operator-07/alice` as UTF8String. The identifier is made from a UUID (ITU-T X.667), which needs no registration."""
-_UTF8_STRING: Final = 0x0C
 _HOLDER_TEXT: Final = re.compile(r"[A-Za-z0-9._-]{1,63}/[A-Za-z0-9_-]{0,63}")
 """At most 127 characters: DER then has a length of one byte."""
 
@@ -86,7 +84,7 @@ def parse(data: bytes, cas: Sequence[x509.Certificate]) -> RevocationList:
         number = found.extensions.get_extension_for_class(x509.CRLNumber).value.crl_number
         entries = tuple(map(_entry, found))
         signed = any(_signed_by(found, ca) for ca in cas)
-    except UNREADABLE as error:
+    except Exception as error:  # untrusted bytes: no exception of their parser may end the service
         raise ConfigError("this is no list of `hexapod-gateway certs revoke`, or it was cut off") from error
     if not signed:
         raise ForeignListError("the list is not signed by a CA of this robot: is it another robot's?")
@@ -124,7 +122,7 @@ def _encoded(entry: Revoked) -> bytes:
     text = f"{entry.common_name}/{entry.name}"
     if _HOLDER_TEXT.fullmatch(text) is None:
         raise ConfigError(f"{entry.common_name} of {entry.name} cannot stand in a list of revoked certificates")
-    return bytes([_UTF8_STRING, len(text)]) + text.encode()
+    return bytes([0x0C, len(text)]) + text.encode()  # UTF8String
 
 
 def _signed_by(found: x509.CertificateRevocationList, ca: x509.Certificate) -> bool:

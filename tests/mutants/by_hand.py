@@ -17,8 +17,6 @@ class ByHand(NamedTuple):
 MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/certs/access.py": (
         ByHand("operators watch only", "if each.roles == roles]", "if each.roles == LAPTOP_ROLES]"),
-    ),
-    "gateway/certs/zenoh_files.py": (
         ByHand("observers command", 'default_permission: "deny"', 'default_permission: "allow"'),
         ByHand(
             "what comes in has no limit",

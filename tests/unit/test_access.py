@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import zenoh
 
-from gateway.certs.zenoh_files import endpoint, gateway_json5, laptop_json5
+from gateway.certs.access import endpoint, gateway_json5, laptop_json5
 from gateway.errors import ConfigError
 from gateway.simulation import body as simulated_body
 from schemas.keys import (

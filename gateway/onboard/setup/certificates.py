@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from gateway import certs
-from gateway.certs import zenoh_files
+from gateway.certs import access
 from gateway.errors import ConfigError
 from gateway.onboard.setup import configuration
 from gateway.onboard.setup.configuration import Configuration
@@ -37,7 +37,7 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
         if (folder / _LIST).is_file():
             _put(machine, folder, _LIST)
         present = machine.read(CONFIG)
-        if present is None or zenoh_files.is_unedited(present):
+        if present is None or access.is_unedited(present):
             _put(machine, folder, "gateway.json5")
         else:
             say(f"keep {CONFIG}, which somebody has edited")
@@ -56,10 +56,10 @@ def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
 def refresh(machine: Machine) -> None:
     """Write this release's access rules to gateway.json5, if nobody has edited that file."""
     present = machine.read(CONFIG)
-    if present is None or not zenoh_files.is_unedited(present):
+    if present is None or not access.is_unedited(present):
         return
     hosts = certs.folder.describe(machine.path(f"{FOLDER}/gateway.pem")).hosts
-    made = zenoh_files.gateway_json5(hosts, certs.folder.port_of(machine.path(CONFIG)))
+    made = access.gateway_json5(hosts, certs.folder.port_of(machine.path(CONFIG)))
     machine.put(CONFIG, made, f"write {CONFIG}: with this release's access rules")
 
 

@@ -7,12 +7,11 @@ from typing import Annotated, Final, Literal
 import typer
 
 from gateway import certs
+from gateway.certs import access
 from gateway.errors import ConfigError, GatewayError
 from gateway.own_command import this_command
 from gateway.people.commands.options import JsonOption
 from gateway.people.terminal import hint, say
-
-_ANSWER_S: Final = 5.0
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -108,8 +107,7 @@ def renew(
 @app.command("list", epilog="Example: hexapod-gateway certs list --dir ~/hexapod-certs")
 def show(directory: Directory = DEFAULT_FOLDER, as_json: JsonOption = False) -> None:
     """List all certificates, a line each: name, role, expiry, common name, and state (good, expired or revoked)."""
-    names = ("name", "role", "expires", "common_name", "state")
-    found = certs.folder.states(directory)
+    names, found = ("name", "role", "expires", "common_name", "state"), certs.folder.states(directory)
     rows = [(each.name, each.role, f"{each.not_after:%Y-%m-%d}", each.common_name, state) for each, state in found]
     if as_json:
         typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
@@ -153,7 +151,7 @@ def revoke(
 def _endpoints(directory: Path, to: list[str] | None) -> dict[str, list[str]]:
     """How to reach each robot: `to` has names of the folder, hosts or endpoints; without it, all of the folder."""
     robots, port = certs.folder.robots_of(directory), certs.folder.port_of(directory / "gateway.json5")
-    others = {each: [each if "/" in each else certs.zenoh_files.endpoint(each, port)] for each in to or ()}
+    others = {each: [each if "/" in each else access.endpoint(each, port)] for each in to or ()}
     return {each: certs.folder.endpoints_of(robots[each]) if each in robots else others[each] for each in to or robots}
 
 
@@ -166,7 +164,7 @@ def _send(directory: Path, endpoints: list[str], config: Path) -> int:
 
     endpoint, *others = endpoints
     try:
-        with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs", timeout_s=_ANSWER_S) as client:
+        with Client(endpoint, zenoh_config=config, source="hexapod-gateway certs", timeout_s=5.0) as client:
             client.state()  # a robot that is starting is awaited
             newest = certs.folder.newest(directory, client.revocation().revoked)
             client.revocation(newest.pem.decode()).or_raise()

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from gateway import certs
-from gateway.certs import authority, zenoh_files
+from gateway.certs import access, authority
 from gateway.errors import ConfigError, GatewayError
 from gateway.onboard.setup.boot import overlay_is_on, spi_is_on, with_line
 from gateway.onboard.setup.configuration import with_value
@@ -315,10 +315,10 @@ def test_an_unedited_zenoh_file_gets_new_access_rules(computer: Computer, people
     """An edited one stays, whatever comes."""
     computer.says(framing="plain", certs=people)
     made = computer.read(f"{ZENOH}/gateway.json5")
-    older = zenoh_files.marked(made.partition("// `setup`")[0].replace("hexapod/reset", "hexapod/older").encode())
+    older = access.marked(made.partition("// `setup`")[0].replace("hexapod/reset", "hexapod/older").encode())
     file = computer.root / ZENOH.lstrip("/") / "gateway.json5"
     file.write_bytes(older)
-    assert zenoh_files.is_unedited(older)
+    assert access.is_unedited(older)
     computer.says()
     assert computer.read(f"{ZENOH}/gateway.json5") == made
     edited = made.replace("7447", "7448")
