@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final
 
 import typer
 
@@ -21,23 +21,16 @@ from gateway.robot.settings import Settings
 LAST: Final = "last"
 
 
-class _Found(NamedTuple):
-    """An incident, and all records of the ring."""
-
-    incident: Incident
-    records: ring_reader.Records
-
-    @property
-    def name(self) -> str:
-        return self.incident.name
+_Found = tuple[Incident, ring_reader.Records]
+"""An incident, and all records of the ring."""
 
 
 def list_all(settings: Settings, *, as_json: bool = False) -> None:
     """Print the incidents, newest first. Raises ConfigError."""
     folder = _folder(settings)
-    rows: list[dict[str, Any]] = [
-        {"id": each.name, "time": time_of(each.name).isoformat(), "what": headline(messages(*each))}
-        for each in reversed(_find(folder))
+    rows = [
+        {"id": incident.name, "time": time_of(incident.name).isoformat(), "what": headline(messages(incident, records))}
+        for incident, records in reversed(_find(folder))
     ]
     if as_json:
         typer.echo(json.dumps(rows, indent=1))
@@ -51,12 +44,12 @@ def list_all(settings: Settings, *, as_json: bool = False) -> None:
 def show(settings: Settings, name: str, *, as_json: bool = False) -> None:
     """Print the story of the incident `name` (an id, or `last`).
 
-    Raises NoIncidentError, and ConfigError if the black box is off or unreadable.
+    Raises GatewayError without it, and ConfigError if the black box is off or unreadable.
     """
-    found = _one(settings, name)
-    lines = story(list(messages(*found)))
+    incident, records = _one(settings, name)
+    lines = story(list(messages(incident, records)))
     if as_json:
-        typer.echo(json.dumps({"id": found.name, "story": lines}, indent=1, ensure_ascii=False))
+        typer.echo(json.dumps({"id": incident.name, "story": lines}, indent=1, ensure_ascii=False))
         return
     for line in lines:
         say(line)
@@ -67,9 +60,9 @@ def export(settings: Settings, name: str, file: Path) -> None:
 
     Raises as `show` does, and ConfigError if `file` exists or cannot be written.
     """
-    found = _one(settings, name)
-    write(file, *found)
-    say(f"{found.name} is in {file}")
+    incident, records = _one(settings, name)
+    write(file, incident, records)
+    say(f"{incident.name} is in {file}")
 
 
 def _folder(settings: Settings) -> Path:
@@ -94,22 +87,15 @@ def _find(folder: Path) -> list[_Found]:
         if not isinstance(error.__cause__, FileNotFoundError):
             hint(f"hexapod-gateway: {error}")
         return []
-    return [_Found(each, records) for each in find(records)]
+    return [(each, records) for each in find(records)]
 
 
 def _one(settings: Settings, name: str) -> _Found:
-    """Return the incident with this id; the newest for `last`."""
+    """Return the incident with this id; the newest for `last`. Raises GatewayError."""
     folder = _folder(settings)
-    found = _find(folder)
-    for each in reversed(found):
-        if name in (LAST, each.name):
-            return each
+    for found in reversed(_find(folder)):
+        if name in (LAST, found[0].name):
+            return found
     if name != LAST and not is_id(name):
-        raise NoIncidentError(
-            f"{name!r} is no id of an incident; `incidents list` shows the ids, and `last` is the newest"
-        )
-    raise NoIncidentError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")
-
-
-class NoIncidentError(GatewayError):
-    """No incident has this id, or there is none yet."""
+        raise GatewayError(f"{name!r} is no id of an incident: `incidents list` shows them, and `last` is the newest")
+    raise GatewayError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")

@@ -80,7 +80,7 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     ring_alone = parse((folder / RING_FILE).read_bytes())[0]
     assert not [each for each in ring_alone if getattr(each.content, "source", None) == "anna"]
     assert len([each for each in contents(folder, rec.CommandRecord) if each.source == "anna"]) == 11
-    first = black_box._find(folder)[0].name
+    first = black_box._find(folder)[0][0].name
     black_box.show(Settings.of(settings), first)
     story = capsys.readouterr().out
     assert "anna sent 11 commands for leg 3" in story
