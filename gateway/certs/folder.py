@@ -25,7 +25,7 @@ from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 
 ROBOT: Final = "robot"
-ROBOT_FILES: Final = ("gateway.json5", "gateway.pem", "gateway.key", "ca.pem")
+ROBOT_FILES: Final = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")
 """The files that a robot needs."""
 
 # Letters, digits, - and _: a valid file name on every system, and never a path out of the folder.

@@ -19,7 +19,6 @@ from gateway.people.terminal import hint, say
 from gateway.robot import service
 from gateway.robot import settings as settings_file
 from gateway.robot.host.systemd import NOTIFY_SOCKET
-from gateway.robot.settings import Settings
 from gateway.robot.wires import SimulatedParts
 from gateway.simulation.body import endpoint
 from gateway.zenoh_config import listen_endpoints
@@ -30,57 +29,40 @@ _CERTIFICATE: Final = "NAME.json5"
 
 
 def serve(config: Path | None, *, simulated: bool, body: tuple[Path | None, Assumed] | None = None) -> None:
-    """Run the service with the settings of this file, until it is stopped. Raises GatewayError.
+    """Run the service with the settings of this file until it is stopped. Print its address once it is ready.
 
-    `body`: geometry file (None: the Elkapod's) and assumed masses of the simulated robot; None: no physics.
+    `body`: geometry file (None: the Elkapod's) and assumed masses of the simulated robot; None: no physics. Raises
+    GatewayError.
     """
-    settings = settings_file.load(config, simulated=simulated)
+    settings, parts, is_ready = settings_file.load(config, simulated=simulated), SimulatedParts(simulated), False
     _reach_by(settings.zenoh.listen)
     with ExitStack() as processes:
         moved = None if body is None else processes.enter_context(BodyProcess(*body))
-        board = None
+        if moved is not None:
+            parts = SimulatedParts(simulated, moved.page, moved.sensed, moved.zenoh_id, moved.folder)
         if settings.power.interface == SIMULATED:
-            pages = (None, None) if moved is None else (moved.page, moved.sensed)
-            board = processes.enter_context(BoardProcess(settings.power.outputs, *pages))
-        _run(settings, simulated=simulated, body=moved, board=board)
+            board = processes.enter_context(BoardProcess(settings.power.outputs, parts.page, parts.sensed))
+            parts = parts._replace(page=board.page, board_channel=board.channel)
 
+        def ready(config: zenoh.Config) -> None:
+            nonlocal is_ready
+            is_ready = True
+            endpoints, robot = listen_endpoints(config), "a simulated controller" if simulated else settings.device
+            if moved is not None:
+                moved.connect(config)
+                endpoints, robot = [each for each in endpoints if each != endpoint(moved.folder)], "a simulated robot"
+            where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
+            spoken = settings.spi.framing if settings.wire.framed else settings.wire.name
+            say(f"hexapod-gateway is ready: {where} → {robot} ({spoken})")
+            _reach_by(endpoints)
+            say(next_step(endpoints))
 
-def _run(
-    settings: Settings,
-    *,
-    simulated: bool,
-    body: BodyProcess | None,
-    board: BoardProcess | None,
-) -> None:
-    """Run the service; once it is ready, print its address and what to try next."""
-    controller = "a simulated controller" if simulated else settings.device
-    robot = controller if body is None else "a simulated robot"
-
-    is_ready = False
-
-    def ready(config: zenoh.Config) -> None:
-        nonlocal is_ready
-        is_ready = True
-        if body is not None:
-            body.connect(config)
-        endpoints = [each for each in listen_endpoints(config) if body is None or each != endpoint(body.folder)]
-        where = ", ".join(endpoints) or f"no port of its own ({settings.zenoh.config})"
-        spoken = settings.spi.framing if settings.wire.framed else settings.wire.name
-        say(f"hexapod-gateway is ready: {where} → {robot} ({spoken})")
-        _reach_by(endpoints)
-        say(next_step(endpoints))
-
-    parts = SimulatedParts(simulated)
-    if body is not None:
-        parts = SimulatedParts(simulated, body.page, body.sensed, body.zenoh_id, body.folder)
-    if board is not None:
-        parts = parts._replace(page=board.page, board_channel=board.channel)
-    try:
-        service.run(settings, parts, ready)
-    except (SpiError, ZenohError) as error:
-        if not is_ready and NOTIFY_SOCKET in os.environ:
-            _pause(error)
-        raise
+        try:
+            service.run(settings, parts, ready)
+        except (SpiError, ZenohError) as error:
+            if not is_ready and NOTIFY_SOCKET in os.environ:
+                _pause(error)
+            raise
 
 
 def _pause(error: GatewayError) -> NoReturn:

@@ -2,7 +2,6 @@
 
 import shutil
 import zipfile
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -16,8 +15,6 @@ from gateway.people.terminal import say
 
 FOLDER: Final = f"{ETC}/zenoh"
 CONFIG: Final = f"{FOLDER}/gateway.json5"
-_NEEDED: Final = ("gateway.pem", "gateway.key", "ca.pem", "gateway.json5")
-_LIST: Final = "revoked.crl"
 _MOST_BYTES: Final = 1_000_000
 _ISSUE: Final = (
     "make them where ca.key is: hexapod-gateway certs issue NAME --role robot --host HOST --bundle NAME.zip --dir DIR"
@@ -26,21 +23,18 @@ _ISSUE: Final = (
 
 def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
     """Install the files of `source`, and name them in gateway.toml. Return the configuration. Raises ConfigError."""
-    with ExitStack() as stack:
-        folder = source
-        if not source.is_dir():
-            folder = Path(stack.enter_context(scratch()))
+    with scratch() as unpacked:
+        folder = source if source.is_dir() else Path(unpacked)
+        if folder is not source:
             _unpack(source, folder)
         _check(folder, source)
-        for name in _NEEDED[:-1]:
-            _put(machine, folder, name)
-        if (folder / _LIST).is_file():
-            _put(machine, folder, _LIST)
         present = machine.read(CONFIG)
-        if present is None or access.is_unedited(present):
-            _put(machine, folder, "gateway.json5")
-        else:
-            say(f"keep {CONFIG}, which somebody has edited")
+        keep = present is not None and not access.is_unedited(present)
+        for name in (*certs.folder.ROBOT_FILES, certs.revocation.REVOCATION_FILE):
+            if name == "gateway.json5" and keep:
+                say(f"keep {CONFIG}, which somebody has edited")
+            elif (folder / name).is_file() and not machine.put(f"{FOLDER}/{name}", (folder / name).read_bytes()):
+                say(f"{FOLDER}/{name} is the same")
         if (folder / "ca.key").exists() and source.is_dir():
             say(f"{source} has ca.key, which can admit anybody: make sure another computer has it, and delete it here")
     stated = found.get("zenoh", "config")
@@ -61,11 +55,6 @@ def refresh(machine: Machine) -> None:
     hosts = certs.folder.describe(machine.path(f"{FOLDER}/gateway.pem")).hosts
     made = access.gateway_json5(hosts, certs.folder.port_of(machine.path(CONFIG)))
     machine.put(CONFIG, made, f"write {CONFIG}: with this release's access rules")
-
-
-def _put(machine: Machine, folder: Path, name: str) -> None:
-    if not machine.put(f"{FOLDER}/{name}", (folder / name).read_bytes()):
-        say(f"{FOLDER}/{name} is the same")
 
 
 def _unpack(archive: Path, folder: Path) -> None:
@@ -90,8 +79,7 @@ def _unpack(archive: Path, folder: Path) -> None:
 
 def _check(folder: Path, source: Path) -> None:
     """Raise ConfigError unless these are a robot's files that belong together."""
-    missing = [name for name in _NEEDED if not (folder / name).is_file()]
-    if missing:
+    if missing := [name for name in certs.folder.ROBOT_FILES if not (folder / name).is_file()]:
         raise ConfigError(f"{source} has no {' and no '.join(missing)}. A robot needs its own files: {_ISSUE}")
     if fault := certs.folder.mismatch(*(folder / name for name in ("ca.pem", "gateway.pem", "gateway.key"))):
         raise ConfigError(
