@@ -14,10 +14,6 @@ _NONBLOCK, _NOFOLLOW, _CLOEXEC = (getattr(os, f"O_{name}", 0) for name in ("NONB
 """Windows has none of them, nor owners, modes and folders that can be synced."""
 
 
-def _nothing(_descriptor: int) -> None:
-    pass
-
-
 def staged_for(path: Path) -> Path:
     """Return the path of the temporary file that replaces `path`. The file remains only if the process was killed."""
     return path.with_name(f".{path.name}.new")
@@ -61,26 +57,22 @@ def read(path: Path, most_bytes: int) -> bytes | None:
     return data
 
 
-def write(
-    path: Path,
-    data: bytes,
-    *,
-    prepare: Callable[[int], None] = _nothing,
-    before: Callable[[], None] = lambda: None,
-) -> None:
+def write(path: Path, data: bytes, *, before: Callable[[], None] = lambda: None) -> None:
     """Write a file atomically; it is on the disk when this returns. Raises OSError. Blocks on the disk.
 
-    `prepare` gets the descriptor of the new, empty file; `before` is called before it replaces the old one. Only one
-    process may write the file at a time.
+    `before` is called before the new file replaces the old one. Only one process may write the file at a time.
     """
     with replacing(path) as staged:
         with staged.open("wb") as file:
-            _fill(file, data, prepare)
+            _fill(file, data)
         before()
 
 
-def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
-    """Like `write`, with exactly this mode. Several processes may write: the last wins. Raises OSError."""
+def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = lambda _: None) -> None:
+    """Like `write`, with exactly this mode. Several processes may write: the last wins. Raises OSError.
+
+    `prepare` gets the descriptor of the new, empty file.
+    """
     with replacing(path, path.with_name(f".{path.name}.{secrets.token_hex(4)}")) as staged:
         create(staged, data, mode, prepare=prepare)
 
@@ -90,7 +82,7 @@ def write_like_the_folder(path: Path, data: bytes, mode: int) -> None:
     write_with_mode(path, data, mode, prepare=partial(like_the_folder, path))
 
 
-def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None] = _nothing) -> None:
+def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]) -> None:
     """Write a new file with exactly this mode, regardless of the umask; all of it or none.
 
     The mode is set before the content is written, so that a key is never readable by others. Raises OSError, and
@@ -101,7 +93,8 @@ def create(path: Path, data: bytes, mode: int, *, prepare: Callable[[int], None]
         with os.fdopen(descriptor, "wb") as file:
             if hasattr(os, "fchmod"):
                 os.fchmod(descriptor, mode)
-            _fill(file, data, prepare)
+            prepare(descriptor)
+            _fill(file, data)
     except BaseException:
         with suppress(OSError):
             path.unlink()
@@ -144,8 +137,7 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _fill(file: BinaryIO, data: bytes, prepare: Callable[[int], None]) -> None:
-    prepare(file.fileno())
+def _fill(file: BinaryIO, data: bytes) -> None:
     file.write(data)
     file.flush()
     os.fsync(file.fileno())

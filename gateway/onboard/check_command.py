@@ -17,24 +17,14 @@ def check(
     connect: ConnectOption = None,
     zenoh_config: ZenohConfigOption = None,
     timeout: TimeoutOption = 2.0,
-    move: Annotated[
-        bool, typer.Option("--move", help="Start one servo, move it by 5°, and stop all. It asks.")
-    ] = False,
+    move: Annotated[bool, typer.Option("--move", help="Start one servo, move it by 5°, stop all. It asks.")] = False,
     stops: Annotated[bool, typer.Option("--stops", help="Prove step by step that the gateway stops. It asks.")] = False,
-    wire: Annotated[
-        bool, typer.Option("--wire", help="Test your own plug-in of [wire], while no gateway runs. It asks.")
-    ] = False,
+    wire: Annotated[bool, typer.Option("--wire", help="Test your own plug-in, without a gateway. It asks.")] = False,
     leg: Annotated[int, typer.Option(metavar="N", min=1, max=6, help="With --stops: the leg that moves.")] = 1,
-    only: Annotated[
-        list[str] | None, typer.Option(metavar="STEP", help="With --stops: run only this step; may be repeated.")
-    ] = None,
-    late: Annotated[
-        float, typer.Option(metavar="MS", min=1, help="With --stops: the longest delay of a Stop that passes.")
-    ] = 20.0,
+    only: Annotated[list[str] | None, typer.Option(metavar="STEP", help="With --stops: only this; repeatable.")] = None,
+    late: Annotated[float, typer.Option(metavar="MS", min=1, help="With --stops: the longest delay of a Stop.")] = 20.0,
     restart: Annotated[bool, typer.Option("--restart", help="With --stops, as root: also kill the service.")] = False,
-    unplug: Annotated[
-        bool, typer.Option("--unplug", help="With --stops and --wire: also ask you to unplug SPI, CAN, or the board.")
-    ] = False,
+    unplug: Annotated[bool, typer.Option("--unplug", help="With --stops, --wire: ask you to unplug wires.")] = False,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask first (--move: servo 61, 90°).")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs; not with --move.")] = False,
 ) -> None:

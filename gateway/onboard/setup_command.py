@@ -24,32 +24,20 @@ def setup(
     ] = None,
     framing: Annotated[
         Literal["length-prefixed", "plain"] | None,
-        typer.Option(
-            help="With SPI alone. length-prefixed: the published STM32 firmware. plain: a controller written to the "
-            "protocol document."
-        ),
+        typer.Option(help="length-prefixed: the published STM32 firmware. plain: as in the protocol document."),
     ] = None,
     certs: Annotated[
         Path | None,
         typer.Option(
             metavar="FOLDER|ZIP",
             callback=lambda path: path and path.expanduser(),
-            help="The robot's certificates: a folder with gateway.pem, gateway.key, ca.pem and gateway.json5, or the "
-            "zip of `certs issue --role robot --bundle`.",
+            help="The robot's certificates: a folder, or the zip of `certs issue --role robot --bundle`.",
         ),
     ] = None,
-    console: Annotated[
-        bool, typer.Option("--console", help="Also run the web console as its own service, on 127.0.0.1:8080.")
-    ] = False,
-    back: Annotated[
-        bool, typer.Option("--back", help="Go back to the release before the last upgrade; needs no network.")
-    ] = False,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print each change as a sentence, and change nothing.")
-    ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Restart the service even while a servo runs: this stops all legs.")
-    ] = False,
+    console: Annotated[bool, typer.Option("--console", help="Also run the web console, on 127.0.0.1:8080.")] = False,
+    back: Annotated[bool, typer.Option("--back", help="Go back to the release before the last upgrade.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print each change, and change nothing.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Restart the service even while a servo runs.")] = False,
 ) -> None:
     """Set this robot up after the package was installed, and run `check`. Run it again at any time.
 

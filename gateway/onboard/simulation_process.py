@@ -103,24 +103,13 @@ class BoardProcess(SimulationProcess):
     name = "power board's"
     lost = "nobody simulates the power board any more, so it does not answer"
 
-    def __init__(
-        self,
-        outputs: Sequence[int],
-        page: ServoPage | None = None,
-        sensed: SensedPage | None = None,
-        record: Path | None = None,
-    ) -> None:
-        """`outputs`: the servo id on each output. `page`: the simulated controller's targets; by default a new page.
-        `sensed`: a simulated body's torques, for the currents. `record`: a file for all frames."""
+    def __init__(self, outputs: Sequence[int], page: ServoPage | None, sensed: SensedPage | None) -> None:
+        """`outputs`: the servo id on each output. `page`: the simulated controller's targets; None: a new page.
+        `sensed`: a simulated body's torques, for the currents."""
         self.page = ServoPage() if page is None else page
         """Shows the simulated controller which servos have supply."""
         pages = [self.page.fd] if sensed is None else [self.page.fd, sensed.fd]
-        options = {
-            "outputs": list(outputs),
-            "page": self.page.fd,
-            "sensed": None if sensed is None else sensed.fd,
-            "record": None if record is None else str(record),
-        }
+        options = {"outputs": list(outputs), "page": self.page.fd, "sensed": None if sensed is None else sensed.fd}
         folder = private_folder("power")
         self.channel = str(folder / "can")
         """The serial device for python-can's `slcan`."""

@@ -1,6 +1,7 @@
 """Install the robot's certificates from a folder or a zip of `certs issue`. They are checked before any change."""
 
 import shutil
+import tempfile
 import zipfile
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ from gateway.certs import access
 from gateway.errors import ConfigError
 from gateway.onboard.setup import configuration
 from gateway.onboard.setup.configuration import Configuration
-from gateway.onboard.setup.machine import ETC, Machine, scratch
+from gateway.onboard.setup.machine import ETC, Machine
 from gateway.people.terminal import say
 
 FOLDER: Final = f"{ETC}/zenoh"
@@ -23,7 +24,7 @@ _ISSUE: Final = (
 
 def take(machine: Machine, source: Path, found: Configuration) -> Configuration:
     """Install the files of `source`, and name them in gateway.toml. Return the configuration. Raises ConfigError."""
-    with scratch() as unpacked:
+    with tempfile.TemporaryDirectory() as unpacked:
         folder = source if source.is_dir() else Path(unpacked)
         if folder is not source:
             _unpack(source, folder)

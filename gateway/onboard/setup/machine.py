@@ -4,7 +4,6 @@ import os
 import stat
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -178,8 +177,3 @@ def has_wrong_rights(path: Path, uid: int, gid: int) -> bool:
     status = path.stat()
     mode, needed = stat.S_IMODE(status.st_mode), 0o050 if path.is_dir() else 0o040
     return status.st_gid != gid or status.st_uid != uid or bool(mode & 0o027) or mode & needed != needed
-
-
-def scratch() -> "tempfile.TemporaryDirectory[str]":
-    """Return a private temporary folder for a `with`."""
-    return tempfile.TemporaryDirectory(prefix=f"{SERVICE}.")
