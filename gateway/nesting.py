@@ -17,6 +17,7 @@ MOST_BYTES: Final = 1_000_000
 MOST_DOTS: Final = 1000
 """Most parts of a key in TOML; such a key takes 50 ms."""
 
+_TOO_DEEP: Final = f"nests deeper than {MOST_LEVELS} levels"
 _APART: Final = re.compile(
     rb'"(?:[^"\\]|\\.?)*+(?:"|\Z)'  # text and comments, perhaps without an end: brackets in them do not count
     rb"|'(?:[^'\\]|\\.?)*+(?:'|\Z)"
@@ -33,12 +34,9 @@ def check(data: bytes) -> None:
     _check_size(data)
     level = 0
     for found in _APART.finditer(data):
-        if found[0] in b"[{":
-            level += 1
-        elif found[0] in b"]}":
-            level -= 1
+        level += (found[0] in b"[{") - (found[0] in b"]}")
         if level > MOST_LEVELS:
-            raise _too_deep()
+            raise ValueError(_TOO_DEEP)
 
 
 def read_toml(data: bytes) -> dict[str, Any]:
@@ -49,26 +47,19 @@ def read_toml(data: bytes) -> dict[str, Any]:
     try:
         values = tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:
-        raise _too_deep() from None
+        raise ValueError(_TOO_DEEP) from None
     except ValueError as error:  # TOML's own errors, and bytes that are no UTF-8
         cause = decimal_comma(data.decode(errors="replace"))
         raise ValueError(f"is not TOML: {cause or error}") from error
     level: list[Any] = [values]
     for _ in range(MOST_LEVELS):
-        level = [below for each in level if isinstance(each, dict | list) for below in _of(each)]
+        tables = (each.values() if isinstance(each, dict) else each for each in level if isinstance(each, dict | list))
+        level = [below for table in tables for below in table]
     if level:
-        raise _too_deep()
+        raise ValueError(_TOO_DEEP)
     return values
-
-
-def _of(table: dict[str, Any] | list[Any]) -> list[Any]:
-    return list(table.values()) if isinstance(table, dict) else table
 
 
 def _check_size(data: bytes) -> None:
     if len(data) > MOST_BYTES:
         raise ValueError(f"has more than {MOST_BYTES} bytes")
-
-
-def _too_deep() -> ValueError:
-    return ValueError(f"nests deeper than {MOST_LEVELS} levels")

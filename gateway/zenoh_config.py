@@ -43,7 +43,8 @@ def load_config(path: Path) -> zenoh.Config:
         config = zenoh.Config.from_file(str(path))
     except (ValueError, zenoh.ZError) as error:
         raise ConfigError(f"{path}: {one_line(error)}") from error
-    for setting, file in _named_files(config, path.parent).items():
+    named = {setting: get(config, setting) for setting in _FILES}
+    for setting, file in ((setting, path.parent / name) for setting, name in named.items() if isinstance(name, str)):
         try:
             if setting in _CERTIFICATES:
                 certs.files.read_certificates(file)
@@ -117,11 +118,6 @@ def first_expiry(config: zenoh.Config) -> Expiry | None:
     return min(found, key=lambda expiry: expiry.end, default=None)
 
 
-def _named_files(config: zenoh.Config, folder: Path) -> dict[str, Path]:
-    values = {setting: json.loads(config.get_json(setting)) for setting in _FILES}
-    return {setting: folder / value for setting, value in values.items() if isinstance(value, str)}
-
-
 def get(config: zenoh.Config, key: str) -> Any:
     """Return one value of a configuration; None: unset or unknown."""
     try:
@@ -160,12 +156,9 @@ def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
         raise ConfigError(f"{setting}: {value} is not allowed: {one_line(error)}") from error
 
 
-_SCOUTING: Final = ("scouting/multicast/enabled", "scouting/gossip/enabled")
-
-
 def scouting_off(config: zenoh.Config) -> None:
     """Switch scouting off unless the file turns it on, so that no peers connect by accident."""
-    for key in _SCOUTING:
+    for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
         if get(config, key) is not True:
             config.insert_json5(key, "false")
 

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -61,11 +62,9 @@ def kernel(root: Path = ROOT_DIR) -> tuple[str, dt.date | None]:
 
 def _built(version: str) -> dt.date | None:
     """The date in `1 SMP PREEMPT Debian 1:6.6.31-1+rpt1 (2024-05-29)` or `1 SMP Sat Aug 31 13:38:16 BST 2024`."""
-    try:
+    with suppress(ValueError):
         if found := re.search(r"\((\d{4}-\d\d-\d\d)\)", version):
             return dt.date.fromisoformat(found[1])
         if found := re.search(rf"\b({'|'.join(_MONTHS)}) +(\d+) [\d:]+ \S+ (\d{{4}})\b", version):
             return dt.date(int(found[3]), 1 + _MONTHS.index(found[1]), int(found[2]))
-    except ValueError:
-        pass
     return None

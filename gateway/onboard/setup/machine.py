@@ -106,12 +106,8 @@ class Machine:
         folder = self.path(absolute)
         if not folder.is_dir():
             return False
-        gid = self.gid(group)
-        wrong = [
-            path
-            for path in (folder, *folder.rglob("*"))
-            if not path.is_symlink() and has_wrong_rights(path, os.geteuid(), gid)
-        ]
+        gid, owned = self.gid(group), (path for path in (folder, *folder.rglob("*")) if not path.is_symlink())
+        wrong = [path for path in owned if has_wrong_rights(path, os.geteuid(), gid)]
 
         def give() -> None:
             for path in wrong:
@@ -148,12 +144,9 @@ class Machine:
 
     def enable(self, *units: str) -> None:
         """Let units start with the machine."""
-        missing = [unit for unit in units if self.show(unit, "UnitFileState") != "enabled"]
-        if missing:
-            self.change(
-                f"enable {' and '.join(missing)}: starts with the machine",
-                lambda: self.systemctl("enable", "--quiet", *missing),
-            )
+        if missing := [unit for unit in units if self.show(unit, "UnitFileState") != "enabled"]:
+            sentence = f"enable {' and '.join(missing)}: starts with the machine"
+            self.change(sentence, lambda: self.systemctl("enable", "--quiet", *missing))
 
     def will_restart(self) -> None:
         """Call before each change of what the service reads. Raises GatewayError while a servo runs."""
@@ -163,13 +156,9 @@ class Machine:
 
     def check_no_servo_runs(self) -> None:
         """Raise GatewayError if a servo runs, or the service does not report whether one runs."""
-        if self.dry or self.force:
-            return
-        if reason := self.why_not_now():
-            raise GatewayError(
-                f"{reason}, and a restart would stop it: stop the robot ({command('stop')}) and run setup again, or "
-                "add --force"
-            )
+        if not (self.dry or self.force) and (reason := self.why_not_now()):
+            fix = f"stop the robot ({command('stop')}) and run setup again, or add --force"
+            raise GatewayError(f"{reason}, and a restart would stop it: {fix}")
 
 
 def has_wrong_rights(path: Path, uid: int, gid: int) -> bool:

@@ -83,9 +83,8 @@ def _start(machine: Machine, unit: str) -> None:
     try:
         machine.systemctl("restart", unit)
     except GatewayError as error:
-        raise GatewayError(
-            f"{unit} does not start: {_last_words(machine, unit) or error}; journalctl -u {unit} shows why"
-        ) from None
+        why = _last_words(machine, unit) or error
+        raise GatewayError(f"{unit} does not start: {why}; journalctl -u {unit} shows why") from None
 
 
 def _last_words(machine: Machine, unit: str) -> str:
@@ -105,9 +104,8 @@ def start_console(machine: Machine) -> None:
         return
     if machine.is_active(f"{CONSOLE}.service"):
         machine.check_no_servo_runs()  # its pages may drive
-    machine.change(
-        "start the console; a link for a browser: sudo hexapod-gateway console --link", lambda: _begin(machine)
-    )
+    sentence = "start the console; a link for a browser: sudo hexapod-gateway console --link"
+    machine.change(sentence, lambda: _begin(machine))
 
 
 def _begin(machine: Machine) -> None:
@@ -116,17 +114,14 @@ def _begin(machine: Machine) -> None:
     try:
         machine.systemctl("start", f"{CONSOLE}.socket")
     except GatewayError:
-        raise GatewayError(
-            f"another program has the console's port (sudo ss -ltnp names it); for another port: "
-            f"sudo systemctl edit {CONSOLE}.socket"
-        ) from None
+        fix = f"sudo ss -ltnp names it; for another port: sudo systemctl edit {CONSOLE}.socket"
+        raise GatewayError(f"another program has the console's port: {fix}") from None
     _start(machine, f"{CONSOLE}.service")
     until_s = time.monotonic() + _LISTENS_S
     while not any(each.stat().st_mtime > since_s for each in machine.path(_CONSOLE_STATE).glob("console-*.json")):
         if not machine.is_active(f"{CONSOLE}.service"):
-            raise GatewayError(
-                f"the console started and ended: {_last_words(machine, CONSOLE)}; journalctl -u {CONSOLE}"
-            )
+            why = _last_words(machine, CONSOLE)
+            raise GatewayError(f"the console started and ended: {why}; journalctl -u {CONSOLE}")
         if time.monotonic() > until_s:
             raise GatewayError(f"the console does not listen after {_LISTENS_S} s: journalctl -u {CONSOLE} shows why")
         time.sleep(_PAUSE_S)
