@@ -21,6 +21,7 @@ from schemas.telemetry import (
     LegReport,
     Report,
     ServoReport,
+    Six,
 )
 
 MAX_STATE_BYTES: Final = 2048
@@ -36,28 +37,17 @@ T = TypeVar("T", str, str | None)
 
 Angle = float | None
 Angles = tuple[Angle, Angle, Angle]
-SixAngles = tuple[Angles, Angles, Angles, Angles, Angles, Angles]
-_Age = float | None
 _Place = Annotated[int, Field(ge=0, lt=len(LEGS))] | None
-_Watchdog = AnyWatchdogState
 
 
 class LegsReport(Report):
     """All legs, a column for each value: its first entry is leg 1's."""
 
-    watchdog: Annotated[
-        tuple[_Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog, _Watchdog], Field(description="of legs 1 to 6")
-    ]
-    age_ms: Annotated[
-        tuple[_Age, _Age, _Age, _Age, _Age, _Age],
-        Field(description="since an accepted start or set; null: none"),
-    ]
-    angles_deg: Annotated[SixAngles, Field(description="joints 1 to 3 as last written; null: does not run")]
-    targets_deg: Annotated[SixAngles | None, Field(description="their targets; null: as `angles_deg`")] = None
-    source: Annotated[
-        tuple[_Place, _Place, _Place, _Place, _Place, _Place],
-        Field(description="index into `sources`: whose command is in force"),
-    ]
+    watchdog: Annotated[Six[AnyWatchdogState], Field(description="of legs 1 to 6")]
+    age_ms: Annotated[Six[float | None], Field(description="since an accepted start or set; null: none")]
+    angles_deg: Annotated[Six[Angles], Field(description="joints 1 to 3 as last written; null: does not run")]
+    targets_deg: Annotated[Six[Angles] | None, Field(description="their targets; null: as `angles_deg`")] = None
+    source: Annotated[Six[_Place], Field(description="index into `sources`: whose command is in force")]
 
 
 class StateReport(ChangingState):

@@ -3,11 +3,14 @@
 import math
 from collections.abc import Iterator
 from enum import StrEnum
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
+T = TypeVar("T")
 Count = Annotated[int, Field(ge=0)]
+Six = tuple[T, T, T, T, T, T]
+"""A value for each leg, 1 to 6."""
 CUT = "…"
 """Ends a text that was cut."""
 
@@ -408,10 +411,7 @@ class Telemetry(Sparse):
     battery: Battery | None = None
     imu: Imu | None = None
     tilt_deg: Annotated[float | None, Field(description="of the body, 0 to 180, if the orientation is valid")] = None
-    feet: Annotated[
-        tuple[float, float, float, float, float, float] | None,
-        Field(description="forces, unit unknown"),
-    ] = None
+    feet: Annotated[Six[float] | None, Field(description="forces, unit unknown")] = None
     servos: Annotated[dict[str, ServoTelemetry] | None, Field(description="by id, from the power board")] = None
     supply: Supply | None = None
     converters_v: Annotated[tuple[float, ...] | None, Field(description="the power board's converters")] = None
@@ -566,7 +566,7 @@ class BodyReport(Report):
     orientation_xyzw: Annotated[tuple[float, float, float, float], Field(description="unit quaternion, body to ground")]
     velocity_m_s: Annotated[tuple[float, float, float], Field(description="of the body")]
     upright: Annotated[bool, Field(description="leans by less than 45°")]
-    feet: Annotated[tuple[bool, bool, bool, bool, bool, bool], Field(description="of legs 1 to 6: on the ground")]
+    feet: Annotated[Six[bool], Field(description="of legs 1 to 6: on the ground")]
     servos: Annotated[dict[str, SimulatedServo], Field(description="by id")]
     terrain: Annotated[str, Field(description="as `run --terrain` names it")] = "flat"
     real_time_factor: Annotated[float, Field(ge=0, description="below 1 the machine is too slow")] = 1.0
