@@ -178,11 +178,11 @@ class Client(metaclass=_Brief):
         end_s = time.monotonic() + timeout_s
         while True:
             state = self.state(max(0.01, end_s - time.monotonic()))
-            error = stopped.unready(state)
+            error = stopped.unready(state, reset=self.reset_command)
             if error is None:
                 return state
             if error.cause == Kind.ESTOP_ENGAGED or time.monotonic() + _POLL_S >= end_s:
-                raise stopped.until_reset(error, self.reset_command)
+                raise error
             time.sleep(_POLL_S)
 
     def stream(self, hz: float = 50) -> Stream:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, TypeVar, cast
 
 import zenoh
 
@@ -52,7 +52,7 @@ class Identity:
         return self.certificate is not None and self.key is not None
 
     def person(self) -> str:
-        """Return the certificate's person: its organizational unit. Raises ConfigError if there is none."""
+        """Return the person of the certificate, if it `proves`: the organizational unit. Raises ConfigError without."""
         from cryptography.x509.oid import NameOID
 
         units = self._read().subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)
@@ -65,24 +65,18 @@ class Identity:
     ) -> dict[str, str]:
         """Return the proof that this person requests `do` now. `text` makes the signed text, by default a lease's.
 
-        Raises ConfigError for an unusable certificate or key.
+        Only if it `proves`. Raises ConfigError for an unusable certificate or key.
         """
         from cryptography.hazmat.primitives import serialization
 
         from schemas.lease import signed_text
 
-        signature = certs.proof.sign(_named(self.key), (text or signed_text)(do, source, nonce))
+        signature = certs.proof.sign(cast(Path, self.key), (text or signed_text)(do, source, nonce))
         pem = self._read().public_bytes(serialization.Encoding.PEM).decode()
         return {"nonce": nonce, "certificate": pem, "signature": base64.b64encode(signature).decode()}
 
     def _read(self) -> "x509.Certificate":
-        return certs.files.read_certificate(_named(self.certificate))
-
-
-def _named(file: Path | None) -> Path:
-    if file is None:
-        raise ConfigError(f"no certificate is given: get one from {_ISSUE}")
-    return file
+        return certs.files.read_certificate(cast(Path, self.certificate))
 
 
 A = TypeVar("A", bound=Answer)

@@ -89,30 +89,25 @@ def happened(event: Event) -> str:
     return event.detail.partition("; ")[0] if continues else event.detail
 
 
-def unready(state: GatewayState, legs: Collection[int] = ()) -> StoppedError | None:
-    """Return why the gateway accepts no commands in this state, as an error about `legs`, or None."""
+def unready(state: GatewayState, legs: Collection[int] = (), reset: str = "") -> StoppedError | None:
+    """Return why the gateway accepts no commands in this state, as an error about `legs`, or None.
+
+    `reset`: the command by which a person ends an emergency stop, if it is to be named.
+    """
     match state.mode:
         case Mode.IDLE | Mode.ACTIVE:
             return None
         case Mode.ESTOPPED:
-            since = state.estop_since
+            since, by = state.estop_since, state.estop_source
             at_s = None if since is None else time.monotonic() - (state.time - since).total_seconds()
-            by = state.estop_source
-            return StoppedError(_engaged(by), legs, by, Kind.ESTOP_ENGAGED, at_s)
+            waits = f"emergency stop: nothing moves until a person runs `{reset}`; " if reset else ""
+            return StoppedError(waits + _engaged(by), legs, by, Kind.ESTOP_ENGAGED, at_s)
         case Mode.BUS_FAULT if state.controller.alive is False:
             return StoppedError("the controller fell silent", legs, None, Kind.CONTROLLER_SILENT)
         case Mode.BUS_FAULT:
             return StoppedError("the SPI bus did not answer", legs, None, Kind.BUS_FAULT)
         case _:
             return StoppedError("the gateway ended, or was started anew", legs, None, Kind.STOPPING)
-
-
-def until_reset(error: StoppedError, reset: str) -> StoppedError:
-    """Return the error; for an emergency stop with the command by which a person ends it."""
-    if error.cause != Kind.ESTOP_ENGAGED:
-        return error
-    sentence = f"emergency stop: nothing moves until a person runs `{reset}`; {error.lasting}"
-    return StoppedError(sentence, error.legs, error.by, error.cause, error.at_s)
 
 
 def not_free(state: GatewayState) -> RejectedError | None:

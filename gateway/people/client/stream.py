@@ -269,8 +269,8 @@ class Stream:
             state = self._client.state(CONFIRM_S)
         except ZenohError as error:
             return error
-        if (why := stopped.unready(state)) is not None:
-            return stopped.until_reset(why, self._client.reset_command)
+        if (why := stopped.unready(state, reset=self._client.reset_command)) is not None:
+            return why
         return None if self._client.carried_lease else stopped.not_free(state)
 
     def _start(self, angles: LegAngles) -> None:

@@ -435,8 +435,8 @@ class Walk:
             lease.acquire()
             self._lease = lease
         state = self._ask(None)
-        if again and (why := stopped.unready(state)) is not None:
-            raise stopped.until_reset(why, self._client.reset_command)
+        if again and (why := stopped.unready(state, reset=self._client.reset_command)) is not None:
+            raise why
         running = running_deg(state)
         changed = state.calibration.revision != self._revision
         if again and ride.phase is Phase.HALTED:
