@@ -5,6 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partialmethod
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
@@ -195,11 +196,6 @@ class Live:
 # ---- to an event loop
 
 
-def _later(name: str) -> Any:
-    """Return a method that has the receivers' method of this name called on the loop."""
-    return lambda on_loop, *arguments: on_loop._put(name, *arguments)
-
-
 class OnLoop(Receiver):
     """Calls receivers on an event loop, in order: the newest of each kind, and at most 256 events, so that a flood
     takes no memory."""
@@ -209,25 +205,13 @@ class OnLoop(Receiver):
         self._receivers = receivers
         self._lock = threading.Lock()
         self._waiting: dict[str, tuple[object, ...]] = {}
-        self._events: deque[Event] = deque()
+        self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._left_out = 0
-
-    opened: Any = _later("opened")
-    not_opened: Any = _later("not_opened")
-    diagnosed: Any = _later("diagnosed")
-    answered: Any = _later("answered")
-    received_state: Any = _later("received_state")
-    received_body: Any = _later("received_body")
-    received_telemetry: Any = _later("received_telemetry")
-    received_token: Any = _later("received_token")
 
     def received_event(self, event: Event, left_out: int = 0) -> None:
         with self._lock:
+            self._left_out += left_out + (len(self._events) == KEPT_EVENTS)
             self._events.append(event)
-            self._left_out += left_out
-            if len(self._events) > KEPT_EVENTS:
-                self._events.popleft()
-                self._left_out += 1
         self._put("received_event")
 
     def _put(self, name: str, *arguments: object) -> None:
@@ -240,11 +224,21 @@ class OnLoop(Receiver):
             with suppress(RuntimeError):  # the loop is closed
                 self._loop.call_soon_threadsafe(self._deliver)
 
+    opened: Any = partialmethod(_put, "opened")
+    not_opened: Any = partialmethod(_put, "not_opened")
+    diagnosed: Any = partialmethod(_put, "diagnosed")
+    answered: Any = partialmethod(_put, "answered")
+    received_state: Any = partialmethod(_put, "received_state")
+    received_body: Any = partialmethod(_put, "received_body")
+    received_telemetry: Any = partialmethod(_put, "received_telemetry")
+    received_token: Any = partialmethod(_put, "received_token")
+
     def _deliver(self) -> None:
         with self._lock:
             waiting, self._waiting = self._waiting, {}
-            events, self._events = self._events, deque()
-            left_out, self._left_out = self._left_out, 0
+            events, left_out = list(self._events), self._left_out
+            self._events.clear()
+            self._left_out = 0
         for name, arguments in waiting.items():
             calls = [arguments]
             if name == "received_event":
