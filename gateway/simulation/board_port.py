@@ -242,7 +242,11 @@ class Simulation:
             self._note("<", frame, now_ns)
             if not self._silent:
                 self._answer(self._board.take(frame, now_ns), now_ns)
-        self._make_flood(now_ns)
+        if self._flood_ns:
+            self._flood_due_ns = max(self._flood_due_ns, now_ns - _MOST_AT_ONCE * self._flood_ns)
+            while self._flood_due_ns <= now_ns:
+                self._put(self._flood, now_ns)
+                self._flood_due_ns += self._flood_ns
         self._answer(self._board.advance(now_ns), now_ns)
         if (fed := self._board.fed) != self._fed:
             self._fed = fed
@@ -284,13 +288,6 @@ class Simulation:
         """Put another node's frame on the bus."""
         self._pass_on(frame, now_ns)
         self._answer(self._board.take(frame, now_ns), now_ns)
-
-    def _make_flood(self, now_ns: int) -> None:
-        if self._flood_ns:
-            self._flood_due_ns = max(self._flood_due_ns, now_ns - _MOST_AT_ONCE * self._flood_ns)
-            while self._flood_due_ns <= now_ns:
-                self._put(self._flood, now_ns)
-                self._flood_due_ns += self._flood_ns
 
     def _answer(self, frames: Sequence[CanFrame], now_ns: int) -> None:
         for frame in () if self._silent else frames:

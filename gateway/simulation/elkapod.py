@@ -171,7 +171,9 @@ class SimulatedElkapod(DuplexDevice):
         self._advanced_ns = now_ns
 
     def _measure(self, now_ns: int) -> Measured:
-        body = self._body() or self._at_rest()
+        foot_n = TOTAL_KG * _GRAVITY_M_S2 / len(LEGS) if any(servo.driven for servo in self._servos.values()) else 0.0
+        rest = Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())
+        body = self._body() or rest
         one, two, three, four, five, six = body.feet_n
         passed_s = (now_ns - self._begun_ns) / 1e9
         voltage_v = EMPTY_V + (FULL_V - EMPTY_V) * self._charge - RESISTANCE_OHM * self._drawn_a
@@ -192,8 +194,3 @@ class SimulatedElkapod(DuplexDevice):
 
     def _body(self) -> Sensed | None:
         return None if self._sensed is None else self._sensed.read()
-
-    def _at_rest(self) -> Sensed:
-        stands = any(servo.driven for servo in self._servos.values())
-        foot_n = TOTAL_KG * _GRAVITY_M_S2 / len(LEGS) if stands else 0.0
-        return Sensed((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, _GRAVITY_M_S2), (foot_n,) * len(LEGS), ())

@@ -141,8 +141,11 @@ class World:
         """Raises ConfigError if MuJoCo cannot simulate the robot."""
         self.model: Any = built(geometry, assumed)
         self.data: Any = mujoco.MjData(self.model)
-        self.feet = {self._tip(leg): leg for leg in LEGS}
-        """The leg of each geom that touches the ground."""
+        self.feet: dict[int, int] = {}
+        """The leg of each geom that touches the ground: the solid sphere of a foot."""
+        for leg in LEGS:
+            solid = np.flatnonzero(self.model.geom_bodyid == self.model.body(f"leg_{leg}_foot").id)
+            self.feet[int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))] = leg
         self._torque_nm = assumed.torque_nm
         self._level = about((0, 1, 0), -math.radians(assumed.terrain.slope_deg))
         self._up = rotated(self._level, (0, 0, 1))
@@ -275,11 +278,6 @@ class World:
         if name == "world":
             return "the ground"
         return f"leg {name.split('_')[1]}" if name.startswith("leg_") else "the body"
-
-    def _tip(self, leg: int) -> int:
-        """Return the solid sphere of a foot."""
-        solid = np.flatnonzero(self.model.geom_bodyid == self.model.body(f"leg_{leg}_foot").id)
-        return int(min(solid, key=lambda geom: float(self.model.geom_size[geom][0])))
 
 
 class Sensors:

@@ -86,13 +86,6 @@ class Node(LifecycleNode):  # type: ignore[misc]
         self._executor = MultiThreadedExecutor(_THREADS, context=self._ros)
         self._spinning = threading.Thread(target=self._spin, name="ROS 2", daemon=True)
 
-    def open_on(self) -> list[str]:
-        """Return the addresses beyond this machine to which sockets of this process are bound: others may reach them.
-
-        ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST does not count: FastDDS's sockets are still open on all addresses.
-        """
-        return sorted({address for address in _own_addresses() if not is_local(f"udp/{address}:1")})
-
     def parameters(self, defaults: Parameters) -> Parameters:
         """Return the node's parameters, read at the start; else their `defaults`. Raises ConfigError."""
         found = {name: self._declared(name, value, DESCRIPTIONS[name]) for name, value in asdict(defaults).items()}
@@ -334,8 +327,12 @@ def _keep_time_real(parameters: list[Any]) -> Any:
     return SetParametersResult(successful=not simulated, reason=SIMULATED if simulated else "")
 
 
-def _own_addresses() -> Iterator[str]:
-    """Yield the addresses of this process's sockets; the any address, if the system does not show them."""
+def open_on() -> Iterator[str]:
+    """Yield the addresses beyond this machine to which sockets of this process are bound: others may reach them.
+
+    The any address, if the system does not show them. ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST does not count: FastDDS's
+    sockets are still open on all addresses.
+    """
     try:
         names = os.listdir("/proc/self/fd")
     except OSError:
@@ -347,5 +344,6 @@ def _own_addresses() -> Iterator[str]:
                 with socket.socket(fileno=os.dup(int(name))) as found:
                     if found.family in (socket.AF_INET, socket.AF_INET6):
                         host, port, *_ = found.getsockname()
-                        if port:  # else it is bound to none, and nothing reaches it
-                            yield f"[{host}]" if found.family == socket.AF_INET6 else host
+                        address = f"[{host}]" if found.family == socket.AF_INET6 else host
+                        if port and not is_local(f"udp/{address}:1"):  # without a port nothing reaches it
+                            yield address

@@ -36,7 +36,7 @@ from schemas.telemetry import FrameRecord, GatewayState, Telemetry
 
 try:
     from gateway.people.ros2.follow_action import NAME, FollowAction
-    from gateway.people.ros2.node import Node
+    from gateway.people.ros2.node import Node, open_on
     from gateway.people.ros2.topics import Topics
 except ImportError as error:
     raise ConfigError(
@@ -206,7 +206,7 @@ def serve(
     shape = load(geometry)
     ended = threading.Event()
     with closing(Node(domain, namespace, ros_args)) as node:
-        if is_open := bool(found := node.open_on()):
+        if is_open := bool(found := sorted(set(open_on()))):
             hint(
                 f"ROS 2's graph is open to the network ({node.rmw} has sockets on {', '.join(found)}): all who reach "
                 "it can drive the robot. To keep it on this machine: docs/ros2.md#who-reaches-the-graph"
