@@ -5,20 +5,11 @@ with a default: `outputs` (the servo on each output), `page` and `sensed` (descr
 servos and a simulated body), `folder` (contains the device's path; removed at the end), `record` (a file, see below).
 The process ends with its standard input, on which lines of JSON are faults:
 
-| line                                   | what happens                                                            |
-|----------------------------------------|-------------------------------------------------------------------------|
-| `{"press_off": true}`                  | somebody presses the board's button, which wakes it from standby, too   |
-| `{"restart": true}`                    | its supply was interrupted: all off, and in standby                     |
-| `{"draws_ma": {"21": 0.0}}`            | these servos alone draw this current while powered, in any motion       |
-| `{"error": 8}`                         | the board finds an error of this code                                   |
-| `{"temperatures_c": [70, 30, 30]}`     | its three sensors show these values                                     |
-| `{"converter": 2}`                     | this converter draws too much: the board switches it off                |
-| `{"clear_error": true}`                | somebody deletes the newest error at the board's own buttons            |
-| `{"stuck_on": 21}`                     | this servo is always powered; 0: none                                   |
-| `{"silent": true}`                     | no frame passes between board and adapter                               |
-| `{"frame": "t06A3000000"}`             | another node puts this frame on the bus                                 |
-| `{"flood_hz": 8000, "flood": "t1000"}` | and this one 8000 times a second; 0: no more                            |
-| `{"unplug": true}`, `{"plug": true}`   | the adapter goes, and returns under the same path                       |
+| line                                   | what happens                                     |
+|----------------------------------------|--------------------------------------------------|
+| `{"silent": true}`                     | no frame passes between board and adapter        |
+| `{"frame": "t06A3000000"}`             | another node puts this frame on the bus          |
+| `{"flood_hz": 8000, "flood": "t1000"}` | and this one 8000 times a second; 0: no more     |
 
 The record has a line for each frame that the adapter receives (`<`) or sends (`>`), and for each change of the outputs
 with supply (`=`, a mask). A line begins with nanoseconds of CLOCK_MONOTONIC.
@@ -33,12 +24,13 @@ import sys
 import tempfile
 import time
 import tty
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TextIO
 
 from gateway.host.shared_page import SensedPage, ServoPage
-from gateway.model.power_board import CONVERTER_OVERCURRENT, CanFrame
+from gateway.model.power_board import CanFrame
 from gateway.model.servo import A_PER_NM, IDLE_A, MOVING_A, NO_LOAD_DEG_S
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
@@ -151,54 +143,33 @@ NS_PER_S: Final = 1_000_000_000
 _MOST_UNSENT: Final = 4096
 """Bytes kept for a client that does not read; further frames are lost, as in an adapter."""
 _MOST_READ: Final = 4096
-_MOST_HZ: Final = 20_000
-"""Frames a second: the shortest ones at 1 Mbit/s."""
 _MOST_AT_ONCE: Final = 500
 """Frames of a flood that are sent at once after this process was delayed."""
 
 
 class Device:
-    """The adapter's end of a serial line. `link` leads to the client's end while the adapter is plugged in."""
+    """The adapter's end of a serial line. `link` leads to the client's end."""
 
     def __init__(self, link: Path) -> None:
-        self._link = link
-        self.fd: int | None = None
-        self._theirs = -1
+        self.fd, self._theirs = os.openpty()
+        tty.setraw(self._theirs)  # stays open here, so that this end survives each client
+        os.set_blocking(self.fd, False)
+        link.symlink_to(os.ttyname(self._theirs))
         self.unsent = b""
-
-    def plug(self) -> None:
-        """Make the device and its link; nothing if it exists."""
-        if self.fd is None:
-            self.fd, self._theirs = os.openpty()
-            tty.setraw(self._theirs)  # stays open here, so that this end survives each client
-            os.set_blocking(self.fd, False)
-            self._link.symlink_to(os.ttyname(self._theirs))
-
-    def unplug(self) -> None:
-        """Remove the device; a client that has it open gets an end of file or an error."""
-        if self.fd is not None:
-            self._link.unlink()
-            os.close(self.fd)
-            os.close(self._theirs)
-            self.fd, self.unsent = None, b""
 
     def read(self) -> bytes:
         """Return the bytes that the client has sent; none if there are none. Never waits."""
         try:
-            return os.read(self.fd, _MOST_READ) if self.fd is not None else b""
+            return os.read(self.fd, _MOST_READ)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes) -> None:
         """Send `data`, or drop all of it if too many bytes wait for the client. Never waits."""
-        if self.fd is None or not (data or self.unsent):
-            return
         if len(self.unsent) + len(data) <= _MOST_UNSENT:
             self.unsent += data
-        try:
+        with suppress(BlockingIOError):
             self.unsent = self.unsent[os.write(self.fd, self.unsent) :]
-        except BlockingIOError:
-            return
 
 
 class Simulation:
@@ -210,23 +181,12 @@ class Simulation:
         self._sensed = None if options.get("sensed") is None else SensedPage(options["sensed"])
         self._record = record
         self._device = device
-        self._board = board = SimulatedBoard(time.monotonic_ns())
+        self._board = SimulatedBoard(time.monotonic_ns())
         self._adapter = SimulatedAdapter()
         self._silent = False
         self._draw = SimulatedDraw()
-        self._drawn_anyway_ma: dict[int, float] = {}
         self._fed: int | None = None
         self._flood, self._flood_ns, self._flood_due_ns = CanFrame(0x100), 0, 0
-        self._faults: dict[str, Callable[[Any], None]] = {
-            "press_off": lambda _: board.press_button(time.monotonic_ns()),
-            "restart": lambda _: board.restart(),
-            "error": lambda code: board.fail(int(code)),
-            "converter": lambda number: board.fail(CONVERTER_OVERCURRENT, 1 << number - 1),
-            "clear_error": lambda _: board.clear_by_hand(),
-            "frame": lambda text: self._put(_frame(text), time.monotonic_ns()),
-            "unplug": lambda _: device.unplug(),
-            "plug": lambda _: device.plug(),
-        }
         self.step()
 
     def step(self) -> int:
@@ -236,7 +196,6 @@ class Simulation:
         self._device.write(answers)
         sensed = None if self._sensed is None else self._sensed.read()
         drawn_ma = self._draw.draw_ma(self._page.read(), () if sensed is None else sensed.torques_nm, now_ns)
-        drawn_ma |= self._drawn_anyway_ma
         self._board.draws_ma[:] = [drawn_ma[servo_id] for servo_id in self._outputs]
         for frame in frames:
             self._note("<", frame, now_ns)
@@ -255,34 +214,22 @@ class Simulation:
         return min(self._board.due_ns, self._flood_due_ns) if self._flood_ns else self._board.due_ns
 
     def do(self, line: bytes) -> None:
-        """Apply a line of faults, as in the table above. Raises ValueError, TypeError or AttributeError for others."""
+        """Apply a line of faults, as in the table above. Raises ValueError or TypeError for others."""
+        now_ns = time.monotonic_ns()
         order: dict[str, Any] = json.loads(line)
         for name, value in order.items():
-            if name in self._faults:
-                self._faults[name](value)
-            else:
-                self._set(name, value)
+            match name:
+                case "silent":
+                    self._silent = bool(value)
+                case "frame":
+                    self._put(_frame(value), now_ns)
+                case "flood":
+                    self._flood = _frame(value)
+                case "flood_hz":
+                    self._flood_ns, self._flood_due_ns = round(NS_PER_S / value) if value else 0, now_ns
+                case _:
+                    raise ValueError(f"{name} is no fault")
         self.step()
-
-    def _set(self, name: str, value: Any) -> None:
-        """Set a value that stays."""
-        match name:
-            case "draws_ma":
-                self._drawn_anyway_ma = {int(servo_id): float(drawn_ma) for servo_id, drawn_ma in value.items()}
-            case "temperatures_c":
-                self._board.temperatures_c[:] = value
-            case "stuck_on":
-                self._board.stuck = 1 << self._outputs.index(value) if value else 0
-            case "silent":
-                self._silent = bool(value)
-            case "flood":
-                self._flood = _frame(value)
-            case "flood_hz":
-                if not 0 <= value <= _MOST_HZ:
-                    raise ValueError(f"{value} frames a second; 0 to {_MOST_HZ} are possible")
-                self._flood_ns, self._flood_due_ns = round(NS_PER_S / value) if value else 0, time.monotonic_ns()
-            case _:
-                raise ValueError(f"{name} is no fault")
 
     def _put(self, frame: CanFrame, now_ns: int) -> None:
         """Put another node's frame on the bus."""
@@ -311,16 +258,14 @@ def _frame(text: str) -> CanFrame:
 def serve(options: dict[str, Any], folder: Path, record: TextIO) -> None:
     """Simulate, with the device in `folder`, until standard input ends."""
     device = Device(folder / "can")
-    device.plug()
     simulation = Simulation(options, device, record)
     sys.stdout.write(f"{folder / 'can'}\n")
     sys.stdout.flush()
     orders, received = sys.stdin.fileno(), b""
     due_ns = simulation.step()
     while True:
-        line = [] if device.fd is None else [device.fd]
         wait_s = max(0, due_ns - time.monotonic_ns()) / NS_PER_S
-        readable, _, _ = select.select([orders, *line], line if device.unsent else [], [], wait_s)
+        readable, _, _ = select.select([orders, device.fd], [device.fd] if device.unsent else [], [], wait_s)
         if orders in readable:
             data = os.read(orders, _MOST_READ)
             if not data:
@@ -329,7 +274,7 @@ def serve(options: dict[str, Any], folder: Path, record: TextIO) -> None:
             for order in lines:
                 try:
                     simulation.do(order)
-                except (ValueError, TypeError, AttributeError) as error:
+                except (ValueError, TypeError) as error:
                     sys.stderr.write(f"power board: {order.decode(errors='replace')}: {error}\n")
         due_ns = simulation.step()
 
