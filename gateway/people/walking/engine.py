@@ -28,7 +28,6 @@ _LATE_M: Final = 0.002
 """How far a foot may leave its disc: it is lifted at a tick, up to one tick late."""
 _LEAST_FEET: Final = 3
 _LEANS_LESS: Final = 0.97
-_ALMOST: Final = 1e-9
 _TRIES: Final = 8
 _LONGEST_S: Final = 0.1
 """The longest time that counts for one tick, so that a late tick moves nothing further."""
@@ -315,7 +314,7 @@ class Engine:
         state.landed(leg, touches, ends, velocity if velocity.moves else self.commanded)
 
     def _is_due(self, leg: int, clock: float) -> bool:
-        return gaits.phase(self._quick, leg, clock + _ALMOST) < (1 - self._quick.duty) / 2
+        return gaits.phase(self._quick, leg, clock + ways.ALMOST) < (1 - self._quick.duty) / 2
 
     # ---- velocities
 

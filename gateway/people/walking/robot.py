@@ -273,12 +273,6 @@ def running_deg(state: GatewayState) -> dict[int, Angles]:
     return found
 
 
-def arrived(state: GatewayState) -> bool:
-    """Return whether all running servos have reached their commanded angles. An older gateway reports no targets."""
-    running = (servo for leg in state.legs for servo in leg.servos if servo.running)
-    return all(servo.target_deg in (None, servo.angle_deg) for servo in running)
-
-
 def _range(name: str, limits: LimitsReport, calibration: Calibration | None) -> Range:
     setting = limits.servos.get(name, ServoLimitsReport())
     found = Range(setting.min_deg, setting.max_deg, setting.max_speed_deg_s or MAX_SPEED_DEG_S)

@@ -6,9 +6,8 @@ from typing import Final, NamedTuple, Self
 from gateway.geometry.kinematics import Vector
 from gateway.people.walking import balance
 from gateway.people.walking.motion import ORIGIN, STILL, Odometry, Velocity
-from gateway.people.walking.ways import Figure
+from gateway.people.walking.ways import ALMOST, Figure
 
-_ALMOST: Final = 1e-9
 _PRESSED_M: Final = 0.004
 """A foot that carries is commanded at least this far below the ground: servos give way."""
 
@@ -35,7 +34,7 @@ class Swing(NamedTuple):
         The foot waits `waits_s` for its contact before it goes on down, and longer at the lowest point. A contact is
         reported `lag_s` late: the ground is where the foot was at contact.
         """
-        before = (at_m for ago_s, at_m in self.trail if ago_s >= lag_s - _ALMOST)
+        before = (at_m for ago_s, at_m in self.trail if ago_s >= lag_s - ALMOST)
         met_m = next(before, now_m) if lag_s else now_m
         if self.met_now(touches) and (self.late_s or (self.part > 0.5 and met_m > balance.EARLY_M)):
             return Descent(now_m, rises_m=max(0.0, met_m - now_m - _PRESSED_M))
@@ -45,7 +44,7 @@ class Swing(NamedTuple):
             met=self.met or self.met_now(touches),
             trail=() if touches is None else ((seconds, now_m), *trail),
         )
-        if self.part <= 1.0 - _ALMOST:
+        if self.part <= 1.0 - ALMOST:
             return Descent(height_m, swing)
         if not swing.free or touches is not False:
             return Descent(now_m if self.late_s else 0.0)

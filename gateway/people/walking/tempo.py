@@ -13,7 +13,7 @@ from gateway.people.walking.gaits import Gait
 from gateway.people.walking.motion import STILL, Odometry, Velocity, WalkState
 from gateway.people.walking.robot import LIFT_M, Pose, Robot
 from gateway.people.walking.swing import State
-from gateway.people.walking.ways import CLIMB, LONGEST_S
+from gateway.people.walking.ways import ALMOST, CLIMB, LONGEST_S
 
 SLEW_M_S2: Final = 0.25
 """The largest acceleration over the ground."""
@@ -35,13 +35,12 @@ STOPS_WITHIN: Final = 0.35
 """The part of a stride after which a walk that ends has velocity 0: its last swing then ends within the stride."""
 HALT_S: Final = 0.15
 """The time to stop after the loss of a leg."""
-_ALMOST: Final = 1e-9
 
 
 def least(robot: Robot) -> float:
     """Return the least tempo of this robot, in parts of the gait's period. Slower servos bring it nearer to 1."""
     slowest_deg_s = min(each.max_speed_deg_s for each in robot.ranges.values())
-    return min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, _ALMOST)))
+    return min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, ALMOST)))
 
 
 def wanted(stride: float, least_tempo: float) -> float:
@@ -84,7 +83,7 @@ def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Ve
     if target.moves:
         state.brake_s = 0.0
         change = Velocity(*(b - a for a, b in zip(now, target, strict=True)))
-        part = min(1.0, seconds / max(needs_s(change), _ALMOST))
+        part = min(1.0, seconds / max(needs_s(change), ALMOST))
         return Velocity(*(a + part * b for a, b in zip(now, change, strict=True)))
     if not now.moves:
         return STILL
@@ -92,7 +91,7 @@ def slewed(state: State, target: Velocity, seconds: float, stops_s: float) -> Ve
     left_s = state.brake_s - seconds
     part = max(0.0, left_s / state.brake_s)
     state.brake_s = max(0.0, left_s)
-    return now.times(part) if part > _ALMOST else STILL
+    return now.times(part) if part > ALMOST else STILL
 
 
 MOST_M: Final = 20.0

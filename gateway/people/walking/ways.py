@@ -28,6 +28,7 @@ CLIMB: Final = 0.4
 _TURNING: Final = 0.05
 ON_GROUND_M: Final = 0.004
 """A foot below this height stands."""
+ALMOST: Final = 1e-9
 _THERE_M: Final = 0.005
 """A foot that is nearer to its place need not step."""
 

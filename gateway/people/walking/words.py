@@ -8,14 +8,13 @@ from collections.abc import Collection
 from typing import Final
 
 from gateway.people.walking.motion import DOWN, Posture, WalkState
-from gateway.people.walking.robot import arrived
 from gateway.text import legs_named
 from schemas.robot import LEGS
 from schemas.telemetry import GatewayState, Mode
 
 NEWS_S: Final = 1.0
 """The oldest state that counts as current: by default the gateway publishes ten a second."""
-_MODES: Final = {
+_MODES: Final[dict[str, str]] = {
     Mode.STARTING: "The gateway starts",
     Mode.BUS_FAULT: "Bus fault: what was written may not have arrived",
     Mode.STOPPING: "The gateway ends, and stops all six legs",
@@ -40,7 +39,12 @@ def robot_now(state: GatewayState | None, age_s: float = 0.0, walk: WalkState | 
         return "What it does is not known: the gateway has published no state yet"
     if age_s > NEWS_S:
         return f"What it does is not known: the newest state is {age_s:.0f} s old"
-    return _of_mode(state) or _of_legs(state, walk)
+    if state.mode == Mode.ESTOPPED:
+        by = "" if state.estop_source is None else f" by {state.estop_source}"
+        return f"Emergency stop{by}: nothing runs until a reset"
+    if state.mode == Mode.BUS_FAULT and state.controller.alive is False:
+        return "The controller is silent: what was written may not have arrived"
+    return _MODES.get(state.mode) or _of_legs(state, walk)
 
 
 def ground_now(walk: WalkState) -> str:
@@ -75,24 +79,15 @@ class Newest:
 
     @property
     def arrived(self) -> bool:
-        """Whether all servos are where they were commanded."""
+        """Whether all running servos are where they were commanded. An older gateway reports no targets."""
         state, _ = self._newest
-        return state is None or arrived(state)
+        running = [servo for leg in (state.legs if state else ()) for servo in leg.servos if servo.running]
+        return all(servo.target_deg in (None, servo.angle_deg) for servo in running)
 
     def sentence(self, now_s: float, walk: WalkState | None) -> str:
         """Return `robot_now` for the newest state."""
         state, came_s = self._newest
         return robot_now(state, now_s - came_s, walk)
-
-
-def _of_mode(state: GatewayState) -> str:
-    """Return the mode's sentence, or "" if the legs may run."""
-    if state.mode == Mode.ESTOPPED:
-        by = "" if state.estop_source is None else f" by {state.estop_source}"
-        return f"Emergency stop{by}: nothing runs until a reset"
-    if state.mode == Mode.BUS_FAULT and state.controller.alive is False:
-        return "The controller is silent: what was written may not have arrived"
-    return next((sentence for mode, sentence in _MODES.items() if state.mode == mode), "")
 
 
 def _of_legs(state: GatewayState, walk: WalkState | None) -> str:

@@ -5,8 +5,6 @@ wish and never waits for the thread, so no STOP ALL does either.
 
 - Each wish is used once. When a page has sent none for `WISH_SILENT_S` (frozen, locked, without Wi-Fi, closed), the
   robot finishes its step and stands; after another `SIT_S` it sits down, and its servos are stopped.
-- Each wish carries the number of its press. What ends a walk (silence, an error, a Stop) uses up the newest press: only
-  a newer one moves the robot again.
 - Without a press for `PRESSLESS_S` the robot sits down although wishes come: standing heats the servos.
 - Setpoints carry the page's lease until the legs are stopped; only then is it released.
 - If this process dies, the gateway's watchdog stops the legs.
