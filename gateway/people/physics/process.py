@@ -106,22 +106,18 @@ class Simulated:
     def calibrate(self, calibration: RobotCalibration) -> None:
         """Convert wire angles to users' angles by this calibration from now on."""
         self._calibration = calibration
-        for servo_id, wire_deg in self._driven.items():
-            self._drive(servo_id, wire_deg)
+        driven, self._driven = self._driven, dict.fromkeys(SERVO_IDS)
+        self.drive(driven)
 
     def drive(self, wire_deg: Mapping[int, float | None]) -> None:
         """Set each servo's target in wire degrees; None: off."""
         for servo_id, angle_deg in wire_deg.items():
-            if angle_deg != self._driven[servo_id]:
-                self._drive(servo_id, angle_deg)
+            if angle_deg is None and self._driven[servo_id] is not None:
+                self.world.drive(servo_id, None)
+            elif angle_deg is not None and angle_deg != self._driven[servo_id]:
+                user_deg = self._calibration.of(servo_id).user_cdeg(round(100 * angle_deg)) / 100
+                self.world.drive(servo_id, self._geometry.joint_rad(servo_id, user_deg))
         self._driven = dict(wire_deg)
-
-    def _drive(self, servo_id: int, wire_deg: float | None) -> None:
-        if wire_deg is None:
-            self.world.drive(servo_id, None)
-            return
-        user_deg = self._calibration.of(servo_id).user_cdeg(round(100 * wire_deg)) / 100
-        self.world.drive(servo_id, self._geometry.joint_rad(servo_id, user_deg))
 
     def report(self, real_time_factor: float) -> BodyReport:
         """Return the body's pose, feet and servos for publication."""

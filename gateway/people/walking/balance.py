@@ -106,9 +106,14 @@ class Senses:
             self._tilted_s = self._lifted_s = 0.0
             return NOTHING
         roll_rad, pitch_rad, tilt_deg = _lean(telemetry)
-        forces = telemetry.feet
-        known = forces is not None and all(map(math.isfinite, forces))
-        carrying = self._carrying(forces, seconds, stands=stands) if forces is not None and known else None
+        forces, carrying = telemetry.feet, None
+        if forces is not None and all(map(math.isfinite, forces)):
+            total = sum(max(0.0, force) for force in forces)
+            lifted = stands and total < _LIFTED * self._weight
+            self._lifted_s = self._lifted_s + seconds if lifted else 0.0
+            if stands and not lifted:
+                self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
+            carrying = tuple(force > _CARRIES * self._weight for force in forces)
         self._tilted_s = self._tilted_s + seconds if (tilt_deg or 0.0) > FALLEN_DEG else 0.0
         feet = {}
         for leg, carries in zip(LEGS, carrying or (), strict=False):
@@ -121,14 +126,6 @@ class Senses:
         elif self._lifted_s > _LIFTED_S:
             fault = "no foot carries: somebody has lifted it"
         return Felt(roll_rad, pitch_rad, tilt_deg, feet, carrying, fault)
-
-    def _carrying(self, forces: tuple[float, ...], seconds: float, *, stands: bool) -> tuple[bool, ...]:
-        total = sum(max(0.0, force) for force in forces)
-        lifted = stands and total < _LIFTED * self._weight
-        self._lifted_s = self._lifted_s + seconds if lifted else 0.0
-        if stands and not lifted:
-            self._weight += (total - self._weight) * (min(1.0, seconds / _WEIGHS_S) if self._weight else 1.0)
-        return tuple(force > _CARRIES * self._weight for force in forces)
 
 
 class Lateness(NamedTuple):
