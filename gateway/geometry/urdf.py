@@ -47,7 +47,11 @@ def _leg(geometry: Geometry, leg: int) -> Iterator[Xml.Element]:
     parts = zip(JOINTS, geometry.joints, LINKS, ends, LINKS_KG, strict=True)
     for number, joint, link, end_m, mass_kg in parts:
         name = link_name(leg, link)
-        yield _tag("link", *_limb(link, end_m, mass_kg), name=name)
+        # A box from the frame's origin to the next joint, or the foot.
+        size_m = max(math.hypot(*end_m), _LIMB_M), _LIMB_M, _LIMB_M
+        turn_rad = 0.0, -math.atan2(end_m[2], math.hypot(end_m[0], end_m[1])), math.atan2(end_m[1], end_m[0])
+        box = _box(link, size_m, (end_m[0] / 2, end_m[1] / 2, end_m[2] / 2), turn_rad, mass_kg)
+        yield _tag("link", *box, name=name)
         xyz_m, rpy_rad = joint.origin_xyz_m, joint.origin_rpy_rad
         if parent == BASE:
             xyz_m = plus(mount.xyz_m, rotated(from_rpy((0.0, 0.0, mount.yaw_rad)), xyz_m))
@@ -62,14 +66,6 @@ def _leg(geometry: Geometry, leg: int) -> Iterator[Xml.Element]:
     yield _tag("link", *shapes, name=foot)
     place = _place(geometry.foot.origin_xyz_m, _ZERO, parent, foot)
     yield _tag("joint", *place, name=f"{foot}_joint", type="fixed")
-
-
-def _limb(material: str, end_m: Vector, mass_kg: float) -> Iterator[Xml.Element]:
-    """Yield the parts of a box from the frame's origin to the next joint, or the foot."""
-    length_m = math.hypot(*end_m)
-    rpy_rad = 0.0, -math.atan2(end_m[2], math.hypot(end_m[0], end_m[1])), math.atan2(end_m[1], end_m[0])
-    middle_m = end_m[0] / 2, end_m[1] / 2, end_m[2] / 2
-    return _box(material, (max(length_m, _LIMB_M), _LIMB_M, _LIMB_M), middle_m, rpy_rad, mass_kg)
 
 
 def _box(material: str, size_m: Vector, middle_m: Vector, rpy_rad: Vector, mass_kg: float) -> Iterator[Xml.Element]:

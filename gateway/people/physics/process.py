@@ -151,7 +151,6 @@ class Link:
         """Set when the gateway has ended."""
         self.calibrations: SimpleQueue[RobotCalibration] = SimpleQueue()
         self.upright: SimpleQueue[zenoh.Query] = SimpleQueue()
-        self._session: zenoh.Session | None = None
         self._declared: list[Any] = []
         self._publisher: Any = None
         self._number = 0
@@ -180,11 +179,12 @@ class Link:
 
     def _connect(self, config: zenoh.Config) -> None:
         try:
-            self._session = session = zenoh.open(config)
+            session = zenoh.open(config)
         except zenoh.ZError as error:
             _say(f"it cannot publish the body: {' '.join(str(error).split())}")
             return
         self._declared = [
+            session,
             session.declare_subscriber(CALIBRATION, self._take_calibration),
             session.declare_queryable(  # a listing of all keys sets nobody upright
                 SIM_UPRIGHT, lambda query: self.upright.put(query) if str(query.key_expr) == SIM_UPRIGHT else None

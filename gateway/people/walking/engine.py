@@ -154,9 +154,7 @@ class Engine:
         for leg in self.lost:
             state.swings.pop(leg, None)
         move = state.moves[0] if state.moves else None
-        hanging = (
-            [] if move is None or isinstance(move, ways.Shift) else [leg for leg in move.paths if leg not in self.lost]
-        )
+        hanging = [leg for leg in getattr(move, "paths", ()) if leg not in self.lost]
         state.moves, state.part = (), 0.0
         self._lower(hanging)
 

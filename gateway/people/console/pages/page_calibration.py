@@ -60,9 +60,7 @@ class Guide:
         """
         if servo_id not in SERVO_IDS:
             raise CalibrationError(f"servo {servo_id} does not exist; an id is the leg and the joint, such as 32")
-        wire_cdeg = self.draft[servo_id].wire_cdeg(_cdeg(shown_deg))
-        self._check(servo_id, self.in_force.of(servo_id).user_cdeg(wire_cdeg))
-        self.servo_id, self.wire_cdeg = servo_id, wire_cdeg
+        self._move_to(servo_id, self.draft[servo_id].wire_cdeg(_cdeg(shown_deg)))
 
     def jog(self, by_cdeg: int) -> None:
         """Move by this angle by the draft, or past the angles that are never sent.
@@ -75,8 +73,7 @@ class Guide:
             wire_cdeg = self.avoid_cdeg[0] - 1 if wire_cdeg < self.wire_cdeg else self.avoid_cdeg[1]
         if not 0 <= wire_cdeg <= MAX_ANGLE_CDEG:
             raise CalibrationError(f"servo {servo_id} cannot go further: its own angle would be {wire_cdeg / 100:g}")
-        self._check(servo_id, self.in_force.of(servo_id).user_cdeg(wire_cdeg))
-        self.wire_cdeg = wire_cdeg
+        self._move_to(servo_id, wire_cdeg)
 
     @property
     def command_deg(self) -> float:
@@ -149,8 +146,9 @@ class Guide:
             raise CalibrationError("choose a servo first")
         return self.servo_id, self.draft[self.servo_id]
 
-    def _check(self, servo_id: int, user_cdeg: int) -> None:
-        """Raise CalibrationError if the gateway would reject this angle by the calibration in force."""
+    def _move_to(self, servo_id: int, wire_cdeg: int) -> None:
+        """Raises CalibrationError if the gateway would reject this angle by the calibration in force."""
+        user_cdeg = self.in_force.of(servo_id).user_cdeg(wire_cdeg)
         if not 0 <= user_cdeg <= MAX_ANGLE_CDEG:
             raise CalibrationError(
                 f"the calibration in force has no command for it ({user_cdeg / 100:g} degrees); write the draft first"
@@ -158,6 +156,7 @@ class Guide:
         why_not = self.in_force.why_not(servo_id, user_cdeg)
         if why_not is not None:
             raise CalibrationError(why_not)
+        self.servo_id, self.wire_cdeg = servo_id, wire_cdeg
 
 
 def _cdeg(angle_deg: float) -> int:

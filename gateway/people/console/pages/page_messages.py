@@ -35,8 +35,6 @@ def least(first: Role, second: Role) -> Role:
     return max(first, second, key=ROLES.index)
 
 
-LeaseVerb = Literal["acquire", "ask", "take", "renew", "release"]
-ButtonVerb = Literal["register", "alive", "leave"]
 CalibrateVerb = Literal[
     "open", "test", "leave", "jog", "stands_at", "wrong_way", "lowest_here", "highest_here", "full_range", "as_drawn",
     "undo", "write", "landing", "accept_default",
@@ -121,7 +119,7 @@ class DriveRequest(Closed):
 
     type: Literal["lease"]
     id: Id
-    do: LeaseVerb
+    do: Literal["acquire", "ask", "take", "renew", "release"]
     to: Source | None = None
 
     @model_validator(mode="after")
@@ -181,7 +179,7 @@ class StopButtonRequest(Closed):
 
     type: Literal["button"]
     id: Id
-    do: ButtonVerb
+    do: Literal["register", "alive", "leave"]
     sent_ms: SentMs
 
 
