@@ -94,17 +94,23 @@ class Node(LifecycleNode):  # type: ignore[misc]
     # ---- topics and services
 
     def publisher(
-        self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False
+        self, topic: str, kind: type[Message], *, latched: bool = False, always: bool = False, optional: bool = False
     ) -> Callable[[Message], None]:
         """Announce a topic, and return what publishes on it. `latched`: later subscribers receive the last message.
 
         `always`: also while the node is not active, and so is what is latched. Reliable, so each subscriber matches,
-        SensorData's too.
+        SensorData's too. Raises ConfigError if this ROS 2 lacks the type; if `optional`, nothing is published then.
         """
+        try:
+            found = ros_type(kind.TYPE)
+        except ConfigError:
+            if optional:
+                return lambda _: None
+            raise
         create = self.create_publisher if latched or always else self.create_lifecycle_publisher
         qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL) if latched else QoSProfile(depth=10)
         quiet = PublisherEventCallbacks(use_default_callbacks=False)  # of another QoS, the subscriber's own node warns
-        made = create(ros_type(kind.TYPE), topic, qos, event_callbacks=quiet)
+        made = create(found, topic, qos, event_callbacks=quiet)
 
         def publish(message: Message) -> None:
             with suppress(RuntimeError):  # the context is shut down

@@ -62,18 +62,6 @@ CHANNELS: Final[dict[str, Any]] = {
 R = TypeVar("R", bound=BaseModel)
 
 
-def _publisher(
-    node: Node, topic: str, kind: type[ros.Message], *, needed: bool = False
-) -> Callable[[ros.Message], None]:
-    """Return a publisher on a topic; None if this ROS 2 lacks the type. Raises ConfigError if the topic is `needed`."""
-    try:
-        return node.publisher(topic, kind)
-    except ConfigError:
-        if needed:
-            raise
-        return lambda _: None
-
-
 @dataclass(eq=False)
 class Reports:
     """Publishes the gateway's reports as ROS 2 messages; for one thread."""
@@ -100,8 +88,8 @@ class Reports:
         self._joint_states = node.publisher("joint_states", ros.JointState)
         self._diagnostics = node.publisher("diagnostics", ros.DiagnosticArray, always=True)
         self._measured = {topic: node.publisher(topic, kind) for topic, kind in robot.MEASURED.items()}
-        self._tf = _publisher(node, "/tf", ros.TFMessage, needed=self.with_tf)
-        self._odom = _publisher(node, robot.ODOM, ros.Odometry)
+        self._tf = node.publisher("/tf", ros.TFMessage, optional=not self.with_tf)
+        self._odom = node.publisher(robot.ODOM, ros.Odometry, optional=True)
         self._at, self._way_m = ORIGIN, 0.0
         """The last odometry, and the length of the way until then (m)."""
         text = robot.description(self.topics.geometry, self.topics.joints.of, self.parameters.base_frame)
