@@ -36,7 +36,7 @@ from gateway.endpoints import is_local
 from gateway.errors import ConfigError, GatewayError
 from gateway.people.ros2.messages import Message
 from gateway.people.ros2.parameters import DESCRIPTIONS, Parameters
-from gateway.people.ros2.received import Arrived, Present, read_each
+from gateway.people.ros2.received import Present, read_each
 
 NAME: Final = "hexapod_gateway"
 SIMULATED: Final = "use_sim_time is set, and the time of a robot is real"
@@ -123,10 +123,13 @@ class Node(LifecycleNode):  # type: ignore[misc]
         topic: str,
         kind: str,
         most_bytes: int,
-        take: Callable[[Any, Arrived], None],
+        take: Callable[[Any, bytes, int], None],
         reject: Callable[[str], None],
     ) -> None:
-        """Call `take` with the newest message of this type, or `reject` with the reason why it cannot be read."""
+        """Call `take` with the newest message of this type, its sender's GID (16 bytes; empty: unknown) and its time.
+
+        The time is in ns since 1970, by the sender's clock. Or call `reject` with the reason why it cannot be read.
+        """
         found = ros_type(kind)
 
         def received(message: tuple[bytes, dict[str, Any]]) -> None:
@@ -139,7 +142,7 @@ class Node(LifecycleNode):  # type: ignore[misc]
                 return reject(f"it cannot be read: {error}")
             sender = info.get("publisher_gid")  # rclpy before Kilted does not report it
             gid = bytes(sender["data"][:_GID_BYTES]) if sender else b""
-            return take(read, Arrived(gid, info["source_timestamp"]))
+            return take(read, gid, info["source_timestamp"])
 
         self._listen(topic, found, received, is_stream=kind in _STREAMS)
 

@@ -6,21 +6,12 @@ silent. For priorities between them, put twist_mux in front of the bridge.
 
 import logging
 from collections.abc import Callable, Iterable, Set
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 SILENT_S: Final = 0.5
 """A node that is silent for longer moves nothing. A velocity holds for this time, too."""
 
 _log: Final = logging.getLogger(__name__)
-
-
-class Arrived(NamedTuple):
-    """Sender and time of a message."""
-
-    sender: bytes
-    """The publisher's GID, 16 bytes; empty if ROS 2 does not report it."""
-    time_ns: int
-    """When it was sent: since 1970, by the sender's clock."""
 
 
 Present = Callable[[], Set[bytes]]

@@ -13,7 +13,7 @@ from gateway.geometry import Geometry
 from gateway.model.staleness import Staleness
 from gateway.people.ros2.driving import Driving, NotTakenError
 from gateway.people.ros2.node import Node
-from gateway.people.ros2.received import SILENT_S, Arrived, Rivals, presence
+from gateway.people.ros2.received import SILENT_S, Rivals, presence
 from gateway.people.ros2.trajectory import JointNames, Trajectory, check_reach, of_joints, stamp_ns
 from gateway.people.walking.gaits import NUMBERS
 from gateway.people.walking.motion import Velocity
@@ -31,6 +31,8 @@ that knows no time yet, begin in 1970."""
 _WITHOUT_DIGITS: Final = str.maketrans("", "", "0123456789")
 _MOST_SHOWN: Final = 200
 """Most reasons that get a line: other programs choose the names in some of them."""
+Take = Callable[[Any, bytes], bool | None]
+"""Takes a message and its sender's GID. Returns False if the message claims nothing: others may publish, too."""
 
 
 @dataclass(eq=False)
@@ -58,7 +60,7 @@ class Topics:
     def subscribe(self) -> None:
         """Take messages from now on; they move nothing before the bridge drives."""
         stand = self.driving.stand
-        table: dict[str, tuple[str, Callable[[Any, Arrived], bool | None]]] = {
+        table: dict[str, tuple[str, Take]] = {
             "joint_commands": ("sensor_msgs/msg/JointState", self._joint_commands),
             "joint_trajectory": ("trajectory_msgs/msg/JointTrajectory", self._joint_trajectory),
             "cmd_vel": ("geometry_msgs/msg/Twist", lambda found, _: self._go(found)),
@@ -83,17 +85,17 @@ class Topics:
 
     # ---- one for each topic
 
-    def _joint_commands(self, message: Any, _: Arrived) -> None:
+    def _joint_commands(self, message: Any, _: bytes) -> None:
         at_rad = of_joints("position", self.joints.servos(message.name), message.position)
         check_reach(self.geometry, at_rad)
         self.driving.joints(at_rad)
 
-    def _joint_trajectory(self, message: Any, arrived: Arrived) -> None:
+    def _joint_trajectory(self, message: Any, sender: bytes) -> None:
         if not message.points:
             if not self.driving.drives:
                 raise NotTakenError(self.driving.does)
             return self.driving.hold()
-        is_there = presence(arrived.sender, self._present)
+        is_there = presence(sender, self._present)
         if not is_there():
             raise NotTakenError("its sender is not seen in the graph (any more), and could not take it back")
         return self.driving.follow(self.plan(message), is_there)
@@ -112,23 +114,22 @@ class Topics:
 
     # ---- all of them
 
-    def _take(self, topic: str, take: Callable[[Any, Arrived], bool | None], message: Any, arrived: Arrived) -> None:
-        """`take` returns False for a message that claims nothing: others may publish, too."""
+    def _take(self, topic: str, take: Take, message: Any, sender: bytes, sent_ns: int) -> None:
         try:
-            _check_time(arrived.time_ns, "was sent at a time")
+            _check_time(sent_ns, "was sent at a time")
             with self._lock:
                 now_ns = time.monotonic_ns()
-                old = self._ages.too_old(arrived.sender.hex(), arrived.time_ns / 1e6, now_ns, now_ns)
+                old = self._ages.too_old(sender.hex(), sent_ns / 1e6, now_ns, now_ns)
             if old is not None:  # a link held it back
                 raise NotTakenError(old.replace("the gateway itself", "the bridge itself"))
             header = getattr(message, "header", None)
             if header is not None and (time_ns := stamp_ns(header)):
                 _check_time(time_ns, "has a stamp")
             rivals, now_s = self._rivals.get(topic), time.monotonic()
-            if rivals is not None and not rivals.may_send(arrived.sender, now_s):
+            if rivals is not None and not rivals.may_send(sender, now_s):
                 raise NotTakenError(f"another node publishes here, and is followed until it is silent for {SILENT_S} s")
-            if take(message, arrived) is not False and rivals is not None:
-                rivals.sent(arrived.sender, now_s)
+            if take(message, sender) is not False and rivals is not None:
+                rivals.sent(sender, now_s)
         except (NotTakenError, ValueError) as error:
             self.reject(topic, str(error))
         else:

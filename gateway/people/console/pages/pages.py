@@ -197,10 +197,7 @@ class Page:
         """Stops by key and payload."""
 
     def allow_age(self, max_age_ms: float) -> None:
-        """Commands may be as old as the gateway allows (`limits.max_age_ms`; 0: any age).
-
-        The gateway cannot know how long a page's first command took; the page's `AliveMessage` shows its clock here.
-        """
+        """Commands may be as old as the gateway allows (`limits.max_age_ms`; 0: any age)."""
         if max_age_ms != self._max_age_ms:
             self._max_age_ms = max_age_ms
             self._staleness = Staleness(max_age_ms or math.inf)
