@@ -15,7 +15,7 @@ from gateway import durable
 from gateway.people.console.server import listener
 from gateway.people.console.server.auth import Auth, proof
 from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
-from gateway.people.console.server.sessions import Entry, Sessions, SignIn
+from gateway.people.console.server.sessions import Entry, Sessions
 from gateway.people.console.server.site import Site
 
 pytestmark = pytest.mark.full
@@ -35,8 +35,9 @@ class Stand:
         sessions.begin(f"{URL}/?token=", "operator")
         found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
-        self.session: SignIn = found
-        self.cookie = f"Cookie: hexapod-console-8080={found.cookie}\r\n"
+        cookie, self.key = found
+        self.entry = sessions.cookie(cookie)
+        self.cookie = f"Cookie: hexapod-console-8080={cookie}\r\n"
         self.admitted: asyncio.Queue[Entry] = asyncio.Queue()
         self.address = listening.getsockname()
         auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions)
@@ -139,10 +140,10 @@ async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None
 
 
 async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
-    shown = await stand.proved(stand.session.key)
+    shown = await stand.proved(stand.key)
     reader, writer = await asyncio.open_connection(*stand.address[:2])
     writer.write(f"GET /ws?{shown} HTTP/1.1\r\n{UPGRADE}{stand.cookie}\r\n".encode())
     async with asyncio.timeout(10):
-        assert await stand.admitted.get() == stand.session.entry
+        assert await stand.admitted.get() == stand.entry
         assert b"101 Switching" in await reader.readuntil(b"\r\n\r\n")
     writer.close()

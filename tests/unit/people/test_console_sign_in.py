@@ -8,6 +8,7 @@ import resource
 import stat
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from aiohttp import web
@@ -17,11 +18,19 @@ from yarl import URL
 from gateway.errors import ConfigError
 from gateway.people.console.server.auth import NONCE_NS, Auth, proof
 from gateway.people.console.server.boot_clock import Now
-from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Sessions, SignIn, kept
+from gateway.people.console.server.sessions import LINK_S, SESSION_S, Entry, Sessions, kept
 from gateway.people.console.server.site import site
 
 HERE = "http://127.0.0.1:8080"
 START = f"{HERE}/?token="
+
+
+class SignIn(NamedTuple):
+    """A new session: the browser's two secrets, and its entry."""
+
+    cookie: str
+    key: str
+    entry: Entry
 
 
 class Visitor:
@@ -192,18 +201,23 @@ def new_token(sessions: Sessions) -> str:
 
 
 def new_session(sessions: Sessions) -> SignIn:
-    found = sessions.exchange(new_token(sessions))
+    return signed_in(sessions, new_token(sessions))
+
+
+def signed_in(sessions: Sessions, token: str) -> SignIn:
+    found = sessions.exchange(token)
     assert found is not None
-    return found
+    cookie, key = found
+    entry = sessions.cookie(cookie)
+    assert entry is not None
+    return SignIn(cookie, key, entry)
 
 
 def test_a_link_works_once_and_for_a_time(sessions: Sessions, clock: Clock) -> None:
     sessions.begin(START, "observer")
     token = new_token(sessions)
-    found = sessions.exchange(token)
-    assert found is not None
+    found = signed_in(sessions, token)
     assert found.entry.role == "observer"
-    assert sessions.cookie(found.cookie) == found.entry
     assert sessions.exchange(token) is None
     assert sessions.cookie(token) is None, "a link is no session"
     assert sessions.exchange(found.cookie) is None, "a session is no link"

@@ -139,10 +139,11 @@ class Auth:
         found = await asyncio.get_running_loop().run_in_executor(self._writer, self._sessions.exchange, token)
         if found is None:
             return self._refused("This link was used already, or is too old.")
+        cookie, key = found
         card = f"?{card}" if card.isascii() and card.isalpha() else ""
-        response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{found.key}"})
+        response = web.Response(status=303, headers={"Location": f"{PUBLIC[0]}{card}#{key}"})
         name, secure = self._site.cookie, self._site.tls is not None
-        response.set_cookie(name, found.cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
+        response.set_cookie(name, cookie, max_age=COOKIE_S, httponly=True, samesite="strict", secure=secure)
         return response
 
     def _refused(self, why: str) -> web.Response:

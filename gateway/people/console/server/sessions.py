@@ -13,7 +13,7 @@ import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
 from pydantic import BaseModel
 
@@ -38,14 +38,6 @@ class Entry(BaseModel, frozen=True):
     role: Role
     until_s: float
     """When it ends, by the time since the boot in which it was written."""
-
-
-class SignIn(NamedTuple):
-    """A new session: the browser's two secrets, and its entry."""
-
-    cookie: str
-    key: str
-    entry: Entry
 
 
 class _Entries(BaseModel):
@@ -107,8 +99,11 @@ class Sessions:
             entries.links.append(Entry(sha256=_sha256(token), role=entries.role, until_s=until_s))
         return f"{entries.before_token}{token}{card and f',{card}'}"
 
-    def exchange(self, token: str) -> SignIn | None:
-        """Exchange a link's token for a new session and void the link; None if no valid link has the token."""
+    def exchange(self, token: str) -> tuple[str, str] | None:
+        """Exchange a link's token for a new session's cookie and key, and void the link.
+
+        None if no valid link has the token.
+        """
         if _find(self._read().links, token) is None:  # nothing is written for an unknown token
             return None
         cookie, key = secrets.token_urlsafe(32), secrets.token_urlsafe(32)
@@ -120,7 +115,7 @@ class Sessions:
             entry = Entry(sha256=_sha256(cookie), key_sha256=_sha256(key), role=link.role, until_s=until_s)
             entries.links.remove(link)
             entries.sessions.append(entry)
-        return SignIn(cookie, key, entry)
+        return cookie, key
 
     def cookie(self, cookie: str) -> Entry | None:
         """Return the cookie's valid session. It gives access to the page's files; the WebSocket requires the key."""
