@@ -13,11 +13,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final
 
 import zenoh
 
@@ -46,8 +46,6 @@ WINDOW_S: Final = 2.0
 SLOW: Final = 0.95
 """Below this factor the machine is reported as slow; from `KEEPS_UP` on, as fast enough again."""
 KEEPS_UP: Final = 0.99
-
-T = TypeVar("T", bound=tuple[float, ...])
 
 
 class Pace:
@@ -129,14 +127,13 @@ class Simulated:
             )
             for servo_id, joint_rad in body.joints_rad.items()
         }
-        one, two, three, four, five, six = body.feet
         return BodyReport(
             time=dt.datetime.now(dt.UTC),
             position_m=_rounded(body.position_m),
             orientation_xyzw=_rounded(body.rotation),
             velocity_m_s=_rounded(body.velocity_m_s),
             upright=body.upright,
-            feet=(one, two, three, four, five, six),
+            feet=body.feet,
             servos=servos,
             terrain=self._terrain,
             real_time_factor=round(real_time_factor, 3),
@@ -234,8 +231,8 @@ def simulate(simulated: Simulated, page: ServoPage, sensed: SensedPage, link: Li
             link.publish(simulated.report(pace.factor))
 
 
-def _rounded(values: T) -> T:
-    return cast(T, tuple(round(value, 5) for value in values))
+def _rounded(values: Iterable[float]) -> Any:
+    return tuple(round(value, 5) for value in values)
 
 
 def _say(sentence: str) -> None:

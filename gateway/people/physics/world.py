@@ -123,7 +123,7 @@ class Body(NamedTuple):
     velocity_m_s: Vector
     tilt_deg: float
     """Tilt against the ground, which may be a slope."""
-    feet: tuple[bool, ...]
+    feet: tuple[bool, bool, bool, bool, bool, bool]
     """By leg (1 to 6), whether the foot touches the ground."""
     joints_rad: dict[int, float]
     torques_nm: dict[int, float]
@@ -198,14 +198,14 @@ class World:
         w, *axis = map(float, data.qpos[3:_FREE])
         rotation = axis[0], axis[1], axis[2], w
         # Lower ends of legs: the box of a leaning tibia is lower than its tip.
-        touching = dict(zip(self.feet.values(), map(bool, self._at_feet().any(axis=1)), strict=True))
+        one, two, three, four, five, six = map(bool, self._at_feet().any(axis=1))
         lean = sum(a * b for a, b in zip(rotated(rotation, (0, 0, 1)), self._up, strict=True))
         return Body(
             position_m=vector(data.qpos[:3]),
             rotation=rotation,
             velocity_m_s=vector(data.qvel[:3]),
             tilt_deg=math.degrees(math.acos(max(-1.0, min(1.0, lean)))),
-            feet=tuple(touching[leg] for leg in LEGS),
+            feet=(one, two, three, four, five, six),
             joints_rad=dict(zip(SERVO_IDS, map(float, data.qpos[_FREE:]), strict=True)),
             torques_nm=dict(zip(SERVO_IDS, map(float, data.actuator_force), strict=True)),
         )
