@@ -57,7 +57,8 @@ class GatewayLink(Receiver):
         A page stops driving by itself 500 ms after the newest state.
         """
         connect, zenoh_config, timeout_s = reach
-        self._connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
+        self.connect = partial(Client, connect, zenoh_config=zenoh_config, timeout_s=timeout_s, explain=False)
+        """Opens another session, named `source`; blocks. Raises GatewayError if the gateway cannot be reached."""
         self._stop_all = ready_threads(REQUESTS_AT_ONCE, "STOP ALL")
         self._stops = ready_threads(STOPS_AT_ONCE, "Stops")
         self._loop = loop = asyncio.get_running_loop()
@@ -65,7 +66,7 @@ class GatewayLink(Receiver):
         self._spare = Spare()
         self._link_changed = link_changed
         reasons = partial(why.unanswered, connect=connect, zenoh_config=zenoh_config)
-        self._live = Live(partial(self._connect, source=source), OnLoop(loop, self, receiver), reasons)
+        self._live = Live(partial(self.connect, source=source), OnLoop(loop, self, receiver), reasons)
         self._opened = asyncio.Event()
         self._failed: asyncio.Future[None] = loop.create_future()
         self._link = link_message("gone")
@@ -80,10 +81,6 @@ class GatewayLink(Receiver):
         if self._live.client is None:
             raise ZenohError("no gateway has been reached yet")
         return self._live.client
-
-    def connect(self, source: str) -> Client:
-        """Open another session named `source`; blocks. Raises GatewayError if the gateway cannot be reached."""
-        return self._connect(source=source)
 
     async def ask(self, key: str, payload: Mapping[str, Any], *, again: bool) -> Ack:
         """Send a command and return its Ack. `again` (Stops only): repeat it until answered. Raises GatewayError."""

@@ -126,7 +126,7 @@ class PageWalks:
 
     def _walk(self, token: str) -> str:
         """Returns why it has ended, in words."""
-        with closing(self._shared.link.connect(self._name)) as client:
+        with closing(self._shared.link.connect(source=self._name)) as client:
             client.carry(LentLease(client, token))
             geometry, terrain, silences = self._shared.geometry, self._shared.terrain, SILENCES
             gait, hz = self._newest.gait, SETPOINTS_HZ
