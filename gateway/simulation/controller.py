@@ -61,11 +61,6 @@ class ServoState:
         """Whether it drives to its target: its output is on, and it has supply."""
         return self.energised and self.fed
 
-    @property
-    def moves(self) -> bool:
-        """Whether it has not reached its target."""
-        return self.driven and self.target_deg is not None and self.target_deg != self.angle_deg
-
 
 class SimulatedServos(dict[int, ServoState]):
     """The 18 servos by id. Times are of one monotonic clock."""

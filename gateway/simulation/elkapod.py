@@ -163,7 +163,7 @@ class SimulatedElkapod(DuplexDevice):
         """Move the servos and discharge the battery up to now."""
         self._servos.move(now_ns)
         body, servos = self._body(), self._servos.values()
-        moving_a = MOVING_A * sum(servo.moves for servo in servos)
+        moving_a = MOVING_A * sum(each.driven and each.target_deg not in (None, each.angle_deg) for each in servos)
         works_a = moving_a if body is None else A_PER_NM * sum(map(abs, body.torques_nm))
         self._drawn_a = BASE_A + IDLE_A * sum(servo.driven for servo in servos) + works_a
         drawn_as = self._drawn_a * (now_ns - self._advanced_ns) / 1e9

@@ -119,8 +119,12 @@ class Reports:
         sign = (self._state and self._state.mode, self.topics.driving.does, self.topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self.parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
-            statuses = (*self._gateway(now_s), self._bridge())
-            self._diagnostics(robot.diagnostic_array(statuses, time_ns, self.hardware_id))
+            gateway: tuple[ros.Message, ...] = (
+                robot.status("gateway", ros.STALE, "nothing is received from the gateway"),
+            )
+            if self._state is not None and now_s - self._received_s <= SILENT_S:
+                gateway = robot.diagnostics(self._state)
+            self._diagnostics(robot.diagnostic_array((*gateway, self._bridge()), time_ns, self.hardware_id))
 
     def _walked(self, time_ns: int, base: str) -> None:
         """Publish odometry and its frame while the bridge walks the robot."""
@@ -145,11 +149,6 @@ class Reports:
         if report is not None:
             self.joints.take(key, report.model_dump(mode="json"))
         return report
-
-    def _gateway(self, now_s: float) -> tuple[ros.Message, ...]:
-        if self._state is None or now_s - self._received_s > SILENT_S:
-            return (robot.status("gateway", ros.STALE, "nothing is received from the gateway"),)
-        return robot.diagnostics(self._state)
 
     def _bridge(self) -> ros.Message:
         counts = {"taken": self.topics.taken, "rejected": self.topics.rejected}

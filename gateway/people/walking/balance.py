@@ -42,7 +42,7 @@ LATE_S: Final = 0.12
 """The longest wait of a foot for its contact before it goes further down: sensors may be 0.1 s late."""
 WAIT_FORGOTTEN: Final = 0.8
 """The part of that wait which is kept after each contact that was reported at once."""
-_CERTAIN_S: Final = 0.07
+CERTAIN_S: Final = 0.07
 """Uneven ground alone delays contacts by this much: sensors with a smaller lateness count as punctual."""
 _LEARNS_S: Final = (0.02, 0.005)
 """The step of the lateness (seconds) for each of the first contacts, and for each later contact."""
@@ -142,11 +142,6 @@ class Lateness(NamedTuple):
         step_s = _LEARNS_S[self.contacts >= _FIRST]
         median_s = self.median_s + math.copysign(step_s, late_s - self.median_s)
         return Lateness(max(0.0, min(LATE_S, median_s)), self.contacts + 1)
-
-    @property
-    def certain_s(self) -> float:
-        """The lateness in seconds, or 0 for punctual sensors."""
-        return self.median_s if self.median_s > _CERTAIN_S else 0.0
 
 
 UNKNOWN_LATENESS: Final = Lateness()

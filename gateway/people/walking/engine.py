@@ -304,7 +304,8 @@ class Engine:
         if swing.met_now(touches) and not swing.met:
             state.lateness = state.lateness.after(swing.late_s or (part - 1.0) * gait.swing_s)
         swing = swing._replace(left=left, part=part)
-        ends = swing.down(height_m, state.feet[leg][2], touches, seconds, state.waits_s, state.lateness.certain_s)
+        lag_s = state.lateness.median_s if state.lateness.median_s > balance.CERTAIN_S else 0.0
+        ends = swing.down(height_m, state.feet[leg][2], touches, seconds, state.waits_s, lag_s)
         state.feet[leg] = x, y, ends.height_m
         if ends.swing is not None:
             state.swings[leg] = ends.swing
