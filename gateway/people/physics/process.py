@@ -13,8 +13,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Final
@@ -153,17 +154,14 @@ class Link:
         self._number = 0
         threading.Thread(target=self._run, name="lifeline", daemon=True).start()
 
-    def publish(self, report: BodyReport) -> None:
-        """Publish a report. Zenoh drops it if a link is congested."""
+    def publish(self, report: Callable[[], BodyReport]) -> None:
+        """Publish a report if the gateway is there and anybody subscribes. Zenoh drops it if a link is congested."""
+        if self._publisher is None or not self._publisher.matching_status.matching:
+            return
         self._number += 1
         info = zenoh.SourceInfo(self._publisher.id, self._number)
         with suppress(zenoh.ZError):
-            self._publisher.put(report.model_dump_json(), source_info=info)
-
-    @property
-    def anyone_listens(self) -> bool:
-        """Return whether the gateway is there and anybody subscribes."""
-        return self._publisher is not None and bool(self._publisher.matching_status.matching)
+            self._publisher.put(report().model_dump_json(), source_info=info)
 
     def _run(self) -> None:
         line = sys.stdin.readline()
@@ -226,9 +224,9 @@ def simulate(simulated: Simulated, page: ServoPage, sensed: SensedPage, link: Li
             simulated.world.set_upright()
             with suppress(zenoh.ZError), query:
                 query.reply(SIM_UPRIGHT, Ack(accepted=True).model_dump_json(), encoding=zenoh.Encoding.APPLICATION_JSON)
-        if now_s >= publish_s and link.anyone_listens:
+        if now_s >= publish_s:
             publish_s = max(publish_s + PUBLISH_S, now_s)
-            link.publish(simulated.report(pace.factor))
+            link.publish(partial(simulated.report, pace.factor))
 
 
 def _rounded(values: Iterable[float]) -> Any:
