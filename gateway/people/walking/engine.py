@@ -322,10 +322,8 @@ class Engine:
         now = state.velocity
         walks = now.moves or bool(state.swings)
         if target.moves or not walks:
-            part = max(self._stride_of(target), self._stride_of(now))
-            state.tempo = tempo.nearer(
-                state.tempo, tempo.wanted(part, self._least_tempo), seconds if walks else math.inf
-            )
+            stride = max(self._stride_of(target), self._stride_of(now))
+            state.tempo = tempo.towards(state.tempo, stride, self._least_tempo, seconds if walks else math.inf)
         self._quick, self._lift_m, self._climb = tempo.at_tempo(self._gait, state.tempo)
 
     def _stride_of(self, velocity: Velocity) -> float:

@@ -43,15 +43,14 @@ def least(robot: Robot) -> float:
     return min(1.0, _LEAST_TEMPO * max(1.0, MAX_SPEED_DEG_S / max(slowest_deg_s, ALMOST)))
 
 
-def wanted(stride: float, least_tempo: float) -> float:
-    """Return the tempo for this stride (as a part of its disc, at the gait's usual tempo)."""
-    return max(least_tempo, min(1.0, TEMPO_SPARE / stride if stride else 1.0))
+def towards(now: float, stride: float, least_tempo: float, seconds: float) -> float:
+    """Return the tempo after `seconds` on its way from `now` to the tempo for this stride.
 
-
-def nearer(now: float, then: float, seconds: float) -> float:
-    """Return the tempo after `seconds` on its way from `now` to `then`."""
+    `stride`: as a part of its disc, at the gait's usual tempo.
+    """
+    wanted = max(least_tempo, min(1.0, TEMPO_SPARE / stride if stride else 1.0))
     most = seconds / _TEMPO_S
-    return now + max(-most, min(most, then - now))
+    return now + max(-most, min(most, wanted - now))
 
 
 def at_tempo(gait: Gait, tempo: float) -> tuple[Gait, float, float]:
