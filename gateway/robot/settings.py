@@ -16,6 +16,7 @@ from typing import Any, Final, Self, get_args, get_origin
 
 from gateway import nesting
 from gateway.errors import ConfigError
+from gateway.host import settings_table
 from gateway.host.directories import CONFIGURATION
 from gateway.host.settings_reader import (
     NO_SETTING,
@@ -27,26 +28,6 @@ from gateway.host.settings_reader import (
     read,
     read_for_stops,
 )
-from gateway.host.settings_table import (
-    FOR_STOPS,
-    REMOVED,
-    START_STAGGER_MS,
-    ButtonSettings,
-    ControllerSettings,
-    LeaseSettings,
-    LimitSettings,
-    Place,
-    PowerSettings,
-    SafetySettings,
-    Section,
-    ServoLimits,
-    SpiSettings,
-    StateSettings,
-    TelemetrySettings,
-    WatchdogSettings,
-    WireSettings,
-    ZenohSettings,
-)
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.model.framing import Framing
 from gateway.own_command import CONNECT_VARIABLE
@@ -56,21 +37,21 @@ ENV_PREFIX: Final = "HEXAPOD_"
 
 
 @dataclass(frozen=True)
-class Settings(Section):
+class Settings(settings_table.Section):
     """All settings of one service."""
 
-    zenoh: ZenohSettings = field(default_factory=ZenohSettings)
-    wire: WireSettings = field(default_factory=WireSettings)
-    spi: SpiSettings = field(default_factory=SpiSettings)
-    controller: ControllerSettings = field(default_factory=ControllerSettings)
-    limits: LimitSettings = field(default_factory=LimitSettings)
-    watchdog: WatchdogSettings = field(default_factory=WatchdogSettings)
-    lease: LeaseSettings = field(default_factory=LeaseSettings)
-    buttons: ButtonSettings = field(default_factory=ButtonSettings)
-    state: StateSettings = field(default_factory=StateSettings)
-    telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
-    safety: SafetySettings = field(default_factory=SafetySettings)
-    power: PowerSettings = field(default_factory=PowerSettings)
+    zenoh: settings_table.ZenohSettings = field(default_factory=settings_table.ZenohSettings)
+    wire: settings_table.WireSettings = field(default_factory=settings_table.WireSettings)
+    spi: settings_table.SpiSettings = field(default_factory=settings_table.SpiSettings)
+    controller: settings_table.ControllerSettings = field(default_factory=settings_table.ControllerSettings)
+    limits: settings_table.LimitSettings = field(default_factory=settings_table.LimitSettings)
+    watchdog: settings_table.WatchdogSettings = field(default_factory=settings_table.WatchdogSettings)
+    lease: settings_table.LeaseSettings = field(default_factory=settings_table.LeaseSettings)
+    buttons: settings_table.ButtonSettings = field(default_factory=settings_table.ButtonSettings)
+    state: settings_table.StateSettings = field(default_factory=settings_table.StateSettings)
+    telemetry: settings_table.TelemetrySettings = field(default_factory=settings_table.TelemetrySettings)
+    safety: settings_table.SafetySettings = field(default_factory=settings_table.SafetySettings)
+    power: settings_table.PowerSettings = field(default_factory=settings_table.PowerSettings)
 
     @property
     def starts_whole(self) -> bool:
@@ -102,7 +83,7 @@ class Settings(Section):
         object.__setattr__(self, "spi", self.spi.of(self.wire))
         if self.limits.start_stagger_ms < 0:  # it is not set
             at_once = self.starts_whole or self.power.interface
-            limits = replace(self.limits, start_stagger_ms=0.0 if at_once else START_STAGGER_MS)
+            limits = replace(self.limits, start_stagger_ms=0.0 if at_once else settings_table.START_STAGGER_MS)
             object.__setattr__(self, "limits", limits)
 
     @classmethod
@@ -113,7 +94,7 @@ class Settings(Section):
         _raise([f"{dotted(place)}: {sentence}" for place, sentence in faults])
         return found
 
-    def faults(self) -> Iterable[tuple[Place, str]]:
+    def faults(self) -> Iterable[tuple[settings_table.Place, str]]:
         wire = self.wire.name
         if self.spi.too_fast:
             yield ("spi",), self.spi.too_fast
@@ -130,7 +111,7 @@ class Settings(Section):
             if getattr(self.safety, each.name) and not measured:
                 yield ("safety", each.name), f"{wire} has nothing that measures it; leave it at 0"
         for servo, angle_deg in self.watchdog.landing.items():
-            limits = self.limits.servos.get(servo, ServoLimits())
+            limits = self.limits.servos.get(servo, settings_table.ServoLimits())
             if not limits.min_deg <= angle_deg <= limits.max_deg:
                 allowed = f"limits.servos.{servo} allows {limits.min_deg:g} to {limits.max_deg:g}"
                 yield ("watchdog", "landing", servo), f"{angle_deg:g} is not allowed: {allowed}"
@@ -162,7 +143,9 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     lines: list[str] = []
     tables: dict[str, Any] = {}
     try:  # empty removed sections, which an earlier installed file still contains, are no fault
-        tables = {name: table for name, table in _read(path).items() if table != {} or (name,) not in REMOVED}
+        tables = {
+            name: table for name, table in _read(path).items() if table != {} or (name,) not in settings_table.REMOVED
+        }
     except ConfigError as error:
         lines.append(str(error))
     unread = bool(lines)
@@ -198,9 +181,9 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     return found
 
 
-def _harmless(place: Place) -> bool:
+def _harmless(place: settings_table.Place) -> bool:
     """Return whether this is a removed setting that no Stop needs."""
-    return place in REMOVED and place != ("spi", "protocol")
+    return place in settings_table.REMOVED and place != ("spi", "protocol")
 
 
 def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyType({})) -> str:
@@ -219,7 +202,10 @@ _WHICH_FRAMING: Final = (
 
 def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
     wire, spi = tables.get("wire", {}), tables.get("spi", {})
-    framed = isinstance(wire, Mapping) and WireSettings(str(wire.get("name", WireSettings().name))).framed
+    framed = (
+        isinstance(wire, Mapping)
+        and settings_table.WireSettings(str(wire.get("name", settings_table.WireSettings().name))).framed
+    )
     if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
@@ -227,7 +213,7 @@ def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[s
 
 def overrides(variables: Mapping[str, str]) -> dict[str, str]:
     """Return those of `variables` that override a file's settings for Stops."""
-    prefixes = tuple(f"{ENV_PREFIX}{section.upper()}__" for section in FOR_STOPS)
+    prefixes = tuple(f"{ENV_PREFIX}{section.upper()}__" for section in settings_table.FOR_STOPS)
     return {name: value for name, value in variables.items() if name.upper().startswith(prefixes)}
 
 
@@ -265,7 +251,9 @@ def _environment() -> tuple[Variables, dict[str, Fault]]:
         place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
         kind = _kind(place) if variable == variable.upper() else None
         if kind is None:
-            why = REMOVED.get(place) or REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
+            why = (
+                settings_table.REMOVED.get(place) or settings_table.REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
+            )
             faults[variable] = place, why
             continue
         try:
@@ -276,7 +264,7 @@ def _environment() -> tuple[Variables, dict[str, Fault]]:
     return found, faults
 
 
-def _kind(place: Place) -> Any:
+def _kind(place: settings_table.Place) -> Any:
     """Return the type of the setting at this place, or None if there is none."""
     kind: Any = Settings
     for name in place:
