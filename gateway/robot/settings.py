@@ -202,10 +202,8 @@ _WHICH_FRAMING: Final = (
 
 def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
     wire, spi = tables.get("wire", {}), tables.get("spi", {})
-    framed = (
-        isinstance(wire, Mapping)
-        and settings_table.WireSettings(str(wire.get("name", settings_table.WireSettings().name))).framed
-    )
+    default = settings_table.WireSettings()
+    framed = isinstance(wire, Mapping) and replace(default, name=str(wire.get("name", default.name))).framed
     if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))

@@ -17,19 +17,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import (
-    SET_SUPPLY,
-    TWO_BOARDS,
-    BoardError,
-    BoardNotice,
-    CanFrame,
-    Currents,
-    Rails,
-    Supplied,
-    mask_of,
-    read,
-    set_supply,
-)
+from gateway.model import power_board
+from gateway.model.power_board import BoardError, BoardNotice, CanFrame, Currents, Rails, Supplied
 from gateway.robot.power.errors import BoardErrors
 from gateway.robot.power.offs import Confirmed, OutputsOff
 from gateway.robot.power.questions import BoardQuestions
@@ -179,7 +168,7 @@ class PowerBoard:
         """Record that the interface had no room for these frames. Once it has, the latest mask leaves first."""
         for frame in frames:
             self._questions.not_sent(frame)
-            if frame.id == SET_SUPPLY:
+            if frame.id == power_board.SET_SUPPLY:
                 self._anew(self._off.unconfirmed, now_ns)
                 self._leave_ns = now_ns
 
@@ -227,11 +216,11 @@ class PowerBoard:
     # mutants accepted (Forget): a mask is read as no answer; only time is lost
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Take a frame from the bus. Malformed frames, and frames of no concern, change nothing."""
-        foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
+        foreign = power_board.mask_of(frame) if frame.id == power_board.SET_SUPPLY else None
         if foreign is not None:
             self._meddled(self._named(foreign), now_ns)
         self._questions.asked_by_another(frame, now_ns)
-        answer = read(frame)
+        answer = power_board.read(frame)
         if answer is None:
             return
         if not self.alive:
@@ -248,7 +237,7 @@ class PowerBoard:
                 self._rails[question] = values
                 self._questions.answered_about_rails(CanFrame(question), now_ns)
                 if self._questions.two_boards:
-                    self._failed(BoardError(TWO_BOARDS), now_ns)
+                    self._failed(BoardError(power_board.TWO_BOARDS), now_ns)
             case BoardError():
                 self._failed(answer, now_ns)
             case BoardNotice.NO_ERROR:
@@ -360,7 +349,9 @@ class PowerBoard:
         self._leave_ns = None
         steps = 1 + len(self._sent - self._shown)
         self._rest_ns = max(self._rest_ns, now_ns + steps * STEP_NS + REST_NS)
-        return set_supply(sum(1 << place for place, servo in enumerate(self._servos) if servo in self._sent))
+        return power_board.set_supply(
+            sum(1 << place for place, servo in enumerate(self._servos) if servo in self._sent)
+        )
 
     # mutants accepted (Gt_GtE, Lt_LtE): equal times
     def _answered_mask(self, shown: frozenset[int], now_ns: int) -> None:
