@@ -43,10 +43,7 @@ class Worker:
     def _run(self) -> None:
         if self._priority is not None:
             prefer_thread(self._priority)
-        while True:
-            work = self._waiting.get()
-            if work is None:
-                return
+        for work in iter(self._waiting.get, None):
             work()
             del work  # releases what it refers to, such as a query whose sender waits
 
