@@ -5,17 +5,16 @@ with 1.10.2: it listens within a second after the address appears). A port that 
 """
 
 import errno
-import json
 import logging
 import socket
-from collections.abc import Callable, Sequence
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Final
 
 import zenoh
 
 from gateway.endpoints import host_and_port
 from gateway.errors import GatewayError, ZenohError
-from gateway.zenoh_config import listen_endpoints, open_session, why_not_opened
+from gateway.zenoh_config import insert, listen_endpoints, open_session, why_not_opened
 
 _LINKS: Final = {
     "tcp": socket.SOCK_STREAM,
@@ -26,12 +25,9 @@ _LINKS: Final = {
 }
 _LAST_PORT: Final = 65_535
 _LATE: Final = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
-_RETRY: Final = {
-    "exit_on_failure": "false",
-    "retry_period_init_ms": "1000",
-    "retry_period_max_ms": "1000",
-    "retry_period_increase_factor": "1",
-}
+_RETRY: Final = (
+    "exit_on_failure=false;retry_period_init_ms=1000;retry_period_max_ms=1000;retry_period_increase_factor=1"
+)
 """Zenoh's settings for one endpoint, after its #."""
 _OTHERS_MS: Final = 1000
 """How long Zenoh tries the other endpoints. With 0 it would retry no endpoint, not even the late ones."""
@@ -69,20 +65,22 @@ class LateAddresses:
         late = {each: fault for each, fault in faults.items() if is_late(fault)}
         if not late:
             return open_session(config)
-        for each, fault in faults.items():
-            if each not in late:  # Zenoh's own message would not name the endpoint
-                raise ZenohError(why_not_opened(str(fault), [each]))
-        tried = dict.fromkeys(_tried(each, late.get(each)) for each in endpoints)
-        _set(config, "endpoints", list(tried))
-        _set(config, "timeout_ms", _OTHERS_MS)
+        for each in faults.keys() - late.keys():  # Zenoh's own message would not name the endpoint
+            raise ZenohError(why_not_opened(str(faults[each]), [each]))
+        tried = [self._tried(each, late[each]) if each in late else each for each in endpoints]
+        insert(config, "listen/endpoints", [*dict.fromkeys(tried)], "zenoh.listen")
+        insert(config, "listen/timeout_ms", _OTHERS_MS, "zenoh.listen")
         try:
-            session = open_session(config)
+            return open_session(config)
         finally:
-            _set(config, "endpoints", endpoints)
-        for each, fault in late.items():
-            if not _is_all_without_ipv6(each, fault):
-                self._miss(each, fault)
-        return session
+            insert(config, "listen/endpoints", endpoints, "zenoh.listen")
+
+    def _tried(self, endpoint: str, fault: OSError) -> str:
+        """Return what Zenoh tries for a late endpoint."""
+        if host_and_port(endpoint)[0] == _ALL and fault.errno == errno.EAFNOSUPPORT:
+            return endpoint.replace(f"[{_ALL}]", _ALL_IPV4)  # all IPv4 addresses are all that exist
+        self._miss(endpoint, fault)
+        return f"{endpoint}{';' if '#' in endpoint else '#'}{_RETRY}"
 
     def _miss(self, endpoint: str, fault: OSError) -> None:
         logger.warning("does not listen on %s yet, and keeps trying: %s", endpoint, fault.strerror)
@@ -119,42 +117,24 @@ def bind_fault(endpoint: str) -> OSError | None:
         return None
     if int(port) > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
         return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
+    first = None
     try:
         found = socket.getaddrinfo(host, int(port), type=kind)
     except OSError as error:  # also a name that no server knows
         return error
-    faults = [_bind(family, kind, address) for family, _, _, _, address in found]
-    return None if None in faults else faults[0]
+    for family, _, _, _, address in found:
+        try:
+            with socket.socket(family, kind) as probe:
+                if kind is socket.SOCK_STREAM:  # as Zenoh does: a recently closed connection is no obstacle
+                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+        except OSError as error:
+            first = first or error
+        else:
+            return None
+    return first
 
 
 def is_late(fault: OSError) -> bool:
     """Return whether the fault may end without a change of the settings: the name or address does not exist yet."""
     return isinstance(fault, socket.gaierror) or fault.errno in _LATE
-
-
-def _bind(family: socket.AddressFamily, kind: socket.SocketKind, address: Any) -> OSError | None:
-    try:
-        with socket.socket(family, kind) as probe:
-            if kind is socket.SOCK_STREAM:  # as Zenoh does: a recently closed connection is no obstacle
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except OSError as error:
-        return error
-    return None
-
-
-def _is_all_without_ipv6(endpoint: str, fault: OSError) -> bool:
-    return host_and_port(endpoint)[0] == _ALL and fault.errno == errno.EAFNOSUPPORT
-
-
-def _tried(endpoint: str, fault: OSError | None) -> str:
-    if fault is None:
-        return endpoint
-    if _is_all_without_ipv6(endpoint, fault):  # all IPv4 addresses are all that exist
-        return endpoint.replace(f"[{_ALL}]", _ALL_IPV4)
-    settings = ";".join(f"{name}={value}" for name, value in _RETRY.items())
-    return f"{endpoint}{';' if '#' in endpoint else '#'}{settings}"
-
-
-def _set(config: zenoh.Config, name: str, value: Sequence[str] | int) -> None:
-    config.insert_json5(f"listen/{name}", json.dumps(value))
