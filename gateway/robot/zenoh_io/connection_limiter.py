@@ -78,11 +78,8 @@ class ConnectionLimiter:
         self._sessions = [*dict.fromkeys([*known, *present])]
         self._count(len(self._sessions))
         shut_out = [link for link in links if link.auth_identifier in self._revoked]
-        visitors = [
-            link
-            for link in links
-            if (name := link.auth_identifier) and name not in self._revoked and not is_operator(name)
-        ]
+        named = [link for link in links if link.auth_identifier and link.auth_identifier not in self._revoked]
+        visitors = [link for link in named if role_of(str(link.auth_identifier)) not in (OPERATOR, BUTTON)]
         surplus = sorted(visitors, key=lambda link: self._sessions.index(str(link.zid)))[VISITORS:]
         if not surplus and not shut_out:
             return
@@ -100,11 +97,6 @@ class ConnectionLimiter:
                 len(visitors),
                 VISITORS,
             )
-
-
-def is_operator(identity: str) -> bool:
-    """Return whether this common name may stop the robot: `operator-07`, `button-07`."""
-    return role_of(identity) in (OPERATOR, BUTTON)
 
 
 def shut_down(addresses: Collection[Any]) -> None:
