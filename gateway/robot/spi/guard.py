@@ -17,13 +17,12 @@ _ZERO: Final = b"\0"
 _STOP: Final = int(Op.STOP)
 _OPERATION: Final = rb"(?:%c\0\0|[%c%c](?:[\0-\xb3][\0-\x63]|\xb4\0))" % (Op.STOP, Op.START, Op.SET)
 """A Stop without an angle, or a Start or Set to 0.00 to 180.00 degrees, in whole degrees and hundredths."""
-_LEGS: Final = b"|".join(
-    b"".join(re.escape(bytes((servo,))) + _OPERATION for servo in servo_ids_of(leg)) for leg in LEGS
-)
 _FRAME: Final = re.compile(
-    rb"%c%c(?:%b)|%c%c[%b]%b"
-    % (ONE_LEG_LEN, ONE_LEG_TYPE, _LEGS, ONE_SERVO_LEN, ONE_SERVO_TYPE, re.escape(bytes(SERVO_IDS)), _OPERATION)
+    rb"%c%c(?:.%b){3}|%c%c.%b" % (ONE_LEG_LEN, ONE_LEG_TYPE, _OPERATION, ONE_SERVO_LEN, ONE_SERVO_TYPE, _OPERATION),
+    re.DOTALL,
 )
+_SERVOS: Final = frozenset(map(bytes, (*map(servo_ids_of, LEGS), *((servo_id,) for servo_id in SERVO_IDS))))
+"""The ids in a frame: those of a leg, or one."""
 
 
 class IllegalTransferError(RuntimeError):
@@ -68,7 +67,7 @@ class Guard:
 
 def check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
     """Raise IllegalTransferError unless these are the bytes of a legal frame."""
-    if not _FRAME.fullmatch(data):
+    if not _FRAME.fullmatch(data) or data[2::4] not in _SERVOS:
         raise IllegalTransferError(f"[{data.hex(' ')}] is no frame of the protocol")
     for at in range(2, len(data), 4):
         servo_id, op, whole_deg, hundredths = data[at : at + 4]
