@@ -1,10 +1,12 @@
 """The client that laptops use: its examples run, its errors are sentences, it finds its gateway and lets go of it."""
 
 import doctest
+import json
 import math
 import os
 import pydoc
 import re
+import socket
 import subprocess
 import sys
 import time
@@ -257,3 +259,28 @@ def test_frames_are_called_back(patient_gateway: Gateway) -> None:
         while received.get(timeout=10).cause is not Cause.COMMAND:
             pass
         subscriber.undeclare()
+
+
+# ---- the first of a laptop's hosts is no way to the robot: a Stop goes by the second one
+
+
+MOST_S = 9.0
+"""Half a second was measured; Zenoh's own patience with a silent host is ten."""
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_stop_goes_by_the_second_host(tmp_path: Path, silent: bool) -> None:
+    """The first rejects connections, or accepts them and then says nothing."""
+    with Gateway(tmp_path) as gateway, socket.socket() as first:
+        first.bind(("127.0.0.1", 0))
+        if silent:
+            first.listen()
+        nowhere = f"tcp/127.0.0.1:{first.getsockname()[1]}"
+        hosts = tmp_path / "hosts.json5"
+        transport = {"unicast": {"open_timeout": 1000}}
+        connect = {"endpoints": [nowhere, gateway.endpoint]}
+        hosts.write_text(json.dumps({"mode": "client", "connect": connect, "transport": transport}))
+        begun_s = time.monotonic()
+        with Client(None, zenoh_config=hosts, timeout_s=10) as client:
+            assert client.estop().stop_frames == 6
+        assert time.monotonic() - begun_s < MOST_S

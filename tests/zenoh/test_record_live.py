@@ -7,6 +7,8 @@ import os
 import random
 import re
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -15,11 +17,13 @@ from typing import Any, Final
 
 import pytest
 from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
 from websockets import Subprotocol
 from websockets.sync.client import ClientConnection, connect
 
 from gateway.client import Client
-from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_STATES, LOG, SIM_JOINT_STATES
+from gateway.people.recorder.drawing import DRAWN, FRAMES, JOINT_COMMANDS, JOINT_STATES, LOG, SIM_JOINT_STATES
 from gateway.people.recorder.record import REPORTS
 from schemas.keys import EVENT, FRAME, SIM_BODY, STATE, TELEMETRY
 from schemas.telemetry import FrameRecord
@@ -31,6 +35,7 @@ from tests.support.mcap_file import checked, whole
 from tests.support.meanwhile import meanwhile
 from tests.support.measuring import MEASURED
 from tests.support.ros2_messages import decode
+from tests.unit.people.test_recordings import drawn_in, positions, recorded
 
 PATIENCE_S = 30
 
@@ -197,3 +202,49 @@ def test_a_killed_recorder_leaves_all_but_the_newest(gateway: Gateway, robot: Cl
         assert found == expected[first : first + len(found)], "none is missing between the first and the last"
         lost_s = (end_ns - found[-1]["monotonic_ns"]) / 1e9
         assert lost_s < 1, "a tenth of a second, and what a busy machine adds"
+
+
+# ---- what other people's programs read: rosbags, mcap-ros2-support and Rerun; none needs a screen
+
+
+RERUN: Final = Path(sys.executable).with_name("rerun")
+
+
+@pytest.fixture(scope="module")
+def ride(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ride") / "ride.mcap"
+    recorded(path, 600)
+    return path
+
+
+def test_rosbags_reads_it_as_a_ros_2_bag(ride: Path) -> None:
+    with AnyReader([ride]) as reader:
+        types = {each.topic: each.msgtype for each in reader.connections if each.topic in DRAWN}
+        assert types == {topic: kind.TYPE for topic, kind in DRAWN.items()}
+        wanted = [each for each in reader.connections if each.topic == JOINT_COMMANDS]
+        found: list[Any] = [
+            reader.deserialize(raw, each.msgtype) for each, _, raw in reader.messages(connections=wanted)
+        ]
+    commanded = [(each.name, each.position.tolist()) for each in found]
+    ours = [positions(each) for each in drawn_in(ride, JOINT_COMMANDS)]
+    assert repr(commanded) == repr([(list(each), list(each.values())) for each in ours]), "as text, since NaN != NaN"
+    assert commanded
+
+
+def test_mcap_ros2_decodes_every_message(ride: Path) -> None:
+    with ride.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = {channel.topic: ros for _, channel, _, ros in reader.iter_decoded_messages(topics=list(DRAWN))}
+    assert found.keys() == DRAWN.keys()
+    assert {each.child_frame_id for each in found[FRAMES].transforms} >= {"base", "leg_6_foot"}
+    assert found[LOG].name == "hexapod-gateway"
+
+
+def test_rerun_finds_no_fault_and_converts_it(ride: Path, tmp_path: Path) -> None:
+    checked = subprocess.run([RERUN, "mcap", "check", ride], capture_output=True, text=True, check=False)
+    lines = [line for line in checked.stdout.splitlines() if any(f" {topic} " in line for topic in DRAWN)]
+    assert len(lines) == len(DRAWN), checked.stdout + checked.stderr
+    assert all(line.startswith("ok") for line in lines), checked.stdout
+    into = tmp_path / "ride.rrd"
+    subprocess.run([RERUN, "mcap", "convert", ride, "-o", into], capture_output=True, check=True)
+    assert into.stat().st_size > 100_000

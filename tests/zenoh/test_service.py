@@ -1,16 +1,22 @@
 """The service as a process on the simulated controller: settings that only a process shows, start and end, mistakes."""
 
+import datetime as dt
+import json
 import os
 import re
+import signal
 import socket
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gateway import certs
 from gateway.client import Client
+from gateway.people.commands.status import topics
 from schemas import keys
 from tests.support.child import Child, frozen
 from tests.support.gateway_process import READY, Gateway, free_port, write_settings
@@ -119,3 +125,66 @@ def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path, 
         assert child.wait() == 1
     assert last in child.stderr.splitlines()[-1]
     assert len(re.findall(r"servo \d\d stopped", child.stderr)) >= 2 * 18, "at the start, and at this end"
+
+
+# ---- what goes wrong out of sight is said: in the log, to systemd, in the state
+
+
+@pytest.fixture
+def systemd(tmp_path: Path) -> Iterator[socket.socket]:
+    """The end of its notification socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as found:
+        found.settimeout(20)
+        found.bind(str(tmp_path / "notify"))
+        yield found
+
+
+@pytest.mark.full
+def test_an_expiry_is_said_before_it_comes(
+    tmp_path: Path, systemd: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, port = dt.datetime.now(dt.UTC) - dt.timedelta(days=41, minutes=-1), free_port()
+    with monkeypatch.context() as patch:
+        patch.setattr(certs.folder, "now_utc", lambda: made)
+        certs.folder.init(tmp_path / "D", ["127.0.0.1"], days=100, port=port)
+    certs.folder.issue(tmp_path / "D", "anna", "operator")
+    zenoh = {"config": str(tmp_path / "D" / "gateway.json5"), "listen": [f"tls/127.0.0.1:{port}"]}
+    with Gateway(tmp_path, {"zenoh": zenoh}, env={"NOTIFY_SOCKET": systemd.getsockname()}) as gateway:
+        line = gateway.child.wait_for_output("gateway.pem expires on")
+        assert ", in 59 days: then nobody can connect" in line
+        assert "hexapod-gateway certs renew gateway --dir DIR, and copy gateway.pem here" in line
+        while "STATUS=" not in (said := systemd.recv(4096).decode()) or "gateway.pem expires on" not in said:
+            pass
+        with Client(zenoh_config=tmp_path / "D" / "anna.json5", timeout_s=5) as client:
+            state = client.state()
+        assert topics(state)["certificate"].startswith("The robot's gateway.pem expires on")
+    assert state.certificate is not None
+    assert state.certificate.file == "gateway.pem"
+    assert certs.expires_soon("gateway.pem", state.certificate.expires, state.time) is not None
+
+
+@pytest.mark.full
+def test_a_start_that_time_may_cure_pauses_under_systemd_alone(tmp_path: Path, systemd: socket.socket) -> None:
+    """It says why at once, and SIGTERM ends the pause. In a terminal it ends at once."""
+    missing = {"spi": {"device": "/dev/spidev9.9", "framing": "plain"}}
+    with Gateway(tmp_path, missing, options=(), wait=False) as gateway:
+        assert gateway.child.wait() == 3
+    with Gateway(tmp_path, missing, options=(), wait=False, env={"NOTIFY_SOCKET": systemd.getsockname()}) as gateway:
+        gateway.child.wait_for_output("/dev/spidev9.9 does not exist")
+        gateway.child.terminate()
+        assert gateway.child.wait() == -signal.SIGTERM
+
+
+def test_a_router_that_is_waited_for_holds_neither_stops_nor_the_end(tmp_path: Path) -> None:
+    """The network keeps the service from starting. So does a name server that does not answer, for ten seconds."""
+    waiting = {"connect": {"endpoints": [f"tcp/127.0.0.1:{free_port()}"], "timeout_ms": -1, "exit_on_failure": True}}
+    (tmp_path / "zenoh.json5").write_text(json.dumps(waiting))
+    settings = {"zenoh": {"config": str(tmp_path / "zenoh.json5")}}
+    with Gateway(tmp_path, settings, env={"PYTHONDEVMODE": "1"}, wait=False) as gateway:
+        for leg in range(1, 7):
+            gateway.child.wait_for_output(f"servo {leg}3 stopped")
+        gateway.child.terminate()
+        assert gateway.child.wait() == 0
+        told = gateway.child.stderr
+    assert "ready" not in gateway.child.stdout
+    assert len(re.findall(r"servo \d\d stopped", told[told.index("the gateway ends") :])) >= 18
