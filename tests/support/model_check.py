@@ -1,4 +1,4 @@
-"""An exhaustive check of the supervisor: every state that small robots can limits, each step judged by the oracle.
+"""An exhaustive check of the supervisor: every state that small robots can reach, each step judged by the oracle.
 
 Breadth first from a supervisor that has just been made: in every state, every event that `TRANSITIONS` allows there is
 tried at every distance in time that the configuration has: at once (the same instant), a tick later, in the same
@@ -10,32 +10,45 @@ of time (a tick is half a leg's period, or a quarter of it).
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, Final
 
+from gateway.allowance import NS_PER_MS
 from gateway.model.calibration import RobotCalibration
-from gateway.robot.core.buttons import Registration
+from gateway.robot.core.buttons import Buttons, Registration
 from gateway.robot.core.events import (
+    BodyMeasured,
     BusFailed,
     BusOpened,
+    ButtonRequest,
+    Calibrate,
+    CalibrationSaved,
     Command,
     EmergencyStop,
     EstopKept,
     Event,
+    LeaseRequest,
     Rejected,
     Request,
     Reset,
     ShutDown,
     TimePassed,
 )
+from gateway.robot.core.interlock import Interlock
+from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, RateSlots, Rules, Servo, StartQueue
 from gateway.robot.core.legs import Legs
+from gateway.robot.core.rest import RestStops
 from gateway.robot.core.supervisor import Supervisor
+from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support import model_parts as parts
+from tests.support.backlog_history import backlog_key
+from tests.support.buttons_history import ButtonsHistory
+from tests.support.calibration_history import CalibrationHistory
 from tests.support.history import STOP_SERVOS, Violation, cloned, demand, speed_age_ns
+from tests.support.lease_history import LeaseHistory
 from tests.support.motion import landing_key
 from tests.support.oracle import Oracle
 from tests.support.small_robots import Configuration
@@ -143,6 +156,17 @@ def copied_command(command: Command, commands: dict[int, Command]) -> Command:
     return commands[command.number]
 
 
+def _copied_interlocks(supervisor: Supervisor) -> Iterator[Interlock[Any]]:
+    """Copies that share nothing that changes."""
+    for each in supervisor._interlocks:
+        if isinstance(each, RobotLease):
+            yield cloned(each, _askers=dict(each._askers))
+        elif isinstance(each, Buttons):
+            yield cloned(each, _by_token={token: replace(button) for token, button in each._by_token.items()})
+        else:
+            yield cloned(each)
+
+
 def copied(supervisor: Supervisor) -> Supervisor:
     """A copy that shares nothing that changes; copy.deepcopy takes fifty times as long."""
     legs = cloned(supervisor.legs, rest=cloned(supervisor.legs.rest))
@@ -155,12 +179,79 @@ def copied(supervisor: Supervisor) -> Supervisor:
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     other = cloned(supervisor, legs=legs)
-    other.connect(parts.copied_interlocks(supervisor))
-    parts.share_limits(supervisor, other)
-    parts.copy_backlog(supervisor, other)
-    queue = supervisor.legs._queue
+    other.connect(_copied_interlocks(supervisor))
+    other._limits = legs._limits = other.calibrating._limits = cloned(supervisor._limits)
+    legs._speeds = cloned(supervisor.legs._speeds, _limits=other._limits)
+    backlog, queue = supervisor.backlog, supervisor.legs._queue
+    came_ns, until_ns = dict(backlog._came_ns), dict(backlog._until_ns)
+    other.backlog = cloned(backlog, _legs=legs, _came_ns=came_ns, _until_ns=until_ns, held=dict(backlog.held))
     legs._queue = type(queue)(queue.pause_ns, queue.next_ns, list(queue.legs))
     return other
+
+
+def _rest_key(rest: RestStops, now_ns: int) -> tuple[object, ...]:
+    """When the next Stops to legs at rest come, and how many runs are left, from when on."""
+    due_ns = None if rest.due_ns is None else max(0, rest.due_ns - now_ns)
+    return due_ns, rest._runs_left, rest._runs_left and max(0, rest._settled_ns - now_ns)
+
+
+def _lease_key(lease: RobotLease, now_ns: int) -> tuple[object, ...]:
+    """What of it can still matter; one token is as good as another."""
+    left_ns = None if lease.due_ns is None else lease.due_ns - now_ns
+    return lease.holder, lease._token is not None, left_ns, lease.closed, tuple(lease._askers)
+
+
+def _buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:
+    """What of them can still matter; one token, and one count, is as good as another."""
+    each = tuple(
+        (button.name, button.until_ns and button.until_ns - now_ns, button.silent, button.offset_ns, button.least_ns)
+        for button in buttons._by_token.values()
+    )
+    return each, buttons.closed, buttons.due_ns and buttons.due_ns - now_ns
+
+
+def _body_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
+    """What of its measurements can still matter."""
+    body, tilt_ns = supervisor.body, supervisor._rules.tilt_ns
+    age_ns = None if body.beyond_ns is None else now_ns - body.beyond_ns
+    landing_ns = supervisor._rules.landing_ns
+    return body.low, body.fallen, age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns)
+
+
+def _backlog_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
+    """What of them still matters."""
+    backlog = supervisor.backlog
+    waiting = [leg.number for leg in supervisor.legs if leg.armed and not any(servo.running for servo in leg.servos)]
+    return backlog_key(backlog._rules, backlog._came_ns, backlog._until_ns, backlog.held, now_ns, waiting)
+
+
+def _calibration_key(calibration: RobotCalibration) -> tuple[object, ...]:
+    """One revision is as good as another."""
+    return tuple(sorted(calibration.servos.items())), tuple(sorted(calibration.landing_cdeg.items()))
+
+
+def _calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
+    """What of it can still matter."""
+    calibrating, limits = supervisor.calibrating, supervisor._limits
+    way = calibrating._on_its_way
+    return (
+        _calibration_key(limits.calibration),
+        limits.wire is not None,
+        limits.limited,
+        calibrating.fault,
+        calibrating.closed,
+        way and (_calibration_key(way.calibration), way.servos, way.event.accept_default),
+    )
+
+
+def _takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
+    """Whose servo it is, and where it stands while it does not run, as long as that counts."""
+    stood = None
+    if servo.stopped is not None and not servo.running:
+        angle_cdeg, stopped_ns, calibration = servo.stopped
+        if calibration is legs._limits.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
+            stood = angle_cdeg, now_ns - stopped_ns
+    return servo.source, servo.eases, stood
 
 
 def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[object, ...]:
@@ -168,9 +259,8 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 
     Left out: counters; times of things that are over; how long ago, where longer makes no difference.
     """
-    legs = supervisor.legs
+    legs, power, due_ns = supervisor.legs, supervisor.power, supervisor.due_ns
     queue = legs._queue
-    due_ns = supervisor.due_ns
     latched_ns, oldest_ns = supervisor.latch.since_ns, legs._rules.unnumbered_reset_ns
     return (
         supervisor.mode,
@@ -184,13 +274,13 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
         # How old it is for a reset of this instant, and of one that begins now.
         latched_ns and (min(legs.instant_ns - latched_ns, oldest_ns), min(now_ns - latched_ns, oldest_ns)),
         due_ns and max(0, due_ns - now_ns),
-        legs.sends and parts.rest_key(legs.rest, now_ns),
-        parts.lease_key(supervisor.lease, now_ns),
-        parts.buttons_key(supervisor.buttons, now_ns),
-        parts.body_key(supervisor, now_ns),
-        (*parts.power_key(supervisor), legs._fed),
-        parts.core_backlog_key(supervisor, now_ns),
-        parts.calibrating_key(supervisor),
+        legs.sends and _rest_key(legs.rest, now_ns),
+        _lease_key(supervisor.lease, now_ns),
+        _buttons_key(supervisor.buttons, now_ns),
+        _body_key(supervisor, now_ns),
+        (power.alive, power.closed, tuple(power._refused), legs._fed),
+        _backlog_key(supervisor, now_ns),
+        _calibrating_key(supervisor),
         legs.landing and (*landing_key(legs.landing, now_ns), legs.land_ns - now_ns),
         (tuple(queue.legs), max(0, queue.next_ns - now_ns)) if queue.pause_ns else None,
         tuple((rank[number], each.left, each.coalesced) for number, each in pending(supervisor).items()),
@@ -213,7 +303,7 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                         None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
-                        legs._rules.takeover_cdeg_s and parts.takeover_key(legs, servo, now_ns),
+                        legs._rules.takeover_cdeg_s and _takeover_key(legs, servo, now_ns),
                         # A bus that opens again gets a Stop for every leg.
                         legs.sends and servo.repeats_left and (servo.repeats_left, max(0, servo.repeat_ns - now_ns)),
                         servo.stopped_by if servo.stopped_ns == legs.instant_ns else None,
@@ -229,6 +319,73 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
 # ---- the search
 
 
+def _tokens(drivers: Sequence[str], lease: LeaseHistory) -> Iterator[tuple[str, str | None]]:
+    """What a command may carry: no token, that of the lease, or that of a lease that has ended."""
+    yield "", None
+    if drivers and lease.token is not None:
+        yield " of the holder", lease.token
+    if drivers and lease.old_token is not None:
+        yield " of a former holder", lease.old_token
+
+
+def _lease_requests(drivers: Sequence[str], number: int, lease: LeaseHistory) -> Iterator[tuple[str, Event]]:
+    """Everything that each of them may want of it; a new token is one that nobody had."""
+    fresh = f"token {number}"
+    for name in drivers:
+        for do in ("acquire", "ask", "take"):
+            yield f"{name} wants to {do}", LeaseRequest(do, name, fresh_token=fresh)
+    for whose, token in _tokens(drivers, lease):
+        if token is not None:
+            yield f"renewal{whose}", LeaseRequest("renew", token=token)
+            yield f"release{whose}", LeaseRequest("release", token=token)
+            yield f"handover{whose}", LeaseRequest("release", token=token, to=drivers[-1])
+
+
+def _button_requests(
+    names: Sequence[str], number: int, now_ns: int, delays_ns: Sequence[int], buttons: ButtonsHistory
+) -> Iterator[tuple[str, Event]]:
+    """Everything that each of them may want `now`; a new token is one that nobody had.
+
+    A check-in is the next one, or the latest one again; it says when it was sent (so long ago), or does not.
+    """
+    for name in names:
+        register = ButtonRequest("register", now_ns, name, fresh_token=f"token {number}")
+        yield f"{name} registers", register
+        for delay_ns in delays_ns:
+            yield f"{name} registers, {delay_ns} late", replace(register, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
+    tokens = [*buttons.known, *([] if buttons.old_token is None else [buttons.old_token])]
+    for token in tokens if names else ():
+        whose = buttons.known[token].name if token in buttons.known else "a former button"
+        count = buttons.known[token].count if token in buttons.known else number
+        alive = ButtonRequest("alive", now_ns, token=token, count=count + 1)
+        yield f"{whose} is alive", alive
+        yield f"a check-in of {whose} once more", replace(alive, count=count)
+        for delay_ns in delays_ns:
+            yield f"{whose} was alive {delay_ns} ago", replace(alive, sent_ms=(now_ns - delay_ns) / NS_PER_MS)
+        yield f"{whose} leaves", ButtonRequest("leave", now_ns, token=token)
+
+
+def _changes(
+    wanted: Sequence[CalibrationCommand], number: int, history: CalibrationHistory
+) -> Iterator[tuple[str, Event]]:
+    """Everything that may be asked of the calibration, and what the disk may answer."""
+    revision = history.whole.revision
+    for which, change in enumerate(wanted):
+        yield (
+            f"calibration {which}",
+            Calibrate(number=number, change=change, revision=revision, accept_default=not history.trusted),
+        )
+    if wanted:
+        yield "calibration of an older one", Calibrate(number=number, change=wanted[0], revision=revision - 1)
+        yield (
+            "another default accepted",
+            Calibrate(number=number, change=CalibrationCommand(servos={}, landing={}), accept_default=history.trusted),
+        )
+    if history.on_its_way is not None:
+        yield "calibration kept", CalibrationSaved(history.on_its_way.number)
+        yield "calibration not kept", CalibrationSaved(history.on_its_way.number, "the disk is full")
+
+
 def events(configuration: Configuration, state: "State", now_ns: int) -> Iterator[tuple[str, Event]]:
     """Everything that can happen then, with a name."""
     mode, number, estops, oracle = state.supervisor.mode, state.number, state.supervisor.latch.number, state.oracle
@@ -239,7 +396,7 @@ def events(configuration: Configuration, state: "State", now_ns: int) -> Iterato
     # Where every command is rejected, one is as good as another.
     commands = configuration.commands if mode in (Mode.IDLE, Mode.ACTIVE) else configuration.commands[:1]
     for which, (channel, targets) in enumerate(commands):
-        for whose, token in parts.tokens(configuration.drivers, lease):
+        for whose, token in _tokens(configuration.drivers, lease):
             by = next((name for name in ("anna", "ben") if f"{name}'s" in channel), None)
             timed = 1.0 if "with a time" in channel else None
             command = Command(targets, key=channel, source=by, number=number, lease=token, sent_ms=timed)
@@ -247,18 +404,19 @@ def events(configuration: Configuration, state: "State", now_ns: int) -> Iterato
     for stops in configuration.unread:
         unread = Rejected(Request(number=number), Reason.MALFORMED, "a test's")
         yield f"what may stop {len(stops)}", Command(stops, key="unread", number=number, rejected=unread)
-    yield from parts.measurements(configuration.bodies)
+    for tilt_cdeg, battery_mv in configuration.bodies:
+        yield f"tilt {tilt_cdeg}, battery {battery_mv}", BodyMeasured(tilt_cdeg, battery_mv)
     for seen in configuration.boards:
         yield str(seen), seen
     yield "time passed", TimePassed()
     yield "bus opened", BusOpened()
-    yield from parts.lease_requests(configuration.drivers, number, lease)
-    yield from parts.button_requests(configuration.buttons, number, now_ns, configuration.delays_ns, buttons)
-    yield from parts.changes(configuration.changes, number, calibration)
+    yield from _lease_requests(configuration.drivers, number, lease)
+    yield from _button_requests(configuration.buttons, number, now_ns, configuration.delays_ns, buttons)
+    yield from _changes(configuration.changes, number, calibration)
     if configuration.calm and not configuration.ends:
         return
     yield "emergency stop", EmergencyStop()
-    for whose, token in parts.tokens(configuration.drivers, lease):
+    for whose, token in _tokens(configuration.drivers, lease):
         yield f"reset{whose}", Reset(number=number, estop=estops, lease=token)
     if mode is Mode.ESTOPPED:
         yield "reset of an older one", Reset(number=number, estop=estops - 1)
