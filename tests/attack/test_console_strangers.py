@@ -35,14 +35,7 @@ THREADS: Final = 100
 """The service unit allows 128 (TasksMax)."""
 MEMORY_MB: Final = 150
 """It allows 192 (MemoryMax)."""
-CASES: Final = {
-    "silent": 700,
-    "half_open": 700,
-    "handshake": 50,
-    "slow_headers": 200,
-    "get": 50,
-    "garbage": 100,
-}
+CASES: Final = {"silent": 700, "half_open": 700, "handshake": 50, "slow_headers": 200, "get": 50, "garbage": 100}
 """What strangers do, and on how many connections at once."""
 
 

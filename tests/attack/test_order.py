@@ -72,10 +72,6 @@ def overtaken(client: Client, pairs: list[tuple[Way, Way]], tries: int) -> Count
 @pytest.mark.parametrize("messages_hz", [250, 5000])
 def test_no_start_overtakes_a_stop_of_the_same_session(tmp_path: Path, messages_hz: int) -> None:
     traffic = ("--legs", "2", "3", "4", "5", "6", "--hz", str(messages_hz / 5))  # from another process
-    with (
-        Gateway(tmp_path, SETTINGS) as gateway,
-        gateway.client() as client,
-        publishing(gateway.endpoint, *traffic),
-    ):
+    with Gateway(tmp_path, SETTINGS) as gateway, gateway.client() as client, publishing(gateway.endpoint, *traffic):
         assert overtaken(client, [(("leg", "put"), ("servo", "put"))], TRIES) == Counter()
         assert overtaken(client, PAIRS, TRIES) == Counter()

@@ -72,9 +72,6 @@ def test_whatever_nobody_reads_holds_no_stop(
             stuck.fill()
         redirected = ["sh", "-c", f'exec "$@" >{stuck.path} 2>{stuck.path}', "sh"]
         settings = {"telemetry": {"frames": True}}
-        with (
-            Gateway(tmp_path, settings, prefix=redirected, wait=False) as gateway,
-            client_of(gateway) as client,
-        ):
+        with Gateway(tmp_path, settings, prefix=redirected, wait=False) as gateway, client_of(gateway) as client:
             stuck.fill()
             check_stops_come(gateway, client)

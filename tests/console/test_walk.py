@@ -96,9 +96,7 @@ def expect_no_walk_by_a_held_stick(page: Opened) -> None:
 
 
 @pytest.mark.nightly
-def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(
-    visitor: Visitor,
-) -> None:
+def test_a_stick_that_no_longer_counts_moves_nothing_until_it_was_in_the_middle(visitor: Visitor) -> None:
     page = visitor.open(script=GAMEPAD + WISHES)
     page.get_lease()
     walks(page, push_stick)

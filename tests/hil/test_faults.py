@@ -16,15 +16,7 @@ from gateway.client import Client
 from schemas import keys
 from schemas.telemetry import Ack, Event, Kind, Mode, Reason, WatchdogState
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.wire import (
-    LATE_S,
-    START_3,
-    STOPS,
-    Wire,
-    opening_of,
-    settings_for,
-    start,
-)
+from tests.hil.wire import LATE_S, START_3, STOPS, Wire, opening_of, settings_for, start
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, events, states
 
@@ -78,11 +70,7 @@ class Scene:
 @contextmanager
 def scene(folder: Path, wire: Wire, **sections: dict[str, Any]) -> Iterator[Scene]:
     sections = {"limits": {"start_stagger_ms": 2000}, **sections}
-    with (
-        start(folder, wire, **sections) as gateway,
-        gateway.client() as client,
-        ThreadPoolExecutor(1) as pool,
-    ):
+    with start(folder, wire, **sections) as gateway, gateway.client() as client, ThreadPoolExecutor(1) as pool:
         yield Scene(gateway, client, wire, pool)
 
 

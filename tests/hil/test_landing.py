@@ -113,11 +113,7 @@ def test_only_what_runs_lands_and_it_gets_six_stops(scene: Scene) -> None:
 
 def test_an_emergency_stop_ends_it_at_any_instant(scene: Scene) -> None:
     """Behind its first frame, in the middle, and when it has arrived."""
-    instants: list[Callable[[], None]] = [
-        lambda: None,
-        lambda: scene.wait_for_frames(MIDWAY),
-        scene.wait_for_arrival,
-    ]
+    instants: list[Callable[[], None]] = [lambda: None, lambda: scene.wait_for_frames(MIDWAY), scene.wait_for_arrival]
     with scene.gateway.client() as client:
         for instant in instants:
             scene.falls_silent(client)

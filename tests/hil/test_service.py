@@ -17,15 +17,7 @@ from gateway.model.framing import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Opened, Setting, SpiTestbed, Transfer
-from tests.hil.wire import (
-    EACH_FRAMING,
-    LATE_S,
-    START_3,
-    STOPS,
-    Wire,
-    settings_for,
-    start,
-)
+from tests.hil.wire import EACH_FRAMING, LATE_S, START_3, STOPS, Wire, settings_for, start
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events
 

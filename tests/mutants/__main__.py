@@ -90,10 +90,7 @@ def judge(file: str, sample: int | None) -> Counter[str]:
     wrong = [f"survived: {mutant}" for mutant in bad]
     killed = found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
     score = Counter(
-        killed=killed,
-        by_time=found[Outcome.TIMED_OUT],
-        wanted=killed + len(bad),
-        accepted=len(survivors) - len(bad),
+        killed=killed, by_time=found[Outcome.TIMED_OUT], wanted=killed + len(bad), accepted=len(survivors) - len(bad)
     )
     if sample is None:
         wrong += [f"accepts what no mutant needs: {unused}" for unused in sorted(_unused(comments, survivors))]

@@ -175,11 +175,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
     ),
     "gateway/robot/core/rest.py": (
-        ByHand(
-            "a Stop at rest moves the runs that are owed",
-            "        elif self.due_ns is None:\n",
-            "        else:\n",
-        ),
+        ByHand("a Stop at rest moves the runs that are owed", "        elif self.due_ns is None:\n", "        else:\n"),
         ByHand(
             "no runs follow the last Stop",
             "self._runs_left, self._settled_ns = self.runs, ",
@@ -191,11 +187,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ByHand(
             "starts that wait are not dropped", "return self._legs.drop(waiting, Reason.STALE, _why(key))", "return []"
         ),
-        ByHand(
-            "a burst rejects no further start",
-            "if now_ns >= self._until_ns.get(command.key, now_ns):",
-            "if True:",
-        ),
+        ByHand("a burst rejects no further start", "if now_ns >= self._until_ns.get(command.key, now_ns):", "if True:"),
         ByHand(
             "a burst is never over",
             "now_ns >= self._until_ns.get(command.key, now_ns)",

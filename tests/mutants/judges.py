@@ -43,16 +43,9 @@ _CALIBRATION: Final = (
     *_model("calibration"),
     *_robot("supervisor_calibration supervisor_landing calibration_conductor"),
 )
-_CALIBRATION_REQUESTS: Final = (
-    *_robot("calibration_intake calibration_conductor"),
-    *_tests("zenoh", "calibration"),
-)
+_CALIBRATION_REQUESTS: Final = (*_robot("calibration_intake calibration_conductor"), *_tests("zenoh", "calibration"))
 _CHECKER: Final = (*_people("lease_checker"), *_robot("lease_conductor"))
-_BUS: Final = (
-    *_robot("bus_failing bus bus_device conductor conductor_safety"),
-    *_SETTINGS,
-    *_robot("slow_failures"),
-)
+_BUS: Final = (*_robot("bus_failing bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
 _POWER: Final = _robot("power_scenes power_board power_conductor")
 _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 

@@ -136,10 +136,7 @@ def test_any_peer_stops_it_always(peer: RclpyPeer, watcher: Client) -> None:
     with RclpyPeer() as other:
         other.publish_empty("/hexapod/estop")
         states(watcher).wait(lambda state: state.estop == first + 1)
-    assert peer.call("/hexapod/drive") == (
-        False,
-        "rejected: estopped: the emergency stop is engaged; reset leaves it",
-    )
+    assert peer.call("/hexapod/drive") == (False, "rejected: estopped: the emergency stop is engaged; reset leaves it")
     assert watcher.reset().accepted
 
 

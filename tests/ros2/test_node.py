@@ -15,14 +15,7 @@ from tests.support.bridged import GEOMETRY, WALKING, does, keeps, resting, strid
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, running
 from tests.support.measuring import MEASURED, measures
-from tests.support.rclpy_peer import (
-    COMMANDS,
-    DIAGNOSTICS,
-    DOMAIN,
-    RclpyBridge,
-    RclpyPeer,
-    needs_rclpy,
-)
+from tests.support.rclpy_peer import COMMANDS, DIAGNOSTICS, DOMAIN, RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = needs_rclpy
 OWN_DOMAIN = DOMAIN % 100 + 1

@@ -52,12 +52,7 @@ class Oracle(RobotHistory):
     """The history of one robot and what it demands of the next step."""
 
     def judge(
-        self,
-        event: Event,
-        now_ns: int,
-        effects: Sequence[Effect],
-        after: Supervisor,
-        instant_ns: int | None = None,
+        self, event: Event, now_ns: int, effects: Sequence[Effect], after: Supervisor, instant_ns: int | None = None
     ) -> None:
         """Judge one step: what came, what the supervisor wants done, and what it says of itself after it.
 

@@ -15,11 +15,7 @@ from schemas.telemetry import GatewayState
 from tests.support.child import Child
 from tests.support.closing import Closing
 
-_MEANS: Final = {
-    f"< t{SET_SUPPLY:03X}3": "mask",
-    f"> t{SUPPLIED:03X}3": "answer",
-    "= ": "fed",
-}
+_MEANS: Final = {f"< t{SET_SUPPLY:03X}3": "mask", f"> t{SUPPLIED:03X}3": "answer", "= ": "fed"}
 """What of the record is kept: masks that arrive, the board's answers to them, and what it feeds."""
 
 

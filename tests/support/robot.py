@@ -50,9 +50,7 @@ class Robot:
     """Starts without `sent_ms` leave at once, unless a test is about bursts of them; legs wait for no other, either."""
 
     def __init__(
-        self,
-        sections: Mapping[str, Mapping[str, Any]] | None = None,
-        keep: WriteAndThen | None = None,
+        self, sections: Mapping[str, Mapping[str, Any]] | None = None, keep: WriteAndThen | None = None
     ) -> None:
         """`sections`: settings, and as "rules" what is no setting. `keep`: keeps its calibration; without it, it is in
         memory only."""

@@ -188,11 +188,7 @@ CONFIGURATIONS: Final = (
         calm=False,
     ),
     Configuration(
-        "two legs, one silent leg stops both",
-        _rules(whole_robot=True),
-        _TWO_LEGS,
-        waits_ns=_WAITS[1:],
-        calm=False,
+        "two legs, one silent leg stops both", _rules(whole_robot=True), _TWO_LEGS, waits_ns=_WAITS[1:], calm=False
     ),
     Configuration(
         "one servo, and an emergency stop that outlasts the gateway",

@@ -115,12 +115,7 @@ PRESSING = (
 
 @pytest.mark.parametrize(
     ("role", "expected"),
-    [
-        ("operator", WATCHING | COMMANDING),
-        ("observer", WATCHING),
-        ("button", WATCHING | PRESSING),
-        ("somebody", set()),
-    ],
+    [("operator", WATCHING | COMMANDING), ("observer", WATCHING), ("button", WATCHING | PRESSING), ("somebody", set())],
 )
 def test_each_role_may_do_this_and_nothing_else(gateway: zenoh.Config, role: str, expected: set[Said]) -> None:
     assert allowed(gateway, role) == expected

@@ -26,15 +26,7 @@ def named(page: str) -> set[str]:
 
 
 MADE_ELSEWHERE = frozenset(
-    {
-        "gateway.toml",
-        "calibration.toml",
-        "anna.json5",
-        "ros2.json5",
-        "NAME.json5",
-        "NAME.robot-2.json5",
-        "estop.json",
-    }
+    {"gateway.toml", "calibration.toml", "anna.json5", "ros2.json5", "NAME.json5", "NAME.robot-2.json5", "estop.json"}
 )
 """Files of the reader's own, which the pages tell how to make or fill."""
 

@@ -245,12 +245,7 @@ def test_without_a_board_and_without_a_person_there_is_nothing_to_show(robot: Ro
 
 
 @pytest.mark.parametrize(("loose", "code"), [("yes", 0), ("no", 1)])
-def test_spi_unplugged(
-    robot: Robot,
-    person: Callable[[Callable[[str], str]], None],
-    loose: str,
-    code: int,
-) -> None:
+def test_spi_unplugged(robot: Robot, person: Callable[[Callable[[str], str]], None], loose: str, code: int) -> None:
     """The supply comes back only once the controller has its Stops."""
     fed_when: dict[str, int] = {}
 

@@ -68,10 +68,7 @@ def _begin(written: list[str], beginnings: list[str]) -> bool:
 
 def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
     # On a busy machine a command may come late, but hardly by a second.
-    settings: dict[str, dict[str, Any]] = {
-        "watchdog": {"timeout_ms": 1000},
-        "telemetry": {"frames": True},
-    }
+    settings: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": 1000}, "telemetry": {"frames": True}}
     with Gateway(tmp_path, settings) as gateway, gateway.client() as client:
         heard = frames(client)
         end = gateway.run("send", "leg", "3", "start", "90", "45", "120", "--hold", "1.5")

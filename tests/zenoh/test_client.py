@@ -48,10 +48,7 @@ robot = client_fixture("test", rests=True)
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    ("module", "examples"),
-    [(client_module, 2), (blocking, 2), (stream, 2), (lease, 1)],
-)
+@pytest.mark.parametrize(("module", "examples"), [(client_module, 2), (blocking, 2), (stream, 2), (lease, 1)])
 def test_the_examples_run(gateway: Gateway, module: ModuleType, examples: int) -> None:
     failed, tried = doctest.testmod(module, extraglobs={"endpoint": gateway.endpoint, "Client": Client})
     assert (failed, tried) == (0, examples)

@@ -67,8 +67,7 @@ def test_each_kind_of_key_takes_put_get_and_delete(
 
 
 @pytest.mark.parametrize(
-    ("expression", "payload"),
-    [("hexapod/leg/*/cmd", START), ("hexapod/servo/*/cmd", servo_payload("start", 5))],
+    ("expression", "payload"), [("hexapod/leg/*/cmd", START), ("hexapod/servo/*/cmd", servo_payload("start", 5))]
 )
 def test_a_wildcard_means_all_that_it_matches(client: Client, expression: str, payload: dict[str, object]) -> None:
     """Other wildcards: tests/unit/robot/test_intake.py."""

@@ -8,13 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.host.realtime import (
-    LOOP_PRIORITY,
-    PAGE_PRIORITY,
-    RECEIVER_PRIORITY,
-    TIMER_SLACK_NS,
-    ZENOH_NICE,
-)
+from gateway.host.realtime import LOOP_PRIORITY, PAGE_PRIORITY, RECEIVER_PRIORITY, TIMER_SLACK_NS, ZENOH_NICE
 from gateway.limits import MAX_SESSIONS
 from gateway.robot.zenoh_io.session import RUNTIME
 from tests.support.gateway_process import Gateway

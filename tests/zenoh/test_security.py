@@ -100,10 +100,7 @@ def forged(secured: Secured, common_name: str, made: dt.datetime) -> zenoh.Confi
 def test_a_certificate_without_a_role_commands_nothing(secured: Secured, role: str) -> None:
     """It takes one of our own CA: the session opens, and that is all. An operator's messages arrive."""
     may = role == "operator-40"
-    with (
-        secured.client("anna") as anna,
-        closing(zenoh.open(forged(secured, role, dt.datetime.now(dt.UTC)))) as session,
-    ):
+    with secured.client("anna") as anna, closing(zenoh.open(forged(secured, role, dt.datetime.now(dt.UTC)))) as session:
         before = anna.state().estop
         timeout_s = 20 if may else 1
         asked = [session.get(keys.STATE, timeout=timeout_s), session.get(keys.ESTOP, timeout=timeout_s)]

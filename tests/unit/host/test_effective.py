@@ -11,12 +11,7 @@ from gateway.robot.settings import Settings
 
 USED = Settings.of(
     {
-        "spi": {
-            "framing": "length-prefixed",
-            "device": '/dev/spi"dev1.0',
-            "speed_hz": 500_000,
-            "frame_gap_us": 60.5,
-        },
+        "spi": {"framing": "length-prefixed", "device": '/dev/spi"dev1.0', "speed_hz": 500_000, "frame_gap_us": 60.5},
         "controller": {"uart": "/dev/ttyS0"},
         "power": {"interface": "slcan", "channel": "/dev/ttyACM0"},
     }

@@ -15,16 +15,7 @@ from gateway.model.calibration import (
     calibration_of,
     report_of,
 )
-from gateway.model.frames import (
-    MAX_ANGLE_CDEG,
-    STOP,
-    Frame,
-    OneLeg,
-    OneServo,
-    Op,
-    ServoOp,
-    decode,
-)
+from gateway.model.frames import MAX_ANGLE_CDEG, STOP, Frame, OneLeg, OneServo, Op, ServoOp, decode
 from schemas.robot import LEGS, SERVO_IDS
 
 angles = st.integers(0, MAX_ANGLE_CDEG)

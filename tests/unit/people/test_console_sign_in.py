@@ -311,9 +311,7 @@ def test_consoles_that_have_begun_the_latest_first(tmp_path: Path, clock: Clock)
     assert begun == [(port, f"https://robot.local:{port}/?token=") for port in (8443, 9000, 8080)]
 
 
-def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(
-    sessions: Sessions,
-) -> None:
+def test_without_a_free_descriptor_who_is_signed_in_stays_so_and_nobody_else_comes_in(sessions: Sessions) -> None:
     """Strangers can take the last one; the file of the sessions may have changed just before."""
     before = new_session(sessions)
     assert sessions.still_valid(before.entry)

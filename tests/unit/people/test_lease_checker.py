@@ -48,11 +48,7 @@ def proof(
 ) -> Proof:
     """A proof as `pair` makes it; `more` overrides its fields."""
     signature = pair.key.sign(signed_text(do, source, nonce), ec.ECDSA(hashes.SHA256()))
-    fields = {
-        "nonce": nonce,
-        "certificate": pem(pair.certificate),
-        "signature": base64.b64encode(signature).decode(),
-    }
+    fields = {"nonce": nonce, "certificate": pem(pair.certificate), "signature": base64.b64encode(signature).decode()}
     return Proof.model_validate({**fields, **more})
 
 

@@ -93,11 +93,7 @@ def test_what_it_measures_is_in_ros_2s_units_and_what_nobody_knows_is_nan() -> N
     assert (battery.power_supply_status, battery.power_supply_health, battery.power_supply_technology) == (0, 0, 0)
     assert (imu.orientation.w, imu.orientation.x) == (1.0, 0.0)
     assert (imu.angular_velocity.z, imu.linear_acceleration.z) == (0.5, 9.81)
-    covariances = (
-        imu.orientation_covariance,
-        imu.angular_velocity_covariance,
-        imu.linear_acceleration_covariance,
-    )
+    covariances = (imu.orientation_covariance, imu.angular_velocity_covariance, imu.linear_acceleration_covariance)
     assert [each.tolist() for each in covariances] == [[0.0] * 9] * 3
     assert (temperature.temperature, temperature.variance) == (31.5, 0.0)
     assert found["foot_forces"].data.tolist() == list(measuring.MEASURED.feet or ())

@@ -16,17 +16,7 @@ from gateway.people.client.stream import WHOLE, Stream
 from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.ros2.trajectory import JointsError, Trajectory, Waypoint
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import (
-    Ack,
-    ControllerReport,
-    Event,
-    GatewayState,
-    Kind,
-    Mode,
-    Reason,
-    WatchdogState,
-    WireReport,
-)
+from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState, WireReport
 from tests.support.published import WALL, event, state
 
 HZ = 50
