@@ -23,7 +23,6 @@ MAX_AGE_MS = 1500
 HELD_S = 1.8
 FROZEN_S = 3.0
 
-
 gateway = gateway_fixture({"limits": {"max_age_ms": MAX_AGE_MS}, "watchdog": {"timeout_ms": 10_000}}, scope="function")
 bystander = client_fixture("bystander")
 

@@ -32,7 +32,6 @@ ASKED = {
     "renewals by no token": {"do": "renew", "lease": "0" * 32},
 }
 
-
 gateway = gateway_fixture(SETTINGS, scope="function")
 
 

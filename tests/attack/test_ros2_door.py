@@ -15,7 +15,6 @@ from tests.support.rclpy_peer import RclpyBridge, RclpyPeer, needs_rclpy
 
 pytestmark = [needs_rclpy, pytest.mark.full]
 
-
 gateway = gateway_fixture(PATIENT)
 
 

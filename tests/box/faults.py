@@ -28,7 +28,6 @@ GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl", "./hexapod-gateway_1.1
 
 _AGAIN = "cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service"
 
-
 _MEMORY = (
     "systemctl stop $service; mount -t tmpfs -o {} tmpfs $state; chown $service:$service $state; chmod 700 $state; "
     "systemctl start $service"

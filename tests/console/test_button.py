@@ -28,7 +28,6 @@ WebSocket.prototype.send = ((send) => function (text) {
 """
 """Somebody on the way delays what the page sends."""
 
-
 watcher = client_fixture("watcher")
 
 

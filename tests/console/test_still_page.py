@@ -159,7 +159,6 @@ NOW: Final = {
 }
 """The longest sentences of gateway/people/walking/words.py."""
 
-
 MEASURED: Final = {
     "type": "telemetry",
     "telemetry": {
@@ -168,7 +167,6 @@ MEASURED: Final = {
     },
 }  # fmt: skip
 """In as many letters as it may take."""
-
 
 FELT: Final = "Leans by 14.9°, 15.0° corrected; legs 1, 2, 3, 4 and 5 carry; leg 6 hangs over an edge"
 """The longest usual sentence of what a walk by sensors feels."""

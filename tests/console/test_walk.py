@@ -16,7 +16,6 @@ from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
 
-
 gateway = gateway_fixture(patient())
 console = console_fixture()
 session = session_fixture()

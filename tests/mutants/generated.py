@@ -157,7 +157,6 @@ _OPPOSITE: Final[Mapping[type[ast.cmpop], type[ast.cmpop]]] = {
     **{ast.NotEq: ast.Eq, ast.IsNot: ast.Is, ast.NotIn: ast.In, ast.GtE: ast.Lt, ast.LtE: ast.Gt},
 }
 
-
 _NOT_JUDGED: Final = frozenset({"encoding", "strict"})
 """Arguments that only state what holds: text is UTF-8 wherever this runs, and what is zipped is of one length."""
 

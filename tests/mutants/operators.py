@@ -163,7 +163,6 @@ _NAMES: Final = (
 """One replacement for each sign, two for those that have a border: all of cosmic-ray's would be three times as many,
 and say nothing else (whoever notices `-` for `+` notices `**`, too)."""
 
-
 _STEPS: Final = OperatorProvider()["NumberReplacer"]()
 _OURS: Final[dict[str, Operator]] = {
     "CatchNothing": Ours(lambda node: node.type == "except_clause", _catch_nothing),

@@ -190,7 +190,6 @@ DONE: Final[dict[str, Callable[[Bench, str], object]]] = {
     "meddled": _set("meddled", str),
 }
 
-
 FACTS: Final[dict[str, Callable[[Bench], object]]] = {
     "fault": lambda bench: bench.report.fault,
     "rejection": lambda bench: bench.report.rejection,

@@ -20,7 +20,6 @@ from tests.support.command import Ended, run_here
 READY = "hexapod-gateway is ready"
 COMMAND = (sys.executable, "-m", "gateway")
 
-
 _PORTS: Final = range(10_000, 32_000)
 """Below those that the kernel gives to connections: one of these could be in use before the gateway listens."""
 _WORKERS: Final = 8

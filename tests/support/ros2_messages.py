@@ -43,7 +43,6 @@ FollowJointTrajectory_Goal: Final = _type(
 )
 FollowGoal: Final = FollowJointTrajectory_Goal
 
-
 STORE: Final = get_typestore(Stores.ROS2_JAZZY)
 
 

@@ -16,7 +16,6 @@ RETURNED: Final = {"Ack", "Event", "GatewayState", "Kind", "Odometry", "Posture"
 OURS: Final = {"Button.leave", "Client.carry", "Lease.token", "Odometry.after", "Stream.send", "Walk.end_now"}
 PROGRAMS: Final = {"AsyncClient.lease", "AsyncWalk.go", "Ack.or_raise", "Stream.recover", "Event.kind", "Walk.turn"}
 
-
 pytestmark = pytest.mark.full
 
 

@@ -49,7 +49,6 @@ SHOWN_ELSEWHERE = {
     "power.confirm_ms": "test_power_board.py",
 }
 
-
 MS = 1_000_000
 
 

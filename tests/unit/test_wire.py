@@ -26,7 +26,6 @@ MODELS: dict[str, type[BaseModel]] = {
 BEFORE_CONFIG = ("1.0", "1.1", "1.2", "1.3")
 """Their states have the configuration inside, as recordings of rides do."""
 
-
 RECORDED = [
     (
         f"{path.parent.name}/{path.name}:{number}",

@@ -25,7 +25,6 @@ corner of the belly is on the ground. That corner is 0.236 m from the middle, wh
 SINKS_S: Final = 4.0
 """Slack legs brake it, and most of it is done in half a second; then it creeps into its last centimetre."""
 
-
 Sent = tuple[float, Mapping[int, float | None]]
 """When (seconds), and where servos are sent, in degrees; None: stopped."""
 Sense = Callable[[World], Telemetry | None]

@@ -27,9 +27,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "watchdog": {"timeout_ms": 10_000},
 }
 
-
 gateway = gateway_fixture(SETTINGS)
-
 
 robot = client_fixture("kitchen")
 

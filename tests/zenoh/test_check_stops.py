@@ -33,7 +33,6 @@ PLANTED_MS: Final = 70
 """What is planted is later."""
 FRAMES: Final[dict[str, dict[str, Any]]] = {"telemetry": {"frames": True}}
 
-
 gateway = gateway_fixture(patient(1000, **FRAMES))
 
 

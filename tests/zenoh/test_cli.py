@@ -21,7 +21,6 @@ from tests.support.heard import events, frames
 
 NOBODY = ("--connect", f"tcp/127.0.0.1:{free_port()}", "--timeout", "0.5")
 
-
 LEG_STOPS = [f"{joint:02x}0200" for joint in (11, 21, 31, 41, 51, 61)]
 """What a Stop of each leg begins with."""
 

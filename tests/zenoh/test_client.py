@@ -41,7 +41,6 @@ heard = [robot.on_state(lambda state: None), robot.on_event(repr)]
 print(robot.start_leg(3, 90, 45, 120).accepted)
 """
 
-
 gateway = gateway_fixture()
 patient_gateway = gateway_fixture(patient(4000, telemetry={"frames": True}))
 robot = client_fixture("test", rests=True)

@@ -31,7 +31,6 @@ from tests.support.gateway_process import Gateway
 POSE = (90, 45, 120)
 HZ = 50
 
-
 gateway = gateway_fixture(patient(4000))
 
 

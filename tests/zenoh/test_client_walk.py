@@ -26,9 +26,7 @@ PATIENT: Final = patient(10_000, telemetry={"frames": True})
 QUICKER: Final = 4
 """Ticks are 80 ms of a walk's time then, and a tick may be 100 (gateway/people/walking/engine.py)."""
 
-
 gateway = gateway_fixture(PATIENT)
-
 
 watcher = client_fixture("watcher", rests=True)
 robot = client_fixture("walker")

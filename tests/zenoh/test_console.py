@@ -28,7 +28,6 @@ STOP = {"servos": [{"op": "stop"}] * 3}
 TTL_MS: Final = 3000
 NUMBERS: Final = itertools.count(1000)
 
-
 gateway = gateway_fixture(patient(5000, lease={"ttl_ms": TTL_MS}))
 console = console_fixture()
 session = session_fixture()

@@ -35,7 +35,6 @@ MIRRORED: Final = ("22", "23", "42", "43", "62", "63")
 SWUNG_DEG: Final = 95
 """The first joint of leg 3 goes so far when it walks, and stays at 90 while the robot stands up."""
 
-
 gateway = gateway_fixture({"telemetry": {"frames": True}})
 # It outlasts a moment in which this machine is busy.
 patient = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 2000}})

@@ -41,7 +41,6 @@ for module in pkgutil.walk_packages(gateway.__path__, "gateway.", onerror=lambda
 print(json.dumps(failed))
 """
 
-
 STOP_SERVOS: Final = """
 from gateway.__main__ import main
 sys.argv = ["hexapod-gateway", "stop-servos", "--config", "gateway.toml"]

@@ -18,7 +18,6 @@ from tests.support.heard import events, frames
 
 START = leg_payload("start", (90, 45, 120))
 
-
 gateway = gateway_fixture({"telemetry": {"frames": True}, "watchdog": {"timeout_ms": 10_000}})
 
 

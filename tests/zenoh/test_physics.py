@@ -21,7 +21,6 @@ PHYSICS: Final = ("--sim=physics",)
 PATIENT: Final[dict[str, dict[str, object]]] = {"watchdog": {"timeout_ms": 10_000}, "lease": {"ttl_ms": 10_000}}
 """A machine that is busy with other tests stops no walk."""
 
-
 gateway = gateway_fixture(PATIENT, options=PHYSICS)
 
 

@@ -117,7 +117,6 @@ KILLS: Final = int(os.environ.get("RECORD_KILLS", "3"))
 """50 in the long form."""
 HZ: Final = 50
 
-
 robot = client_fixture("a gait")
 
 
