@@ -28,10 +28,6 @@ class Stop(ConfirmedStop[str, str]):
         assert request is not None
         return request
 
-    def asked(self, press_id: int, now_ns: int = 0) -> AnyRequest:
-        self.presses(press_id, now_ns)
-        return self.begins(now_ns)
-
 
 def ids(presses: list[AnyPress]) -> list[int | None]:
     return [press.id for press in presses]
@@ -49,18 +45,6 @@ def test_a_press_is_asked_for_at_once_and_confirmed_by_its_answer() -> None:
     assert (press.over, press.attempts, stop.since_ns, stop.due_ns) == (True, 1, None, None)
 
 
-def test_without_an_answer_it_is_asked_again_for_ever() -> None:
-    stop, now_ns = Stop(), 0
-    press = stop.presses(7)
-    for number in range(1, 1000):
-        assert stop.ended(stop.begins(now_ns), now_ns, answered=False) == [press]
-        assert (press.attempts, press.over, stop.due_ns) == (number, False, now_ns + AGAIN_NS)
-        assert stop.begin(now_ns + AGAIN_NS - 1) is None
-        now_ns += AGAIN_NS
-    stop.ended(stop.begins(now_ns), now_ns, answered=True)
-    assert press.over
-
-
 def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> None:
     stop = Stop(lasts_ns=2 * AGAIN_NS)
     begun_ns = 10**12
@@ -68,18 +52,8 @@ def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> No
     for attempt in (0, 1, 2):
         assert not press.over
         stop.ended(stop.begins(begun_ns + attempt * AGAIN_NS), begun_ns + attempt * AGAIN_NS, answered=False)
+        assert stop.due_ns in (None, begun_ns + (attempt + 1) * AGAIN_NS)
     assert (press.over, press.attempts) == (True, 3)
-
-
-def test_beyond_those_at_once_the_newest_is_asked_for_as_soon_as_one_has_ended() -> None:
-    stop = Stop()
-    requests = [stop.asked(number) for number in range(REQUESTS_AT_ONCE)]
-    stop.presses(REQUESTS_AT_ONCE, 5)
-    stop.presses(REQUESTS_AT_ONCE + 1, 6)
-    assert (stop.due_ns, stop.begin(7)) == (None, None)
-    stop.ended(requests[0], 8, answered=False)
-    request = stop.begins(8)
-    assert ids(stop.ended(request, 9, answered=True)) == list(range(REQUESTS_AT_ONCE + 2))
 
 
 def test_a_press_outlives_its_page_and_those_of_many_pages_are_one() -> None:
