@@ -1,7 +1,9 @@
 """What a gateway publishes, made by hand."""
 
+from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
 
+from schemas.robot import LEGS
 from schemas.telemetry import (
     CommandCounts,
     Event,
@@ -27,12 +29,12 @@ def state(
     *,
     counts: tuple[int, int, int] = (0, 0, 0),
     age_ms: float | None = None,
-    running: bool = False,
+    running: Collection[int] = (),
     started_s: float = 0.0,
 ) -> GatewayState:
     """A state of the gateway that was started at `started_s`, as far as `WALL` goes.
 
-    What is said of a leg is said of leg 3; the others never heard anything.
+    `running`: these legs. Only leg 3 ever heard anything.
     """
     accepted, rejected, coalesced = counts
     return GatewayState(
@@ -48,12 +50,12 @@ def state(
                 watchdog=WatchdogState.IDLE,
                 age_ms=age_ms if leg == 3 else None,
                 servos=(
-                    servo(10 * leg + 1, running and leg == 3),
-                    servo(10 * leg + 2, running and leg == 3),
-                    servo(10 * leg + 3, running and leg == 3),
+                    servo(10 * leg + 1, leg in running),
+                    servo(10 * leg + 2, leg in running),
+                    servo(10 * leg + 3, leg in running),
                 ),
             )
-            for leg in range(1, 7)
+            for leg in LEGS
         ),
         commands=CommandCounts(accepted=accepted, rejected=rejected, coalesced=coalesced),
         spi=SpiReport(device="simulated controller", framing="plain", frames=0, errors=0),

@@ -113,8 +113,8 @@ def test_no_text_makes_the_state_too_large(source: str, fault: str) -> None:
     assert len(state.model_dump_json().encode()) <= MAX_STATE_BYTES
 
 
-@pytest.mark.parametrize("running", [True, False])
-def test_a_state_and_its_configuration_are_what_the_gateway_knows(running: bool) -> None:
+@pytest.mark.parametrize("running", [(3,), ()])
+def test_a_state_and_its_configuration_are_what_the_gateway_knows(running: tuple[int, ...]) -> None:
     state = published.state(running=running, age_ms=12.5, counts=(3, 2, 1))
     sent, config = (json.loads(each.model_dump_json()) for each in Payloads().of(state))
     read = joined(StateReport.model_validate(sent), ConfigReport.model_validate(config))
@@ -132,7 +132,7 @@ def test_another_setting_is_a_new_configuration_and_what_changes_all_the_time_is
     }
     config = payloads.of(state)[1]
     assert payloads.of(state.model_copy(update=update))[1] == config
-    assert payloads.of(published.state(99, Mode.ACTIVE, running=True))[1] == config
+    assert payloads.of(published.state(99, Mode.ACTIVE, running={3}))[1] == config
     other = state.model_copy(update={"watchdog": state.watchdog.model_copy(update={"timeout_ms": 300.0})})
     assert payloads.of(other)[1].config != config.config
 

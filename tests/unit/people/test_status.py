@@ -1,6 +1,6 @@
 """`hexapod-gateway status`: the state in sentences."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import timedelta
 
 import pytest
@@ -30,7 +30,7 @@ def test_every_mode_is_a_sentence_also_one_of_a_later_version(mode: str) -> None
 
 def test_what_runs_who_drives_and_what_watches() -> None:
     changed = {"lease": LeaseReport(holder="anna", held_s=3.0), "buttons": ButtonsReport(alive=1, required=2)}
-    found = sentences(state(mode=Mode.ACTIVE, running=True).model_copy(update=changed))
+    found = sentences(state(mode=Mode.ACTIVE, running={3}).model_copy(update=changed))
     assert "Leg 3 runs at 90°, 90°, 90°." in found
     assert "anna drives." in found
     assert "Stop buttons: 1 alive, 2 required." in found
@@ -65,33 +65,27 @@ class Followed:
         self.follower = Follower(self.lines.append, lambda: self.now_ns)
         self.now_ns = 0
 
-    def _shown(self, count: int) -> list[str]:
+    def after(self, act: Callable[[], None]) -> list[str]:
+        """What is shown of it."""
+        count = len(self.lines)
+        act()
         return [line.text for line in self.lines[count:]]
 
     def state(self, published: GatewayState | None = None, changed: Mapping[str, object] | None = None) -> list[str]:
         """A state comes, of a gateway that has been up since the beginning."""
-        count = len(self.lines)
         self.now_ns += 100 * NS_PER_MS
-        if published is None:
-            published = state(self.now_ns / 1e9)
-        self.follower.received_state(published.model_copy(update=changed or {}), self.now_ns)
-        return self._shown(count)
+        found = (published or state(self.now_ns / 1e9)).model_copy(update=changed or {})
+        return self.after(lambda: self.follower.received_state(found, self.now_ns))
 
     def token(self, alive: bool) -> list[str]:
-        count = len(self.lines)
-        self.follower.received_token(alive)
-        return self._shown(count)
+        return self.after(lambda: self.follower.received_token(alive))
 
     def look(self, after_ns: int) -> list[str]:
-        count = len(self.lines)
         self.now_ns += after_ns
-        self.follower.poll()
-        return self._shown(count)
+        return self.after(self.follower.poll)
 
     def diagnosed(self, text: str) -> list[str]:
-        count = len(self.lines)
-        self.follower.diagnosed([text])
-        return self._shown(count)
+        return self.after(lambda: self.follower.diagnosed([text]))
 
 
 @pytest.fixture
@@ -152,7 +146,7 @@ def test_a_gateway_that_was_started_again(followed: Followed) -> None:
 
 def test_an_answer_that_was_overtaken_changes_nothing(followed: Followed) -> None:
     followed.state(state(10.0))
-    assert followed.state(state(9.9, Mode.ACTIVE, running=True)) == []
+    assert followed.state(state(9.9, Mode.ACTIVE, running={3})) == []
 
 
 def test_why_nothing_comes_is_said_once_until_something_does(followed: Followed) -> None:

@@ -16,7 +16,7 @@ from gateway.people.client.stream import WHOLE, Stream
 from gateway.people.ros2.motions import STARTS_WHOLE, Following, JointCommands
 from gateway.people.ros2.trajectory import JointsError, Trajectory, Waypoint
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WatchdogState, WireReport
+from schemas.telemetry import Ack, ControllerReport, Event, GatewayState, Kind, Mode, Reason, WireReport
 from tests.support.published import WALL, event, state
 
 HZ = 50
@@ -46,7 +46,6 @@ class Robot:
         """Of each request."""
         self.questions = 0
         self.running: set[int] = set()
-        self.expired: set[int] = set()
         self.changed: dict[str, object] = {}
         """In its state."""
         self._hears_state: Callable[[GatewayState], None] = lambda _: None
@@ -108,20 +107,9 @@ class Robot:
     # ---- the gateway's
 
     def report(self) -> GatewayState:
-        found = state(self.now_s)
-        legs = [
-            leg.model_copy(
-                update={
-                    "servos": tuple(
-                        each.model_copy(update={"running": leg.leg in self.running}) for each in leg.servos
-                    ),
-                    "watchdog": WatchdogState.EXPIRED if leg.leg in self.expired else WatchdogState.IDLE,
-                    "source": self.name,
-                }
-            )
-            for leg in found.legs
-        ]
-        return found.model_copy(update={"legs": tuple(legs), **self.changed})
+        found = state(self.now_s, running=self.running)
+        legs = tuple(leg.model_copy(update={"source": self.name}) for leg in found.legs)
+        return found.model_copy(update={"legs": legs, **self.changed})
 
     def publish_state(self) -> None:
         self._hears_state(self.report())

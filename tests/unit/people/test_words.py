@@ -17,12 +17,7 @@ LIMP = "All six legs are stopped, and hold no weight"
 
 def of(running: Collection[int], mode: Mode = Mode.ACTIVE, **changed: object) -> GatewayState:
     """The gateway's state while exactly these legs run."""
-    found = state(mode=mode)
-    legs = [
-        leg.model_copy(update={"servos": tuple(servo(each.id, leg.leg in running) for each in leg.servos)})
-        for leg in found.legs
-    ]
-    return found.model_copy(update={"legs": tuple(legs), **changed})
+    return state(mode=mode, running=running).model_copy(update=changed)
 
 
 def walk(posture: Posture, *lost: int) -> WalkState:
