@@ -8,10 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.deaf.faults import lose_bytes, lose_transfers
+from tests.deaf.faults import Watcher, lose_bytes, lose_transfers, recorded
 from tests.deaf.minute import minute, stopped_walk
-from tests.deaf.recorded import recorded
-from tests.deaf.watcher import Watcher
 from tests.support.robot import MS
 
 pytestmark = pytest.mark.virtual_time
