@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from gateway.client import Client
 from schemas.telemetry import Cause
 from tests.benchmarks.processes import fds, threads
 from tests.support.gateway_process import Gateway, free_port
@@ -35,7 +34,10 @@ def test_silent_connections_keep_no_scrape_out_and_no_stop_waiting(tmp_path: Pat
         before, pid = python_threads(gateway), gateway.child.pid
         for _ in range(SILENT):
             crowd.enter_context(socket.create_connection(("127.0.0.1", port), 10)).sendall(said)
-        let_expire(client, 5)
+        heard = frames(client)
+        for count in range(1, 6):
+            assert client.start_leg(3, 90, 45, 120).accepted
+            heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)
         samples = read(address)
         assert value(samples, "hexapod_frames_written_total", cause="watchdog") == 5
         assert python_threads(gateway) == before, "no thread for a connection"
@@ -54,11 +56,3 @@ def python_threads(gateway: Gateway) -> int:
         with suppress(OSError):  # it has ended
             names.append((task / "comm").read_text())
     return names.count((tasks / str(gateway.child.pid) / "comm").read_text())
-
-
-def let_expire(client: Client, times: int) -> None:
-    """Have the watchdog stop a leg so many times."""
-    heard = frames(client)
-    for count in range(1, times + 1):
-        assert client.start_leg(3, 90, 45, 120).accepted
-        heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, count=count)

@@ -1,6 +1,5 @@
 """docs/certificates.md to the letter, on an installed robot, which is the machine with the CA, too."""
 
-import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -25,20 +24,12 @@ class Scene:
 
     def follow(self, lines: Iterable[str]) -> str:
         """Run these lines in root's home; what they printed. A `check` may find that this machine has no SPI."""
-        said = ""
+        said, env = "", {"PATH": f"/root/bin:{PATH_INSIDE}", "HOSTS": "/root/hosts"}
         for line in lines:
-            done = self._bash(line)
+            done = self.box.run("bash", "-c", f"cd && {line}", env=env, check=False, timeout_s=60)
             said += done.stdout + done.stderr
             assert done.returncode == 0 or f"{NAME} check" in line, f"{line}\n{said}"
         return said
-
-    def _bash(self, line: str) -> subprocess.CompletedProcess[str]:
-        env = {"PATH": f"/root/bin:{PATH_INSIDE}", "HOSTS": "/root/hosts"}
-        return self.box.run("bash", "-c", f"cd && {line}", env=env, check=False, timeout_s=60)
-
-    def take_files_of(self, name: str) -> None:
-        """Onto a laptop of their own."""
-        self.box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
 
     def may_stop(self, name: str, *wait: str) -> bool:
         """Whether this laptop may command the robot."""
@@ -62,7 +53,7 @@ def make_scene(box: Box) -> Scene:
     scene = Scene(box)
     for name in ("anna", "bert", "lena"):
         box.run(NAME, "certs", "issue", name, "--role", "operator", "--dir", FOLDER)
-        scene.take_files_of(name)
+        box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
     box.run(NAME, "setup", "--certs", FOLDER, check=False, timeout_s=60)  # its `check` finds no SPI device
     simulate(box)
     return scene

@@ -198,14 +198,12 @@ def test_a_gamepad_runs_one_leg_while_its_trigger_is_pulled_and_may_be_disconnec
     expect(page["gamepad"]).to_be_visible()
     since = len(robot.bed.transfers)
     page.page.evaluate("pad.buttons[7].value = 1; pad.axes[0] = 1")
-    robot.bed.wait_for(lambda all_: any(_moved(each, 21, 9500) for each in all_[since:]), LATE_MS / 1000)
+    robot.bed.wait_for(
+        lambda all_: any(op[0] == 21 and op[2] > 9500 for each in all_[since:] for op in _ops(each)), LATE_MS / 1000
+    )
     page.page.evaluate("navigator.getGamepads = () => [null]")
     robot.expect_stopped(2, since=since)
     expect(page.said).to_contain_text("the gamepad is disconnected")
-
-
-def _moved(transfer: Transfer, servo: int, beyond_cdeg: int) -> bool:
-    return any(each == servo and angle > beyond_cdeg for each, _, angle in _ops(transfer))
 
 
 def test_a_cut_link_stops_the_legs_and_what_waited_moves_nothing(pages: Visitor, robot: Robot) -> None:

@@ -17,17 +17,7 @@ pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 PATIENT: Final = patient(10_000)
 """A browser that draws on the processor leaves little of it to others."""
-STEEP: Final = (
-    "--sim=physics",
-    "--terrain",
-    "slope:30",
-    "--friction",
-    "3",
-    "--mass-kg",
-    "1",
-    "--servo-torque-nm",
-    "20",
-)
+STEEP: Final = "--sim=physics --terrain slope:30 --friction 3 --mass-kg 1 --servo-torque-nm 20"
 
 
 def both_sides(client: Client, legs: tuple[int, ...], second_deg: float, third_deg: float, verb: str) -> None:
@@ -36,16 +26,10 @@ def both_sides(client: Client, legs: tuple[int, ...], second_deg: float, third_d
     assert getattr(client, verb)(angles).accepted
 
 
-def push_over(client: Client) -> None:
-    """The four front legs of a robot that stands on STEEP push it over backwards; it comes to lie on its back."""
-    both_sides(client, (1, 2, 3, 4, 5, 6), 150, 110, "start_legs")
-    both_sides(client, (1, 2, 3, 4), 0, 20, "set_legs")
-
-
 def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None:
     """On a slope, against which its height and its leaning count."""
     with (
-        Gateway(tmp_path, PATIENT, options=STEEP) as gateway,
+        Gateway(tmp_path, PATIENT, options=STEEP.split()) as gateway,
         Console(tmp_path, "--connect", gateway.endpoint) as console,
         Visitor(browser, console.url, console.sign_in()) as visitor,
         gateway.client() as client,
@@ -53,7 +37,8 @@ def test_a_fallen_robot_is_set_upright(browser: Browser, tmp_path: Path) -> None
         page = visitor.open(webgl=True)
         page.insist_on_three_dimensions()
         expect(page["sim-known"]).to_have_text(re.compile("^[5-7] cm high, leaning by [01]°"))
-        push_over(client)
+        both_sides(client, (1, 2, 3, 4, 5, 6), 150, 110, "start_legs")
+        both_sides(client, (1, 2, 3, 4), 0, 20, "set_legs")  # which push it over backwards
         expect(page["sim-known"]).to_have_text(re.compile("on its back"))
         page.page.screenshot(path=tmp_path / "fallen.png")
         assert client.stop().accepted
