@@ -39,14 +39,16 @@ class Network(Closing):
         self._laptops = [f"{name}-laptop{number}" for number in range(laptops)]
         try:
             for namespace in (self._robot, *self._laptops):
-                _ip("netns", "add", namespace)
-                _ip("-n", namespace, "link", "set", "lo", "up")
+                _run("ip", "netns", "add", namespace)
+                _run("ip", "-n", namespace, "link", "set", "lo", "up")
             for number, namespace in enumerate(self._laptops):
                 ours = ("link", "add", _link(number), "netns", self._robot)
-                _ip(*ours, "type", "veth", "peer", "name", "robot", "netns", namespace)
-                _ip("-n", self._robot, "address", "add", f"{self.robot_address(number)}/24", "dev", _link(number))
-                _ip("-n", namespace, "address", "add", f"{self._laptop_address(number)}/24", "dev", "robot")
-                _ip("-n", namespace, "link", "set", "robot", "up")
+                _run("ip", *ours, "type", "veth", "peer", "name", "robot", "netns", namespace)
+                _run(
+                    "ip", "-n", self._robot, "address", "add", f"{self.robot_address(number)}/24", "dev", _link(number)
+                )
+                _run("ip", "-n", namespace, "address", "add", f"{self._laptop_address(number)}/24", "dev", "robot")
+                _run("ip", "-n", namespace, "link", "set", "robot", "up")
                 self.fix(number)
                 _limit_buffers(namespace, "tcp_rmem")
             _limit_buffers(self._robot, "tcp_wmem")
@@ -75,7 +77,7 @@ class Network(Closing):
     def another_address(self, laptop: int) -> str:
         """Where that laptop reaches the robot as well, from now on."""
         address = f"10.77.{laptop}.3"
-        _ip("-n", self._robot, "address", "replace", f"{address}/24", "dev", _link(laptop))
+        _run("ip", "-n", self._robot, "address", "replace", f"{address}/24", "dev", _link(laptop))
         return address
 
     def _laptop_address(self, laptop: int) -> str:
@@ -89,11 +91,11 @@ class Network(Closing):
 
     def cut(self, laptop: int) -> None:
         """Cut the link between this laptop and the robot. Neither is informed."""
-        _ip("-n", self._robot, "link", "set", _link(laptop), "down")
+        _run("ip", "-n", self._robot, "link", "set", _link(laptop), "down")
 
     def fix(self, laptop: int) -> None:
         """The link is back."""
-        _ip("-n", self._robot, "link", "set", _link(laptop), "up")
+        _run("ip", "-n", self._robot, "link", "set", _link(laptop), "up")
 
 
 @cache
@@ -116,7 +118,7 @@ def _link(laptop: int) -> str:
 
 def _remove_leftovers() -> None:
     """Namespaces whose process was killed before it could remove them."""
-    for line in _ip("netns", "list").splitlines():
+    for line in _run("ip", "netns", "list").splitlines():
         name = line.split()[0]
         if name.startswith(f"{MARK}-") and not Path("/proc", name.split("-")[2]).exists():
             _remove(name)
@@ -124,16 +126,12 @@ def _remove_leftovers() -> None:
 
 def _remove(namespace: str) -> None:
     with suppress(RuntimeError):
-        _ip("netns", "delete", namespace)
+        _run("ip", "netns", "delete", namespace)
 
 
 def _limit_buffers(namespace: str, setting: str) -> None:
     sizes = f"4096 {BUFFER_BYTES} {BUFFER_BYTES}"
     _run("ip", "netns", "exec", namespace, "sh", "-c", f"echo {sizes} > /proc/sys/net/ipv4/{setting}")
-
-
-def _ip(*arguments: str) -> str:
-    return _run("ip", *arguments)
 
 
 def _run(*command: str) -> str:

@@ -91,7 +91,9 @@ class Streamer:
             case "sent" | "pause":
                 return self._report(int(rest[0]) if rest else 0, end=word == "pause")
             case "out-of-reach" | "in-reach":
-                return self._wait_for_reach(word == "in-reach")
+                with self._changed:
+                    reached = self._changed.wait_for(lambda: self._in_reach is (word == "in-reach"), BOUND_S)
+                return {} if reached else {"error": f"not in {BOUND_S} s"}
             case "stop" | "estop" | "reset" | "state":
                 asked_ns = time.monotonic_ns()
                 answer = getattr(self._client, word)().model_dump(mode="json")
@@ -135,26 +137,19 @@ class Streamer:
             self._in_reach = sample.kind == zenoh.SampleKind.PUT
             self._changed.notify_all()
 
-    def _wait_for_reach(self, in_reach: bool) -> Any:
-        with self._changed:
-            reached = self._changed.wait_for(lambda: self._in_reach is in_reach, BOUND_S)
-        return {} if reached else {"error": f"not in {BOUND_S} s"}
-
     def _run(self, send: Callable[[], None], period_s: float) -> None:
         due_s = time.monotonic()
         while not self._paused.is_set():
             send()
             with self._changed:
-                self._note(time.monotonic_ns())
+                sent, now_ns = self._sent, time.monotonic_ns()
+                if sent.last_ns:
+                    sent.longest_gap_ms = max(sent.longest_gap_ms, (now_ns - sent.last_ns) / 1e6)
+                sent.last_ns = now_ns
                 self._changed.notify_all()
             if period_s:
                 due_s = max(due_s + period_s, time.monotonic())  # a missed period is skipped, never made up
                 self._paused.wait(due_s - time.monotonic())
-
-    def _note(self, now_ns: int) -> None:
-        if self._sent.last_ns:
-            self._sent.longest_gap_ms = max(self._sent.longest_gap_ms, (now_ns - self._sent.last_ns) / 1e6)
-        self._sent.last_ns = now_ns
 
     def _publish(self, legs: Sequence[str]) -> None:
         for leg in legs:
