@@ -5,6 +5,7 @@ import json
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -126,21 +127,12 @@ class OpenPage:
         """It sends nothing."""
 
 
-class Clock:
-    """Virtual time."""
-
-    now_ns = 0
-
-    def __call__(self) -> int:
-        return self.now_ns
-
-
 def measured(tilt_deg: float) -> Telemetry:
     return Telemetry(time=WALL, age_ms=1.0, tilt_deg=tilt_deg)
 
 
-def opened(clock: Clock) -> tuple[Pages, Kept]:
-    pages, page = Pages("", lambda: 0, clock), OpenPage()
+def opened(now: SimpleNamespace) -> tuple[Pages, Kept]:
+    pages, page = Pages("", lambda: 0, lambda: now.ns), OpenPage()
     pages.add(cast("Page", page))
     page.outgoing.put_in.clear()
     return pages, page.outgoing
@@ -148,24 +140,22 @@ def opened(clock: Clock) -> tuple[Pages, Kept]:
 
 @pytest.mark.parametrize("rate_hz", [5, 10, 100])
 async def test_telemetry_reaches_a_page_ten_times_in_any_second_at_most(rate_hz: int) -> None:
-    clock = Clock()
-    pages, outgoing = opened(clock)
+    pages, outgoing = opened(now := SimpleNamespace(ns=0))
     sent_ns = []
     for number in range(20 * rate_hz):
-        clock.now_ns = number * SECOND_NS // rate_hz
+        now.ns = number * SECOND_NS // rate_hz
         before = len(outgoing.put_in)
         pages.received_telemetry(measured(number))
-        sent_ns += [clock.now_ns] * (len(outgoing.put_in) - before)
+        sent_ns += [now.ns] * (len(outgoing.put_in) - before)
     most = max(sum(at <= each < at + SECOND_NS for each in sent_ns) for at in sent_ns)
     assert most <= 10
     assert len(sent_ns) >= 20 * min(rate_hz, 8), "and no page waits for more than an eighth of a second"
 
 
 async def test_a_page_that_reads_nothing_is_kept_one_telemetry_and_what_is_not_measured_is_left_out() -> None:
-    clock = Clock()
-    pages, outgoing = opened(clock)
+    pages, outgoing = opened(now := SimpleNamespace(ns=0))
     for number in range(100):
-        clock.now_ns = number * SECOND_NS
+        now.ns = number * SECOND_NS
         pages.received_telemetry(measured(number))
     texts = [json.loads(text) for text in await outgoing.wait()]
     newest = next(each for each in texts if each["type"] == "telemetry")
@@ -176,7 +166,7 @@ async def test_a_page_that_reads_nothing_is_kept_one_telemetry_and_what_is_not_m
 
 @pytest.mark.parametrize("whole", [False, True])
 async def test_a_state_tells_a_page_whether_only_the_whole_robot_starts(*, whole: bool) -> None:
-    pages, outgoing = opened(Clock())
+    pages, outgoing = opened(SimpleNamespace(ns=0))
     report = state().model_copy(update={"wire": WireReport(whole_robot=whole)})
     pages.received_state(report, 0)
     messages: list[dict[str, Any]] = [json.loads(text) for text in await outgoing.wait()]
