@@ -56,11 +56,6 @@ def test_only_what_breaks_a_rule_is_rejected(calibration: RobotCalibration, serv
     assert (calibration.why_not(servo_id, angle_cdeg) is None) == allowed
 
 
-@given(frames)
-def test_the_default_changes_no_byte(frame: Frame) -> None:
-    assert RobotCalibration().frame(frame) is frame
-
-
 @given(calibrations)
 def test_what_is_published_is_in_degrees_and_reads_back_as_it_was(calibration: RobotCalibration) -> None:
     report = report_of(calibration)
@@ -125,13 +120,6 @@ def test_an_angle_is_allowed_if_all_rules_allow_it(
     reach.use(calibration)
     rejected = calibration.why_not(servo_id, at_cdeg) or reach.why_avoided(calibration, servo_id, at_cdeg)
     assert (reach.why_not(servo_id, at_cdeg) is None) == (low <= at_cdeg <= high and rejected is None)
-
-
-def test_the_formula() -> None:
-    assert RobotCalibration(1, {11: ServoMapping(-1)}).why_not(11, 0) is not None, "by a hundredth"
-    for inverted, user_cdeg, wire_cdeg in ((False, 90_00, 97_00), (True, 45_00, 142_00)):
-        servo = ServoMapping(7_00, inverted=inverted)
-        assert (servo.wire_cdeg(user_cdeg), servo.user_cdeg(wire_cdeg)) == (wire_cdeg, user_cdeg)
 
 
 def test_a_rejection_names_both_angles() -> None:

@@ -112,18 +112,6 @@ def test_messages(data: str, message: str) -> None:
     assert str(rejection.value) == message
 
 
-@given(st.integers(0, 180_00))
-def test_every_hundredth_survives_the_way_over_a_float(angle_cdeg: int) -> None:
-    assert centidegrees(angle_cdeg / 100) == angle_cdeg
-    assert centidegrees(float(f"{angle_cdeg // 100}.{angle_cdeg % 100:02d}")) == angle_cdeg
-
-
-@given(ops=st.tuples(*[st.sampled_from([STOP, ServoOp(Op.START, 9000), ServoOp(Op.SET, 1)])] * 3))
-def test_a_frame_is_a_stop_where_all_of_its_operations_are(ops: tuple[ServoOp, ServoOp, ServoOp]) -> None:
-    assert OneLeg(4, ops).is_stop is all(each is STOP for each in ops)
-    assert OneServo(41, ops[0]).is_stop is (ops[0] is STOP)
-
-
 def test_a_stop_is_repeated_three_times_each_20_ms() -> None:
     """As docs/stops.md says of every Stop."""
     assert (STOP_REPEATS, STOP_REPEAT_MS) == (3, 20)

@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 
 from gateway.model.power_board import (
     ALL,
-    ASK_CURRENTS,
-    ASK_RAILS,
     CONVERTER_OVERCURRENT,
     OVERTEMPERATURE,
     SERVO_OVERCURRENT,
@@ -126,8 +124,3 @@ def test_an_error_is_explained_and_says_which_outputs_are_off(
     assert sentence.startswith(begin.strip())
     assert sentence.endswith(end)
     assert {number for number in range(1, 32) if mask >> (number - 1) & 1} == set(outputs)
-
-
-def test_each_question_is_named_once() -> None:
-    questions = [question.id for question in (*ASK_CURRENTS, *ASK_RAILS)]
-    assert questions == list(range(0x70, 0x88, 2))

@@ -2,7 +2,6 @@
 
 import asyncio
 import re
-import tracemalloc
 
 import pytest
 
@@ -178,20 +177,6 @@ def test_a_source_is_forgotten_only_after_a_minute_of_silence(staleness: Stalene
     assert others[-1].asks(begun_ms + 100 + FORGET_MS) is None, "one of the silent ones is forgotten"
     assert len(staleness._sources) == SOURCES
     assert first.arrives(begun_ms + 100 + FORGET_MS, sent_at_ms=begun_ms + FORGET_MS - 200) is not None
-
-
-@pytest.mark.lengthy
-def test_memory_is_bounded(staleness: Staleness) -> None:
-    tracemalloc.start()
-    try:
-        for index in range(10 * SOURCES):
-            for clock in range(2 * CLOCKS):
-                staleness.too_old(f"{index % (2 * SOURCES)}", clock * 1e6, index * MS, index * MS)
-        assert len(staleness._sources) == SOURCES
-        assert {len(clocks) for clocks, _ in staleness._sources.values()} == {8}
-        assert tracemalloc.get_traced_memory()[0] < 1_500_000
-    finally:
-        tracemalloc.stop()
 
 
 # ---- several clocks behind one name: forgers, programs of one name, restarts

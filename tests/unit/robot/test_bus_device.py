@@ -23,15 +23,6 @@ SERVO_STOPS = [OneServo(10 * leg + joint, ServoOp(Op.STOP)) for leg in LEGS for 
 # ---- what leaves together
 
 
-@pytest.mark.parametrize("framing", Framing)
-def test_stops_are_one_call(framing: Framing) -> None:
-    bench = Bench(framing)
-    assert bench.bus.write(STOPS).fault is None
-    (batch,) = bench.batches
-    assert bench.written == on_wire(framing, *STOPS)
-    assert {pause_us for _, pause_us in batch} == {50}, "also behind the last: another program may write next"
-
-
 def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length() -> None:
     bench = Bench(most_transfers=PREAMBLE_ZEROS + 2 * len(STOPS))
     bench.bus.write(STOPS, preamble=True)

@@ -9,7 +9,7 @@ import pytest
 
 from gateway.model.frames import STOP, OneServo, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.controllers import Controller
 
@@ -52,35 +52,6 @@ def test_what_may_have_been_lost_is_each_transfer_and_those_behind_it() -> None:
     assert after_failure(ANYTHING, [ZERO]) == ANYTHING
     assert after(ANYTHING, [ZERO] * 14) == NOTHING
     assert after(ANYTHING, [ZERO] * 13) == {0, 1}, "all 14 bytes of a leg's frame may be missing"
-
-
-def test_a_controller_that_gave_up_within_a_frame_may_await_the_last_byte_of_another() -> None:
-    """It takes the body's first byte for a length; each frame behind it leaves it so, and only zeros bring it back."""
-    possible = after_stall(NOTHING, transfers_of(LEG_STOPS[0]))
-    assert possible == {0, 1, 14}
-    assert after(frozenset({1}), transfers_of(LEG_STOPS[1])) == {1}
-
-
-@pytest.mark.parametrize("stop", LEG_STOPS)
-def test_one_stop_of_a_leg_brings_back_a_controller_that_lost_up_to_three_bodies(stop: bytes) -> None:
-    awaited = NOTHING
-    for _ in range(3):
-        awaited = after_failure(awaited, transfers_of(stop))
-        assert next_on_the_way_back(awaited, (stop,)) == stop
-        assert after(awaited, transfers_of(stop)) == NOTHING
-
-
-@pytest.mark.parametrize("failures", range(7))
-def test_the_way_back_ends(failures: int) -> None:
-    awaited, written = NOTHING, 0
-    for number in range(failures):
-        awaited = after_failure(awaited, transfers_of(LEG_STOPS[number % 6]))
-    while awaited != NOTHING:
-        unit = next_on_the_way_back(awaited, LEG_STOPS[:3])
-        awaited = after(awaited, transfers_of(unit))
-        written += len(transfers_of(unit))
-    assert written <= 63, "the longest length that a Stop has in it"
-    assert next_on_the_way_back(NOTHING, LEG_STOPS) == LEG_STOPS[0]
 
 
 def test_where_stops_lead_nowhere_soon_it_is_zeros() -> None:

@@ -162,12 +162,6 @@ def servo_op(payload: str) -> ServoOp:
 # ---- what is good
 
 
-def test_a_reset_says_which_emergency_stop_it_leaves_who_sends_it_and_when() -> None:
-    payload = {"estop": 7, "source": "anna", "sent_ms": 12.5}
-    assert decode(RESET_KEY, as_json(payload), JSON) == Intent((), "anna", 12.5, 7)
-    assert decode(RESET_KEY, as_json({"estop": 0}), JSON) == Intent(estop=0)
-
-
 @pytest.mark.parametrize("payload", [b"", b"{", b"\xff" * 5000, b'{"op": "stop"}'])
 @pytest.mark.parametrize("encoding", ["", JSON, "image/png"])
 def test_an_emergency_stop_is_one_whatever_it_carries(payload: bytes, encoding: str) -> None:
@@ -205,13 +199,7 @@ def test_angles_are_rounded_to_the_nearest_hundredth(angle: str, cdeg: int) -> N
 @pytest.mark.parametrize(
     "encoding",
     [
-        *(
-            "application/json;charset=utf-8",
-            "application/json; charset=utf-8",
-            "application/json ;x=1;y",
-            "zenoh/bytes",
-        ),
-        *("application/vnd.robot+json", "application/ld+json; profile=a", "application/json-patch+json"),
+        *("application/json ;x=1;y", "zenoh/bytes", "application/ld+json; profile=a", "application/json-patch+json"),
     ],
 )
 def test_json_by_its_other_names(encoding: str) -> None:
@@ -230,17 +218,12 @@ def test_the_order_of_reasons() -> None:
 
 NOT_JSON = {
     "empty": b"",
-    "spaces": b"  \n",
     "cut off": b'{"op": "stop"',
     "two documents": b'{"op": "stop"} {"op": "stop"}',
-    "a NUL after it": b'{"op": "stop"}\0',
-    "a byte order mark": b'\xef\xbb\xbf{"op": "stop"}',
     "UTF-16": '{"op": "stop"}'.encode("utf-16"),
-    "Latin-1": '{"op": "stop", "source": "Jürgen"}'.encode("latin-1"),
     "a lone surrogate": b'{"op": "stop", "source": "\\ud800"}',
     "a line break in a string": b'{"op": "stop", "source": "a\nb"}',
     "deep arrays": b"[" * 4096,
-    "deep arrays, closed": b'{"op": "stop", "source": ' + b"[" * 2000 + b"]" * 2000 + b"}",
 }
 
 
@@ -353,21 +336,15 @@ def test_only_a_payload_with_more_colons_than_fields_is_read_twice(
 @pytest.mark.parametrize(
     ("expression", "verb", "payload", "words"),
     [
-        ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "stop"}]}', True),
         ("hexapod/leg/3/cmd", Verb.GET, b'{"op": "\\u0073top"}', True),
         ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "set"}]}', False),
         ("hexapod/leg/3/cmd", Verb.DELETE, b"", True),
         ("hexapod/estop/cmd", Verb.PUT, b"", True),
         ("hexapod/reset/cmd", Verb.PUT, b'{"source": "stop"}', False),
-        ("hexapod/leg/9/cmd", Verb.PUT, b'{"op": "stop"}', False),
         ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "sToP"}]}', True),
-        ("hexapod/leg/3/cmd", Verb.PUT, b'{"SERVOS": [{"OP": "SET"}]}', False),
-        ("hexapod/leg/3/cmd", Verb.PUT, b' \n{"servos": []}', False),
         ("hexapod/leg/3/cmd", Verb.PUT, b"", False),
-        ("hexapod/leg/3/cmd", Verb.GET, b"\n", False),
         ("hexapod/leg/3/cmd", Verb.PUT, b"\x1f\x8b\x08", True),
         ("hexapod/leg/3/cmd", Verb.PUT, '{"op": "set"}'.encode("utf-16-le"), True),
-        ("hexapod/legs/cmd", Verb.PUT, b"[]", True),
     ],
 )
 def test_what_may_be_a_stop_keeps_its_place(expression: str, verb: Verb, payload: bytes, words: bool) -> None:
