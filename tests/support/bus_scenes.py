@@ -57,7 +57,7 @@ class Bench(SpiDevice):
         """The same in words, until a scene has looked."""
         self.fails: Callable[[int, str], bool] = lambda _number, _call: False
         """Whether a call fails, by its number since this was set, and its words."""
-        self.failure_ns = self.success_ns = 0
+        self.failure_ns = 0
         self.wire_takes_time = False
         """A call that succeeds takes what the wire needs."""
         self.stall_ns = self.pause_stall_ns = 0
@@ -102,7 +102,7 @@ class Bench(SpiDevice):
         self.batches.append(tuple(batch))
         self.calls.append(call)
         wire = wire_ns(batch) + batch[-1][1] * 1000 if self.wire_takes_time and not failed else 0
-        self.now_ns += self.stall_ns + wire + (self.failure_ns if failed else self.success_ns)
+        self.now_ns += self.stall_ns + wire + (self.failure_ns if failed else 0)
         self.stall_ns = 0
         if failed:
             raise SpiError(f"{call} failed")
@@ -183,7 +183,6 @@ DONE: Final[dict[str, Callable[[Bench, str], object]]] = {
     "wait": lambda bench, ms: setattr(bench, "now_ns", bench.now_ns + _ns(ms)),
     "fail": _fail,
     "failing-takes": _set("failure_ns", _ns),
-    "passing-takes": _set("success_ns", _ns),
     "stalls": _set("stall_ns", _ns),
     "lists": _set("takes_lists", lambda word: word == "on"),
     "rejects": _set("rejects_all", lambda word: word == "on"),

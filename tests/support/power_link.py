@@ -1,6 +1,5 @@
-"""A power board and the gateway's side of it on one CAN link that loses, delays and alters, in virtual time."""
+"""A power board and the gateway's side of it on one CAN link that loses and alters, in virtual time."""
 
-import random
 from collections.abc import Callable, Iterator
 from heapq import heappop, heappush
 from itertools import count
@@ -26,13 +25,10 @@ MOST_AT_ONCE = 1000
 class Link:
     """Carries frames both ways, and calls each side when it is due."""
 
-    def __init__(self, *, faults: float = 0.0, seed: int = 0, pass_ns: int = 1_500_000, confirm_ms: int = CONFIRM_MS):
-        """`faults`: the share of the board's answers that are lost, or delayed by up to 100 ms."""
+    def __init__(self, *, pass_ns: int = 1_500_000, confirm_ms: int = CONFIRM_MS):
         self.now_ns = 0
         self.ours = PowerBoard(SERVO_IDS, confirm_ns=confirm_ms * NS_PER_MS)
         self.board = SimulatedBoard(pass_ns=pass_ns)
-        self.random = random.Random(seed)  # noqa: S311
-        self.faults = faults
         self.altered: Callable[[CanFrame], CanFrame] = lambda frame: frame
         """What we receive in place of an answer."""
         self.hangs = False
@@ -44,8 +40,6 @@ class Link:
         """Another one on the bus."""
         self.sent: list[tuple[int, CanFrame]] = []
         """What we sent, and when."""
-        self.answers: list[tuple[int, CanFrame]] = []
-        """What the board sent, and when."""
         self.news: list[tuple[int, News | Confirmed]] = []
         self._flying: list[tuple[int, int, bool, CanFrame]] = []
         self._order = count()
@@ -124,12 +118,10 @@ class Link:
     def _happen(self) -> None:
         while self._flying and self._flying[0][0] <= self.now_ns:
             _, _, to_board, frame = heappop(self._flying)
-            if to_board and not (self.deaf and frame.id == SET_SUPPLY):
-                self._answered(self.board.take(frame, self.now_ns))
-            elif to_board:
-                pass
-            else:
+            if not to_board:
                 self.ours.receive(frame, self.now_ns)
+            elif not (self.deaf and frame.id == SET_SUPPLY):
+                self._answered(self.board.take(frame, self.now_ns))
         self._answered(self.board.advance(self.now_ns))
         if self.now_ns >= self._look_ns:
             self._look_ns = self.now_ns + LOOK_NS
@@ -143,12 +135,8 @@ class Link:
 
     def _answered(self, frames: list[CanFrame]) -> None:
         for frame in frames:
-            self.answers.append((self.now_ns, frame))
-            faulty = self.random.random() < self.faults
-            lost = faulty and self.random.random() < 0.5
-            at_ns = self.now_ns + FLIGHT_NS + (self.random.randrange(100 * NS_PER_MS) if faulty else 0)
-            if self.cable and not lost:
-                heappush(self._flying, (at_ns, next(self._order), False, self.altered(frame)))
+            if self.cable:
+                heappush(self._flying, (self.now_ns + FLIGHT_NS, next(self._order), False, self.altered(frame)))
 
 
 def fed() -> Link:

@@ -27,13 +27,6 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 
 
-def test_at_first_a_question_is_due_and_no_mask_has_reached_the_board() -> None:
-    questions = BoardQuestions()
-    assert (questions.due_ns, questions.reached, questions.reached_ns) == (0, 0, 0)
-    questions.answered_about_rails(ASK_RAILS[0], 0)
-    assert (questions.reached, questions.reached_ns) == (0, 0), "an answer to what was never asked proves nothing"
-
-
 def test_all_is_asked_in_turn_while_the_board_answers() -> None:
     questions = BoardQuestions()
     asked: list[CanFrame] = []
@@ -103,15 +96,6 @@ def test_the_board_is_silent_once_ten_questions_and_100_ms_went_by_without_an_an
     assert not asked_every_10_ms(9).silent(1100 * NS_PER_MS)
 
 
-def test_a_board_that_was_never_heard_is_silent_after_ten_questions_too() -> None:
-    questions = BoardQuestions()
-    for number in range(9):
-        questions.next(0, (1000 + 10 * number) * NS_PER_MS)
-    assert not questions.silent(1085 * NS_PER_MS)
-    questions.next(0, 1090 * NS_PER_MS)
-    assert questions.silent(1090 * NS_PER_MS)
-
-
 def test_a_question_that_nobody_fetched_for_20_ms_counts_as_unanswered() -> None:
     questions = BoardQuestions()
     questions.opened(0)
@@ -128,14 +112,6 @@ def test_while_the_board_is_likely_silent_rails_are_kept_for_when_it_answers() -
     assert questions.due_after(1, 0) == []
     questions.answered(0)
     assert questions.due_after(1, 0) != []
-
-
-def test_a_question_that_was_not_sent_is_free_again() -> None:
-    questions = BoardQuestions()
-    for _ in ASK_RAILS:
-        [last] = questions.due_after(1, 0)
-    questions.not_sent(last)
-    assert questions.due_after(1, 0) == [last]
 
 
 @pytest.mark.parametrize(("at_ms", "reached"), [(1999, 0), (2000, 1)])
@@ -281,18 +257,6 @@ def ns(ms: float) -> int:
     return round(ms * NS_PER_MS)
 
 
-def test_what_is_to_be_on_is_no_longer_off(offs: OutputsOff) -> None:
-    offs.take(BOTH, 1, ns(0))
-    offs.feed(ONE | TWO)
-    assert (offs.servos, offs.unconfirmed) == (TOP, TOP)
-
-
-def test_what_was_confirmed_off_and_is_on_again_is_returned(offs: OutputsOff) -> None:
-    offs.take(BOTH, 1, ns(0))
-    offs.answered(TOP, 1, ns(1))
-    assert offs.answered(BOTH | TWO, 1, ns(2))[0] == ONE, "not what was never confirmed, nor what may be on"
-
-
 def test_each_that_is_not_confirmed_in_time_is_late(offs: OutputsOff) -> None:
     offs.take(BOTH, 1, ns(0))
     offs.take(TWO, 1, ns(1))
@@ -315,14 +279,6 @@ def test_a_wait_for_what_is_not_off_is_for_the_newest_mask(offs: OutputsOff) -> 
     offs.wait(ONE, ns(0), 31, newest=9)
     assert offs.answered(NONE, 8, ns(1))[1] == []
     assert offs.answered(NONE, 9, ns(2))[1] == [Confirmed(31, True, 2.0)]
-
-
-def test_who_waits_hears_in_time_that_it_is_not_confirmed(offs: OutputsOff) -> None:
-    offs.take(ONE, 1, ns(0))
-    offs.wait(ONE, ns(20), 31, newest=1)
-    assert offs.late(ns(20 + CONFIRM_MS) - 1)[1] == []
-    assert offs.late(ns(20 + CONFIRM_MS))[1] == [Confirmed(31, False, None)]
-    assert offs.late(ns(1000))[1] == []
 
 
 def test_whether_the_masks_that_took_some_have_reached_the_board(offs: OutputsOff) -> None:

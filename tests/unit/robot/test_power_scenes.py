@@ -5,13 +5,11 @@ from typing import Final
 
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import SUPPLIED, SUPPLY_LOW, CanFrame, set_supply
-from gateway.robot.power.board import PowerBoard
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
-from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, Link, fed
+from tests.support.power_link import ALL_SERVOS, Link, fed
 
 
 def servos(words: str) -> frozenset[int]:
@@ -37,10 +35,6 @@ def _alter(link: Link, shown: int | None) -> None:
     link.altered = altered
 
 
-def _start_anew(link: Link) -> None:
-    link.ours = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-
-
 def _second(link: Link) -> None:
     """A second board on the bus answers what the first one does."""
     link.second = SimulatedBoard(link.now_ns)
@@ -57,10 +51,6 @@ def _repeat(link: Link, words: str) -> None:
         link.run(float(pause_ms))
 
 
-def _sleep(link: Link, ms: str) -> None:
-    link.now_ns += int(ms) * NS_PER_MS
-
-
 DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "run": lambda link, ms: link.run(float(ms)),
     "until-fed": lambda link, servo: link.run_until(lambda: int(servo) in link.ours.status.fed),
@@ -73,8 +63,6 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "reset": lambda link, _: link.ours.clear_errors(link.now_ns),
     "opened": lambda link, _: link.ours.opened(link.now_ns),
     "gone": lambda link, why: link.ours.closed(why, link.now_ns),
-    "gateway": lambda link, _: _start_anew(link),
-    "sleep": _sleep,
     "hangs": lambda link, _: setattr(link, "hangs", True),
     # the link
     "cable": lambda link, state: setattr(link, "cable", state == "on"),
@@ -87,7 +75,6 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     # the board
     "blocks": lambda link, who: link.board.fail(2, mask(who)),
     "low": lambda link, _: link.board.fail(SUPPLY_LOW),
-    "degrees": lambda link, celsius: link.board.temperatures_c.__setitem__(0, int(celsius)),
     "draws": lambda link, ma: link.board.draws_ma.__setitem__(0, float(ma)),
     "second": lambda link, _: _second(link),
     "first-goes": lambda link, _: setattr(link, "board", link.second),
@@ -168,9 +155,6 @@ WITH_ALL_FED: Final = {
         want 63; run 40 → fed none
         run 400 → fed 63""",
     # ---- silence
-    "a gateway that starts sends nothing but questions until something is wanted": """
-        gateway; run 500 → masks
-        want all; run 1500 → fed all""",
     "a board that falls silent is reported within 150 ms, and feeds nothing unasked later": """
         restart; run 151 → alive no; unconfirmed 1; doubt-of all; lost all
         run 300; want all; press; run 2000 → alive yes; fed none
@@ -178,21 +162,13 @@ WITH_ALL_FED: Final = {
     "a silence of the link alone takes no supply of a leg that lands": """
         cable off; run 300; want all; cable on; run 2000 → alive yes; fed all
         want all-11,12,13; run 2000 → off 11,12,13""",
-    "a process that was suspended reports no silence": "sleep 5000; run 500 → alive yes; news 0",
     "a sender that hangs is a silence": """
         hangs; cut; ask all; run 200 → alive no
         run 200 → unconfirmed 2; answers no""",
-    "on a new interface what is not confirmed leaves at once": """
-        cable off; cut; run 3500 → confirmed no
-        opened; run 1 → first none; masks none""",
     "an interface that is gone is reported at once and once": """
         gone unplugged; gone unplugged → alive no
         run 1 → unconfirmed 1; told unplugged""",
     "what servos drew before a silence is not known any more": "run 0 → currents 18\n cable off; run 300 → currents 0",
-    "what is wanted again counts as fed once the board says so anew": """
-        want all-11 → counts-fed all-11
-        want all → counts-fed all-11
-        until-fed 11 → fed all""",
     "an old answer that shows it on does not count as fed": """
         want all-11; run 1; want all; hears 6b03ffff → counts-fed all-11""",
     "what a servo drew before it was fed is forgotten once it is": """
@@ -206,9 +182,6 @@ WITH_ALL_FED: Final = {
         second; run 1000 → faults 1; fault-of all; told two power boards; refused all
         first-goes; cut; ask all; run 1000 → confirmed no; answers no  # it feeds what it fed
         want none; reset; run 1000 → confirmed yes; refused none""",
-    "what another node switches on goes off again": """
-        want none; run 500 → fed none
-        other all; run 500 → first none; fed none; confirmed yes; faults 1""",
     "what another node switches off stays off until it is wanted anew": """
         other all-11,12,13; run 6 → masks all-11,12,13
         want all; run 1000 → lost 11,12,13; fed all-11,12,13; faults 1; fault-of 11,12,13; confirmed yes
@@ -227,9 +200,6 @@ WITH_ALL_FED: Final = {
         anew all; run 1000 → fed all""",
     "a servo that is wanted while it is blocked is to be wanted once more": """
         blocks 11; run 100; anew all; run 100; by-hand; run 1500 → fed all-11""",
-    "at 70 degrees all servos leave the mask, and are reported once": """
-        degrees 70; run 1000 → fed none; refused all; faults 1; fault-of all; told overtemperature
-        degrees 69; by-hand; run 1000 → fed none""",
     "an error that cannot be read takes all": "hears 651001; run 20 → fed none; fault-of all; told cannot be read",
     "a low supply is reported and takes nothing": "low; run 1000 → faults 1; told too low; fed all; refused none",
     **{
@@ -253,9 +223,6 @@ WITH_NOTHING_FED: Final = {
     "nothing is switched on while the board does not answer": """
         cable off; want all; run 500 → masks
         cable on; run 1500 → fed all""",
-    "nothing counts as confirmed before something is wanted": """
-        run 500 → confirmed no
-        want all; run 1500 → confirmed yes""",
     "a gateway has a second to start": """
         cable off; opened; want none; run 990 → unconfirmed 0
         run 20 → unconfirmed 1""",
