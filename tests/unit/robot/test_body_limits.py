@@ -19,15 +19,6 @@ LIMITED: Final = "rules min_battery_mv=7000, max_tilt_cdeg=3000\n 10 leg 3 start
 """Leg 3 runs since 10 ms, on a robot with a limit for its battery (7 V) and for its tilt (30 degrees)."""
 
 
-def test_without_a_limit_no_measurement_is_wanted_and_none_decides_anything() -> None:
-    steps = play("""
-        10 leg 3 start 90
-        20 body 180 (battery 0) → nothing
-        240 body 180 (battery 0) → nothing
-        250 leg 4 start 90 → command 4 start 90; completed 2""")
-    assert not steps.supervisor.body.watches
-
-
 @pytest.mark.parametrize("limit", [{"min_battery_mv": 1}, {"max_tilt_cdeg": 1}])
 def test_with_one_limit_measurements_are_wanted(limit: dict[str, Any]) -> None:
     assert Supervisor(Rules(**limit)).body.watches

@@ -26,6 +26,11 @@ PREFIXED_SCENES: Final = {
         open → nothing
         move → 8z 8z m
         move → m""",
+    "so has a stop, in its call": """
+        open; stop 1 → 16z1
+        move → m
+        open; stop 1 → 16z1
+        close; stop 1 → nothing; fault closed""",
     "it goes before a repeated run of stops and never before a first one": """
         move; stop 1 → m 1
         repeat 1 → 16z1

@@ -77,19 +77,6 @@ SCENES: Final = {
         4 button register kitchen
         4 button alive kitchen 1
         5 reset → announce estop_reset; completed 3""",
-    "where none is required buttons come and go and stop nothing": f"""{SLOW} buttons_required=0
-        1 leg 1 start 90
-        1 button register kitchen
-        1 button alive kitchen 1
-        1001 time → announce button_silent
-        legs
-        running 11 12 13""",
-    "where a landing is configured it begins and ends in time": f"""{LANDING}
-        1000 time → announce button_silent; announce landing
-        mentions the robot lands
-        1100 leg 1 set 45 → rejected 2 landing; watchdog 11 set 86.66
-        1200 button alive kitchen 2
-        1400 time → watchdog 1-6 stop; announce watchdog_expired  # who is back makes it no longer""",
     "a landing that would begin after its end is a stop": f"""{LANDING}
         1400 time → watchdog 1-6 stop; …""",
     "leaving on purpose stops as silence does": f"""{WATCHED}
@@ -107,9 +94,6 @@ SCENES: Final = {
         900 button alive kitchen 1 → stale
         900 button alive kitchen 0 → stale
         1000 time → watchdog 1-6 stop; …""",
-    "at the end requests are rejected": f"""{WATCHED}
-        10 end
-        11 button alive kitchen 2 → stopping""",
 }
 test_a_scene = scene_test(SCENES)
 

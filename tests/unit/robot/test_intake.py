@@ -341,6 +341,7 @@ def test_only_a_payload_with_more_colons_than_fields_is_read_twice(
         ("hexapod/leg/3/cmd", Verb.DELETE, b"", True),
         ("hexapod/estop/cmd", Verb.PUT, b"", True),
         ("hexapod/reset/cmd", Verb.PUT, b'{"source": "stop"}', False),
+        ("hexapod/leg/9/cmd", Verb.PUT, b'{"op": "stop"}', False),
         ("hexapod/leg/3/cmd", Verb.PUT, b'{"servos": [{"op": "sToP"}]}', True),
         ("hexapod/leg/3/cmd", Verb.PUT, b"", False),
         ("hexapod/leg/3/cmd", Verb.PUT, b"\x1f\x8b\x08", True),

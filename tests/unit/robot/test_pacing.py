@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.robot.core.landing import Landing
-from gateway.robot.core.leg import RateSlots, Servo, StartQueue
+from gateway.robot.core.leg import RateSlots, Servo
 from gateway.robot.core.speed import step
 
 
@@ -37,37 +37,9 @@ def sent_at(period_ns: int, arrivals_ns: list[int]) -> list[int]:
     return [at_ns for at_ns, _ in sent(period_ns, arrivals_ns)]
 
 
-def test_a_robot_that_has_just_booted_has_all_its_slots_too() -> None:
-    """At the clock's very beginning, with the longest period there is."""
-    slots = RateSlots(NS_PER_S)
-    for now_ns in (0, NS_PER_S // 4, NS_PER_S // 2):
-        assert now_ns >= slots.next_ns
-        slots.take(now_ns)
-    assert slots.next_ns == NS_PER_S
-    queue = StartQueue(pause_ns=1)
-    assert queue.passes(3, RateSlots(NS_PER_S), 0, True)
-
-
 def test_three_slots_are_kept_and_used_a_quarter_of_a_period_apart() -> None:
     """Nothing was sent for long: no more than three, and no burst."""
     assert sent_at(100, [1000, 1001, 1026, 1051, 1052]) == [1000, 1025, 1050, 1100]
-
-
-def test_slots_that_nobody_used_are_skipped() -> None:
-    """After ten periods there are three slots, not ten."""
-    arrivals_ns = [1000, *range(2020, 2500, 5)]
-    assert sent_at(100, arrivals_ns) == [1000, 2020, 2045, 2070, 2120, 2220, 2320, 2420, 2520]
-
-
-PERIODS_NS = st.sampled_from([1, 3, 40, 50, 101])
-ARRIVALS_NS = st.lists(st.integers(0, 60), min_size=1, max_size=80).map(
-    lambda gaps: [1000 + sum(gaps[: number + 1]) for number in range(len(gaps))]
-)
-
-
-@given(PERIODS_NS, ARRIVALS_NS)
-def test_two_frames_are_a_quarter_of_a_period_apart(period_ns: int, arrivals_ns: list[int]) -> None:
-    assert all(4 * (later - earlier) >= period_ns for earlier, later in pairwise(sent_at(period_ns, arrivals_ns)))
 
 
 @given(st.integers(2, 101), st.data())
@@ -77,24 +49,6 @@ def test_in_the_long_run_more_than_the_rate_gets_exactly_the_rate(period_ns: int
     frames = sent_at(period_ns, list(range(1000, 1000 + 400 * period_ns, gap_ns)))
     empty = 2 + 3 * period_ns // (period_ns - gap_ns)  # a stream that is only just too fast takes long to empty it
     assert all(later - earlier == period_ns for earlier, later in pairwise(frames[empty:]))
-
-
-def test_a_queue_lets_one_leg_go_at_a_time_in_the_order_in_which_they_came() -> None:
-    queue, open_slots, late_slots = StartQueue(100), RateSlots(100), RateSlots(100, next_ns=2000)
-    assert not queue.passes(3, late_slots, 1000, True)
-    for leg in (1, 3, 2):
-        assert not queue.passes(leg, late_slots if leg == 3 else open_slots, 1000, True)
-    assert queue.legs == [3, 1, 2]
-    assert queue.passes(4, open_slots, 1000, False), "a frame that starts nothing"
-    assert queue.due_ns(1, 990) is None
-    assert queue.passes(3, open_slots, 1000, True)
-    assert not queue.passes(1, open_slots, 1099, True)
-    assert queue.due_ns(1, 990) == 1100
-    assert queue.due_ns(1, 1150) == 1150
-    queue.leave(6)
-    assert queue.passes(1, open_slots, 1100, False), "it is not started any more"
-    assert queue.legs == [2]
-    assert queue.passes(2, open_slots, 1100, True)
 
 
 # ---- A limited speed: never more than speed times time, and the target is reached
@@ -126,11 +80,6 @@ def test_never_more_than_speed_times_time(
         assert abs(angle - before) * NS_PER_S <= speed * wait_ns + NS_PER_S  # and rounding: a hundredth of a degree
         assert abs(angle - start) * NS_PER_S <= speed * now_ns  # which never adds up
         assert since_ns <= now_ns
-
-
-def test_time_too_short_for_a_hundredth_is_kept_for_the_next_step() -> None:
-    slot_ns = 20 * NS_PER_MS
-    assert step(0, 180_00, 50_00, 0, slot_ns + 100, slot_ns) == (1_00, slot_ns)
 
 
 def test_who_has_arrived_has_no_time_left_over() -> None:

@@ -90,20 +90,6 @@ SCENES: Final = {
         20 board → nothing
         30 leg 3 start 90 → nothing
         40 board → command 3 start 90; completed 2""",
-    "where the robot stops as one a servo that is lost stops all": """
-        rules power=True, whole_robot=True
-        5 board
-        10 legs 123456 start 90
-        15 board
-        20 board (lost 32) → watchdog 1-6 stop
-        running none""",
-    "what the board says before the bus is open is no mistake": """
-        rules power=True
-        unopened
-        0 board → nothing
-        10 open
-        20 leg 3 start 90 → nothing
-        30 board → command 3 start 90; completed 1""",
     # The start that nobody fed ends in the step in which the board falls silent.
     "nothing lands where the last servo was stopped in the same step": """
         rules power=True, landing_ms=500, timeout_ms=5000
@@ -151,10 +137,6 @@ test_a_scene_with_a_board_that_answers = scene_test(WITH_A_BOARD, BOARD)
 
 
 WITH_LEG_3_FED: Final = {
-    "what was fed before a stop is not fed behind it": """
-        20 leg 3 stop
-        30 leg 3 start 90 → nothing
-        90 board → command 3 start 90; completed 3""",
     "what the board blocks does not start and all else does": """
         20 board (refused 12 21) → nothing
         30 leg 1 start 90 → rejected 2 no_power
@@ -176,13 +158,5 @@ WITH_LEG_3_FED: Final = {
         15 leg 6 start 90
         16 board
         20 board (lost 63) → watchdog 6 stop""",
-    "at a bus at fault and at the end the board changes nothing that is sent": """
-        20 fail
-        30 board silent (doubt servo 11 is not off) → nothing
-        40 open → startup 1-6 stop; announce bus_recovered
-        50 leg 3 start 90 → rejected 2 no_power  # what it said is kept
-        60 end
-        70 board (doubt servo 11 is not off) → nothing
-        mode stopping""",
 }
 test_a_scene_in_which_leg_3_runs = scene_test(WITH_LEG_3_FED, FED)

@@ -179,6 +179,7 @@ NAMED: list[tuple[str, object, str]] = [
     (LEG_3, {"servos": [STOP, SET, SET], "comment": "x"}, "31"),
     (LEG_3, {"servos": [SET, SET, SET], "op": "stop"}, "31 32 33"),
     (LEG_3, {"servos": [STOP, SET, SET, SET]}, "31 32 33"),
+    (LEG_3, {"servos": {"1": STOP}}, "31 32 33"),
     (LEG_3, {"Servos": [ODD, SET, SET]}, "31 32 33"),
     (LEG_3, {"servos": ["stop", SET, SET]}, "31"),
     (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 9, "x": ["stop"]}]}, "33"),

@@ -44,13 +44,6 @@ def test_a_set_is_rejected_after_every_kind_of_stop(stop: str) -> None:
 
 
 SCENES: Final = {
-    "the start stops all six legs": """
-        unopened
-        mode starting
-        watchdogs idle idle idle idle idle idle
-        0 open → startup 1-6 stop
-        mode idle
-        due never""",
     "an angle outside a joints limits rejects the whole command": """
         rules joint_limits_cdeg={12: (2000, 16000)}
         1 leg 1 start 10 → rejected 1 joint_limit
@@ -62,12 +55,6 @@ SCENES: Final = {
         60 servo 11 set 180 → command 11 set 180; completed 5
         61 leg 1 stop | set 170 | set 80 → command 11 stop; rejected 6 joint_limit stopped
         62 leg 1 stop → command 1 stop; completed 7  # a stop has no angle""",
-    "a single joint waits to be energised like a leg": """
-        rules start_pause_ms=50
-        100 leg 1 start 90
-        110 servo 23 start 90 → nothing
-        due 150
-        150 time → command 23 start 90; completed 2""",
     "a stream above the rate that keeps a servo stopped leaves it to the repeats": """
         rules repeats=3
         100 leg 1 start 90
@@ -80,11 +67,6 @@ SCENES: Final = {
         says servo 13 does not run; start it before you set it
         60 legs 23 start 80 + servo 41 set 1 → rejected 3 servo_stopped
         running 11""",
-    "a set may follow a start that waits": """
-        1 servo 11 start 90
-        2 servo 12 start 90 → nothing
-        3 servo 12 set 45 → completed 2 coalesced
-        21 time → command 12 start 45; completed 3""",
     "a command comes just when another legs slot does": """
         100 leg 1 start 90
         105 leg 1 set 90
@@ -97,11 +79,6 @@ SCENES: Final = {
         101 leg 1 set 10 | set 20 | set 30 → nothing
         102 servo 12 set 25 → nothing
         120 time → command 1 set 10 | set 25 | set 30; completed 3; completed 2 coalesced""",
-    # Nobody woke the supervisor in time: the newer target goes out, not first the older one.
-    "a command that finds a rate slot is sent with what waited": """
-        100 leg 1 start 90
-        101 leg 1 set 10
-        125 leg 1 set 20 → completed 2 coalesced; command 1 set 20; completed 3""",
     "a stop goes out at once and ends what waits": """
         100 leg 1 start 90
         101 leg 1 set 80
@@ -144,12 +121,6 @@ SCENES: Final = {
         104 leg 2 start 90 → nothing
         105 time → command 1 start 80; completed 3
         106 time → command 2 start 90; completed 4""",
-    "a start does not overtake a stop of its instant that comes with moves": """
-        99 leg 1 start 90
-        instant 100
-        101 leg 1 stop | set 80 | set 80 (key put legs)
-        102 servo 11 start 10 (key put leg/1) → rejected 3 servo_stopped
-        103 servo 11 start 10 (key put legs) → nothing  # of one channel it is newer: it is pending""",
     "a start does not undo the watchdogs stop of its instant": """
         100 leg 1 start 90
         instant 349

@@ -50,35 +50,8 @@ SCENES: Final = {
         rules timeout_ms=10000, rest_runs=3
         10 legs 123456 start 90
         due 10010""",
-    "the last stop is one for all legs with its repeats": """
-        rules repeats=1, repeat_interval_ms=20
-        20 time
-        100 leg 1 start 90
-        101 servo 21 start 90
-        200 leg 1 stop
-        joined none  # leg 2 runs on
-        210 servo 21 stop → command 21 stop; completed 4
-        joined 23456  # leg 1's is still to be repeated
-        due 220  # where it was, and the others go with it: one run, with one preamble
-        220 time → repeat 1-6 stop
-        due never""",
-    "a leg that waits to be started gets no further run": """
-        rules start_pause_ms=50, period_ms=400, rest_runs=3
-        800 leg 1 start 90
-        810 leg 1 stop
-        due 1910  # legs 2 to 6 have been at rest since 0 ms, and got a Stop at 810
-        850 leg 1 start 90
-        860 leg 1 stop
-        1900 leg 1 start 90 → command 1 start 90; completed 5""",
 }
 test_a_scene = scene_test(SCENES)
-
-
-def test_a_round_uses_no_rate_slot_and_the_state_says_what_it_said() -> None:
-    robot = play("10 leg 2 start 90\n 260 time\n 300 leg 1 start 90")
-    slots = [each.slots.next_ns for each in robot.supervisor.legs]
-    robot.play("550 time\n joined 23456\n watchdogs expired expired idle idle idle idle")
-    assert [each.slots.next_ns for each in robot.supervisor.legs] == slots
 
 
 # ---- more runs, once nothing runs
@@ -118,12 +91,9 @@ def runs_of(robot: Scenes) -> list[float]:
 @pytest.mark.parametrize(
     ("stops", "at_ms"),
     [
-        ("5010 estop", 5010),
         ("5010 leg 1 stop", 5010),
-        ("5010 servo 11 stop + servo 12 stop + servo 13 stop", 5010),
         ("5250 time", 5250),
         ("5010 outside begins", 5010),
-        ("5010 board (doubt it is not confirmed)", 5010),
     ],
 )
 def test_three_more_runs_follow_whatever_brings_the_last_leg_to_rest(stops: str, at_ms: float) -> None:
@@ -149,21 +119,3 @@ def test_a_stop_while_they_are_owed_moves_none_and_three_more_are_far_enough_beh
     runs = runs_of(robot.play("12000 estop\n 12020 time\n 13000 estop"))
     assert 13_160 in runs, "where it was"
     assert [each for each in runs if each >= 13_060 + 1000] == [14_260, 15_360, 16_460, 17_560]
-
-
-def test_a_start_ends_them_and_waits_for_none() -> None:
-    at_rest().play(f"""{ESTOP}
-        5100 reset
-        due 6160
-        6160 leg 1 start 90 → command 1 start 90; completed 2
-        6300 leg 1 set 90 → command 1 set 90; completed 3
-        due 6550  # the watchdog's time
-        6500 leg 1 set 90
-        6700 leg 1 set 90
-        6900 leg 1 set 90
-        6960 time → repeat 2 stop; repeat 3 stop; repeat 4 stop; repeat 5 stop; repeat 6 stop""")
-
-
-def test_the_end_waits_for_none_of_them() -> None:
-    robot = at_rest().play("5000 leg 1 start 90\n 5010 end")
-    assert runs_of(robot) == [5030, 5050, 5070]

@@ -5,12 +5,8 @@ Each step is judged by the oracle.
 
 from typing import Final
 
-import pytest
-
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.robot.core.events import CalibrationSaved
 from gateway.robot.core.leg import Rules
-from gateway.robot.core.supervisor import IllegalEvent
 from tests.support.scenes import Scenes, play, scene_test
 
 MIRRORED = RobotCalibration(3, {32: ServoMapping(7_00, inverted=True, min_cdeg=10_00, max_cdeg=170_00)})
@@ -30,13 +26,6 @@ def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
     assert steps.supervisor.legs.servos[32].angle_cdeg == 45_00
     # A servo without a new target is sent its angle again, also by its own calibration.
     steps.play("200 servo 31 set 20 + servo 33 set 30 → command 3 set 20 | set 142 | set 30; completed 3")
-
-
-@pytest.mark.parametrize("angle", ["9.99", "170.01"])
-def test_what_the_calibration_excludes_is_rejected_with_the_whole_command(angle: str) -> None:
-    Scenes(calibration=MIRRORED).play(f"""
-        0.5 leg 3 start 90 | start {angle} | start 90 → rejected 1 joint_limit
-        says servo 32 is calibrated to go from 10 to 170 degrees; {angle} is outside""")
 
 
 def test_the_settings_limits_hold_as_well_and_count_as_users_do() -> None:
@@ -112,32 +101,8 @@ SCENES: Final = {
         due 1000
         600 {TURN_32} (lease anna) → keep 3
         due 1600  # an accepted change renews the lease, and no other""",
-    "nothing is changed where nothing may move": f"""
-        rules landing_ms=500
-        0.5 servo 11 start 90
-        250.5 time
-        251 {TURN_32} → rejected 2 landing
-        252 outside begins
-        253 {TURN_32} → rejected 3 servo_stopped
-        254 outside ends
-        255 estop
-        256 {TURN_32} → rejected 4 estopped
-        257 fail
-        258 {TURN_32} → rejected 5 bus_fault
-        259 end
-        260 {TURN_32} → rejected 6 stopping""",
 }
 test_a_scene = scene_test(SCENES)
-
-
-@pytest.mark.parametrize("number", [0, 2])
-def test_an_answer_that_nobody_waits_for_changes_nothing(number: int) -> None:
-    steps = play(f"0 {TURN_32}")
-    with pytest.raises(IllegalEvent, match="is not on its way"):
-        steps.supervisor.step(CalibrationSaved(number), 10**12)
-    steps.play("1 kept → …; completed 1")
-    with pytest.raises(IllegalEvent, match="is not on its way"):
-        steps.supervisor.step(CalibrationSaved(1), 10**12)
 
 
 # ---- a calibration that cannot be trusted

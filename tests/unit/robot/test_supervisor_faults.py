@@ -84,39 +84,12 @@ SCENES: Final = {
         mentions follow as soon as it does
         200 open → startup 1-6 stop; …
         mode estopped""",
-    "a stop of a leg that waits ends the queue": """
-        rules start_pause_ms=50
-        100 legs 123 start 90
-        110 leg 2 stop → command 2 stop; completed 2; rejected 1 servo_stopped
-        150 time → nothing
-        200 time → nothing""",
-    "a set keeps the start that waits although a stop for another leg comes with it": """
-        rules start_pause_ms=50
-        100 legs 1234 start 90
-        110 leg 2 stop + leg 3 set 80 → command 2 stop; rejected 1 servo_stopped
-        150 time → command 3 start 80; completed 2
-        200 time → nothing""",
-    "a start goes out at once where the stop that comes with it ends the queue before it": """
-        rules start_pause_ms=4
-        100 leg 1 start 90
-        101 leg 1 stop
-        104 legs 12 start 90
-        104.5 leg 1 stop + leg 2 start 80
-            → command 1 stop; completed 3 coalesced; command 2 start 80; completed 4""",
     "the end during a fault says that no stop was sent until the bus answers": """
         100 fail
         110 end → announce stopping
         mentions no Stop can be sent
         120 open → startup 1-6 stop; …
         mode stopping""",
-    "a bus that answers again stops all and sends nothing that waited": """
-        100 leg 1 start 90
-        101 leg 1 set 80
-        102 fail
-        150 open → startup 1-6 stop; announce bus_recovered
-        mode idle
-        running none
-        1000 time → nothing""",
     "an emergency stop before the bus was ever open latches": """
         unopened
         0 estop → announce estop_engaged
@@ -135,17 +108,6 @@ SCENES: Final = {
         101 leg 2 start 90
         121 leg 1 start 80 → command 1 start 80; completed 3
         running 11 12 13""",
-    "a watchdogs stop ends the queue": """
-        rules start_pause_ms=400
-        100 leg 1 start 90
-        200 leg 2 start 90
-        350 time → watchdog 1 stop; rejected 2 servo_stopped; announce watchdog_expired
-        500 time → nothing""",
-    "a leg that waits and is not heard is rejected": """
-        rules start_pause_ms=400
-        100 legs 12 start 90 (key legs)
-        350 time → watchdog 1 stop; watchdog 2 stop; rejected 1 stale; …
-        500 time → nothing""",
     "a command that starts one leg and stops another does not reject itself": """
         rules start_pause_ms=50
         100 leg 1 start 90
@@ -160,10 +122,5 @@ SCENES: Final = {
         104 reset → rejected 4 stopping
         105 estop → estop 1-6 stop; announce estop_engaged
         1000 time → nothing""",
-    "the stops of the end are repeated": """
-        rules repeats=1
-        100 end
-        120 time → repeat 1-6 stop
-        due never""",
 }
 test_a_scene = scene_test(SCENES)

@@ -17,7 +17,6 @@ ENDS_MS = 10 + TIMEOUT_MS + LANDING_MS
 
 LANDS: Final = "rules landing_ms=1000, landing_cdeg={31: 3000, 42: 10000}\n 10 legs 34 start 90\n"
 """Legs 3 and 4 run since 10 ms, and have been silent since; the pose names two of their servos."""
-LIMITED: Final = LANDS.replace("rules", "rules joint_limits_cdeg={31: (8000, 10000)},")
 SLOW: Final = LANDS.replace("rules", "rules max_speed_cdeg_s={31: 1000},")
 
 
@@ -90,12 +89,6 @@ def test_a_late_look_makes_the_landing_no_longer() -> None:
     assert steps.running == []
 
 
-def test_a_pose_outside_the_joint_limits_is_not_approached() -> None:
-    steps = play(LIMITED)
-    told = until(steps, ENDS_MS)
-    assert {angle for _, angle in told.get(31, [])} <= {90_00}
-
-
 def test_a_limited_speed_holds_in_a_landing() -> None:
     steps = play(SLOW)
     told = until(steps, ENDS_MS)[31]
@@ -103,16 +96,6 @@ def test_a_limited_speed_holds_in_a_landing() -> None:
 
 
 SCENES: Final = {
-    "the announcement says why and how long": f"""{LANDS}
-        260 time → announce landing
-        announces no command for leg 3 in 250 ms; the robot lands, and is stopped 1000 ms later
-        legs 123456""",
-    "what waits for its slot when the landing begins is rejected": f"""{LANDS}
-        250 leg 4 set 91
-        251 leg 4 set 92
-        252 leg 4 set 93
-        253 leg 4 set 94 → completed 4 coalesced
-        260 time → rejected 5 landing; announce landing""",
     "a leg whose slot comes later keeps no other from going on": f"""{LANDS.replace("10000", "9024")}
         260 time
         296 time → watchdog 31 set 88.75
@@ -126,11 +109,6 @@ SCENES: Final = {
         1260 leg 4 set 92 → …; rejected 5 servo_stopped  # the landing has ended
         running none
         1262 leg 4 start 92 → command 4 start 92; completed 6""",
-    "when all are stopped the landing is over": f"""{LANDS}
-        260 time
-        300 legs 34 stop
-        due never
-        301 leg 3 start 90 → command 3 start 90; …""",
     "a bus fault never lands": f"""{LANDS}
         260 time
         300 fail

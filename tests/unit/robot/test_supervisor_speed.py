@@ -33,17 +33,9 @@ def test_a_far_target_is_approached_and_reached() -> None:
     assert len(said) >= (110 - 92) / (100 / 50)
 
 
-def test_the_newest_target_counts() -> None:
-    steps = play(f"{RUNS} 51 servo 31 set 180\n 71 servo 31 set 85 → command 31 set 90; …")
-    assert angles(steps, 300)[-1] == 85
-
-
 SCENES: Final = {
     "a start of a servo that runs is no way round it": f"""{RUNS}
         51 servo 31 start 180 → command 31 start 92; …""",
-    "a start of one that does not run goes where it says": """
-        rules max_speed_cdeg_s={31: 100}
-        1 servo 31 start 180 → command 31 start 180; …""",
     "a legs frame that tells it its angle again counts as its last": f"""{RUNS}
         41 servo 32 set 80 + servo 33 set 80
         51 servo 31 set 180 → command 31 set 91; …""",

@@ -122,16 +122,6 @@ SCENES: Final = {
         legs 123456
         watchdogs expired expired idle idle idle idle
         expirations 1""",
-    "the emergency stop stops all and latches": """
-        100 legs 135 start 90
-        101 legs 135 set 80
-        102 estop → estop 1-6 stop; rejected 2 estopped; announce estop_engaged
-        mode estopped
-        103 leg 1 start 90 → rejected 3 estopped
-        104 leg 1 set 90 → rejected 4 estopped
-        105 leg 1 stop → command 1 stop; rejected 5 estopped stopped
-        106 leg 1 stop | start 9 | set 9 → command 11 stop; rejected 6 estopped stopped
-        1000 time → nothing""",
     "it takes the place of a watchdogs stop": """
         1 leg 1 start 90
         251 time
@@ -180,25 +170,5 @@ SCENES: Final = {
         120 outside ends → nothing
         130 servo 11 set 90 → rejected 4 servo_stopped  # it does not run
         131 leg 1 start 90 → command 1 start 90; completed 5""",
-    "stop-servos is announced once and again the next time": """
-        100 outside begins → repeat 1-6 stop; announce stopped_outside
-        200 outside begins → repeat 1-6 stop
-        300 outside ends
-        400 outside begins → …; announce stopped_outside""",
-    "the stops beside stop-servos are repeated although it has ended": """
-        rules repeats=2
-        20 time
-        40 time
-        100 outside begins
-        105 outside ends
-        120 time → repeat 1-6 stop
-        140 time → repeat 1-6 stop
-        due never""",
-    "beside stop-servos and a bus fault nothing is sent until the bus answers": """
-        100 leg 1 start 90
-        110 fail
-        120 outside begins → announce stopped_outside
-        130 open → startup 1-6 stop; …
-        140 leg 1 start 90 → rejected 2 servo_stopped""",
 }
 test_a_scene = scene_test(SCENES)

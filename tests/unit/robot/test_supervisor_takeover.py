@@ -41,17 +41,8 @@ def test_a_second_program_moves_a_servo_no_faster_than_a_takeover_may() -> None:
 
 
 SCENES: Final = {
-    "its first step counts from the frame before": f"""{ANNAS}
-        205 servo 31 set 160 (source bert) → command 31 set 20.9; …""",
     "also at the lowest speed": f"""{ANNAS.replace("18000", "1")}
         205 servo 31 set 160 (source bert) → command 31 set 20; …""",
-    "once it has arrived it is as quick as ever": f"""{ANNAS}
-        220 servo 31 set 25 (source bert) → command 31 set 23.6; …
-        240 servo 31 set 25 (source bert) → command 31 set 25; …
-        260 servo 31 set 170 (source bert) → command 31 set 170; …""",
-    "a program that begins where the servo stands has arrived": f"""{ANNAS}
-        220 servo 31 set 20 (source bert) → command 31 set 20; …
-        240 servo 31 set 90 (source bert) → command 31 set 90; …""",
     "the same source leaps as ever": f"""{ANNAS}
         220 servo 31 set 160 (source anna) → command 31 set 160; …""",
     "a start soon behind a stop begins where the servo stands": f"""{ANNAS}
@@ -59,10 +50,6 @@ SCENES: Final = {
         270 leg 3 start 35 (source anna) → command 3 start 20; …
         290 time → command 3 set 23.6; …
         400 pass → …; command 3 set 35""",
-    "also behind an emergency stop": f"""{ANNAS}
-        220 estop
-        221 reset
-        270 leg 3 start 35 (source anna) → command 3 start 20; …""",
     "for two seconds": f"""{ANNAS}
         220 leg 3 stop (source anna)
         1000 time
@@ -75,11 +62,6 @@ SCENES: Final = {
         1 servo 32 start 20 (source anna)
         40 servo 32 stop (source anna)
         80 leg 3 start 35 (source anna) → command 3 start 35 | start 20 | start 35; …""",
-    "behind another calibration an angle means another place": f"""{ANNAS}
-        220 leg 3 stop (source anna)
-        230 calibrate 31 trim 10
-        240 kept
-        270 servo 31 start 150 (source anna) → command 31 start 160; …  # its own angle""",
     "behind a fault of the bus nobody knows which frame was the last": f"""{ANNAS}
         220 servo 31 set 25 (source anna)
         220 fail

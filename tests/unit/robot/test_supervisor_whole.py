@@ -48,10 +48,6 @@ def test_a_start_waits_for_the_last_legs_rate_slot_and_then_leaves_in_one_step()
     steps.play(f"{due_ms - 0.1} time → nothing\n {due_ms} time → {STARTED}; completed 5")
 
 
-def test_messages_that_were_lost_stop_all_that_one_of_them_may_have_stopped() -> None:
-    play(f"{RUNNING} 20 lost leg 2 stop → command 1-6 stop; completed 99")
-
-
 def test_one_silent_leg_stops_the_robot_whatever_the_scope_and_the_event_says_why() -> None:
     play(f"""{RUNNING.replace("rules", "rules whole_robot=False,")}
         100 leg 1 set 80
