@@ -57,9 +57,8 @@ def shipped(name: str) -> bytes:
     try:
         return (_SHIPPED / name).read_bytes()
     except OSError as error:
-        raise ConfigError(
-            f"{_SHIPPED / name}: {error.strerror}; install it anew: sudo apt install --reinstall {SERVICE}"
-        ) from error
+        fix = f"install it anew: sudo apt install --reinstall {SERVICE}"
+        raise ConfigError(f"{_SHIPPED / name}: {error.strerror}; {fix}") from error
 
 
 def read(machine: Machine) -> Configuration:
@@ -108,20 +107,19 @@ def write(machine: Machine, found: Configuration, changes: Mapping[str, str]) ->
 
 def _ask(what: str, choices: Mapping[Any, str]) -> str:
     """Ask at the terminal. Raises ConfigError if nobody is there."""
-    names = [str(each) for each in choices]
+    names, answer = " or ".join(map(str, choices)), ""
     if not sys.stdin.isatty():
         each = "; ".join(f"{name} ({meaning})" for name, meaning in choices.items())
-        raise ConfigError(f"which {what} does the controller need? Use --{what} {' or '.join(names)}: {each}")
+        raise ConfigError(f"which {what} does the controller need? Use --{what} {names}: {each}")
     say(f"Which {what} does the controller need?")
     for name, meaning in choices.items():
         say(f"  {name:<16} {meaning}")
-    while True:
+    while answer not in choices:
         try:
-            answer = input(f"{' or '.join(names)}? ").strip()
+            answer = input(f"{names}? ").strip()
         except EOFError:
             raise ConfigError(f"nobody answered: use --{what}") from None
-        if answer in names:
-            return answer
+    return answer
 
 
 def with_value(text: str, table: str, name: str, value: str) -> str:
