@@ -324,6 +324,8 @@ SCENES = (
           patch=DENIED),
     scene("SPI device", here(**NODE), "→ until the next boot: sudo chown", patch=DENIED),
     scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened … is /dev/null a SPI device?"),
+    scene("SPI device", here(**NODE), "failure SPI device: /dev/null cannot be opened",
+          patch={"gateway.robot.spi.outside.is_gateways": raises(OSError(errno.ENODEV, "no such device"))}),
     scene("SPI device", here(**NODE), "failure … /dev/null is held by another program … sudo fuser -v /dev/null",
           patch={SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: False}),
     scene("SPI device", here(**NODE), "ok SPI device: /dev/null is the running gateway's",
