@@ -35,7 +35,13 @@ def setup(machine: Machine, wanted: Wanted) -> int:
     except (OSError, subprocess.SubprocessError) as error:
         what = f"{error.filename or 'setup'}: {error.strerror or error}" if isinstance(error, OSError) else str(error)
         raise GatewayError(f"{what}; nothing after that was done") from error
-    return _conclude(machine)
+    if machine.dry:
+        say("Nothing was changed. Without --dry-run, `check` follows.")
+    elif machine.reboot_due:
+        say("Next: sudo reboot; then: sudo hexapod-gateway check")
+    else:
+        return machine.check()
+    return 0
 
 
 def _set_up(machine: Machine, wanted: Wanted) -> None:
@@ -58,13 +64,3 @@ def _set_up(machine: Machine, wanted: Wanted) -> None:
 def _go_back() -> None:
     if said := release_switch.go_back():
         say(said)
-
-
-def _conclude(machine: Machine) -> int:
-    if machine.dry:
-        say("Nothing was changed. Without --dry-run, `check` follows.")
-        return 0
-    if machine.reboot_due:
-        say("Next: sudo reboot; then: sudo hexapod-gateway check")
-        return 0
-    return machine.check()

@@ -4,7 +4,6 @@ import os
 import shutil
 import time
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 from gateway.errors import GatewayError
@@ -36,16 +35,11 @@ def remove_former(machine: Machine) -> None:
         return
     machine.will_restart()
     for each in found:
-        machine.change(f"remove {each}, of the former installer", partial(_remove, machine.path(each)))
+        path = machine.path(each)
+        remove = partial(shutil.rmtree, path) if path.is_dir() and not path.is_symlink() else path.unlink
+        machine.change(f"remove {each}, of the former installer", remove)
     if not machine.dry:
         machine.systemctl("daemon-reload")
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink()
 
 
 def start(machine: Machine, device: str) -> None:
