@@ -148,24 +148,18 @@ def read(path: Path) -> Records:
 def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
     """Return a file's bytes, and whether a gateway writes to it. `path`: the ring, or its link. Raises NoRingError."""
     try:
-        fd = os.open(file, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    except OSError as error:
-        raise NoRingError(f"{path}: {error.strerror}") from error
-    try:
-        found = os.fstat(fd)
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_BYTES:
-            raise NoRingError(f"{path}: it is no black box")
-        # In /dev/shm anybody may put a file where our link leads.
-        trusted = (path.lstat().st_uid, os.geteuid(), 0)
-        if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-            raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
-        written = is_locked(fd)  # first: a gateway that ends meanwhile has written all
-        with os.fdopen(fd, "rb", closefd=False) as opened:
+        with open(file, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as opened:
+            found = os.fstat(opened.fileno())
+            if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_BYTES:
+                raise NoRingError(f"{path}: it is no black box")
+            # In /dev/shm anybody may put a file where our link leads.
+            trusted = (path.lstat().st_uid, os.geteuid(), 0)
+            if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
+            written = is_locked(opened.fileno())  # first: a gateway that ends meanwhile has written all
             return opened.read(found.st_size), written
     except OSError as error:
         raise NoRingError(f"{path}: {error.strerror}") from error
-    finally:
-        os.close(fd)
 
 
 class _Slots:
