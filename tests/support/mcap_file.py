@@ -13,11 +13,12 @@ from mcap.stream_reader import StreamReader
 from pydantic import BaseModel
 
 from gateway.people.recorder.drawing import DRAWN
-from gateway.people.recorder.messages import COMMAND_TOPICS, RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
+from gateway.people.recorder.messages import RECORDER, CommandInBox, FrameInBox, Note, RecordedMessage
 from gateway.people.recorder.record import METADATA, REPORTS
+from schemas.keys import COMMAND_KEYS
 from tests.support.ros2_messages import decode
 
-IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_TOPICS, CommandInBox), RECORDER: Note}
+IN_A_BOX: Final[dict[str, type[BaseModel]]] = {**dict.fromkeys(COMMAND_KEYS, CommandInBox), RECORDER: Note}
 
 
 def checked(path: Path) -> Iterator[tuple[str, Any]]:

@@ -75,9 +75,6 @@ class Note(Report):
     key: str | None = None
 
 
-COMMAND_TOPICS: Final = tuple(keys.COMMAND_KEYS)
-
-
 def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
     """Return a note of the incident and the messages within its time, oldest first.
 

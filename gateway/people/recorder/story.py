@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Frame, Op
 from gateway.people.recorder.incidents import kind_of
-from gateway.people.recorder.messages import COMMAND_TOPICS, INCIDENT, RECORDER, RecordedMessage
+from gateway.people.recorder.messages import INCIDENT, RECORDER, RecordedMessage
 from gateway.people.ros2.commanded import UserAngles
 from gateway.text import legs_named, visible
 from schemas import keys
@@ -79,8 +79,10 @@ def story(messages: list[RecordedMessage]) -> list[str]:
     name = str(zero.content.get("detail"))
     reported = [each._replace(time_ns=each.time_ns - zero.time_ns) for each in messages if each is not zero]
     frames = list(frames_in(reported))
-    lines = [*_commands(reported, frames, name), *_rejections(reported), *_events(reported, name)]
-    lines += [*_stops(frames), *_notes(reported), *_landings(reported, frames), *_measured(reported)]
+    notes = [each for each in reported if each.topic == RECORDER]
+    lines = [*_commands(reported, frames, name), *_rejections(reported)]
+    lines += _happened((each for each in reported if each.topic != RECORDER), name)
+    lines += [*_stops(frames), *_happened(notes, name), *_landings(reported, frames), *_measured(reported)]
     lines.sort(key=lambda line: line.at_ns)
     width = max((len(_at(line.at_ns)) for line in lines), default=0)
     head = f"{name}: {headline(messages)}, at {zero.content.get('time')}"
@@ -96,15 +98,11 @@ def headline(messages: Iterable[RecordedMessage]) -> str:
     reported: list[RecordedMessage] = []
     moved_ns = array("q")  # when commands that move came
     for message in messages:
-        if _is_command(message):
-            if _moves(message):
-                moved_ns.append(message.time_ns)
-        elif message.topic == keys.FRAME:
-            reported += [message] if _is_watchdogs(message) else []
-        elif message.topic == keys.EVENT:
-            reported += [message] if str(message.content.get("kind")) in _ENDINGS else []
-        elif message.topic == RECORDER and message.content.get("what") in (INCIDENT, "lag", "killed"):
+        kind = str(message.content.get("kind") or message.content.get("what"))
+        if _is_watchdogs(message) or kind in _ENDINGS or kind in (INCIDENT, "lag"):
             reported.append(message)
+        elif _is_command(message) and _moves(message):
+            moved_ns.append(message.time_ns)
     zero = _zero(reported)
     happened = {kind_of(str(zero.content.get("detail"))): ""}
     for message in reported:
@@ -156,7 +154,7 @@ def _at(at_ns: int) -> str:
 
 
 def _is_command(message: RecordedMessage) -> bool:
-    return message.topic in COMMAND_TOPICS and "targets" in message.content
+    return message.topic in keys.COMMAND_KEYS and "targets" in message.content
 
 
 def _legs_of(message: RecordedMessage) -> list[int]:
@@ -219,12 +217,6 @@ def _commands(messages: list[RecordedMessage], frames: Sequence[FrameIn], name: 
         for leg, message in found.items():
             if leg in concerned or words.startswith("first"):
                 yield Line(message.time_ns, f"{words} leg {leg} ({_asked(message, leg)})")
-    for message in messages:
-        if _is_command(message) and message.topic in (keys.ESTOP, keys.RESET):
-            request = "emergency stop" if message.topic == keys.ESTOP else "reset"
-            by = _who(message.content.get("source"))
-            verdict = "" if _taken(message) else f", rejected: {message.content['verdict']}"
-            yield Line(message.time_ns, f"{request} requested by {by}{verdict}")
 
 
 def _stopped_legs(frames: Iterable[FrameIn], zero_ns: int = 0) -> set[int]:
@@ -239,14 +231,14 @@ def _rejections(messages: list[RecordedMessage]) -> Iterator[Line]:
     """Yield a line for the rejections of each source for one reason, on the same side of the incident."""
     runs: dict[tuple[str, str, bool], list[int]] = {}
     for message in messages:
+        content, reason = message.content, None
         if _is_command(message) and not _taken(message):
-            source, reason = message.content.get("source"), message.content["verdict"]
-        elif message.topic == RECORDER and message.content.get("what") == "rejected":
-            source, reason = message.content.get("source"), message.content.get("detail")
-        else:
-            continue
-        case = _who(source), str(reason), message.time_ns > 0
-        runs.setdefault(case, []).append(message.time_ns)
+            reason = content["verdict"]
+        elif content.get("what") == "rejected":
+            reason = content.get("detail")
+        if reason is not None:
+            case = _who(content.get("source")), str(reason), message.time_ns > 0
+            runs.setdefault(case, []).append(message.time_ns)
     for (who, reason, _), times_ns in runs.items():
         text = f"a command of {who} is rejected: {reason}"
         if len(times_ns) > 1:
@@ -257,35 +249,48 @@ def _rejections(messages: list[RecordedMessage]) -> Iterator[Line]:
 # ---- what the gateway did
 
 
-def _events(messages: list[RecordedMessage], name: str) -> Iterator[Line]:
+_REQUESTS: Final = {keys.ESTOP: "emergency stop", keys.RESET: "reset"}
+_NOTES: Final = {
+    "start": "a gateway starts ({detail})",
+    "end": "the gateway ends: {detail}",
+    "mode": "mode {detail}",
+    "killed": "the gateway's last record; its process ended without a word",
+    "stop-servos": "stop-servos has written a Stop to each of the six legs, {detail}",
+    "left_out": "{detail} of {sender} were left out, more than the black box has room for",
+    "lag": "the loop was {detail} late",
+}
+"""By a note's `what`."""
+
+
+def _happened(messages: Iterable[RecordedMessage], name: str) -> Iterator[Line]:
+    """Yield the requests of emergency stops and resets, the events, and what happened to the gateway itself."""
     for message in messages:
-        kind = message.content.get("kind")
-        if message.topic != keys.EVENT or kind == Kind.COMMAND_REJECTED:
-            continue
-        at_ns = message.time_ns
-        if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < _TOGETHER_NS:
-            at_ns = 0
-        source = message.content.get("source")
-        by = f" ({source})" if source else ""
-        prefix, detail = _EVENTS.get(kind, str(kind).replace("_", " ")), str(message.content.get("detail"))
-        yield Line(at_ns, f"{detail if detail.startswith(prefix) else f'{prefix}: {detail}'}{by}")
+        content, at_ns = message.content, message.time_ns
+        kind, source, detail = content.get("kind"), content.get("source"), str(content.get("detail"))
+        if _is_command(message) and (request := _REQUESTS.get(message.topic)) is not None:
+            verdict = "" if _taken(message) else f", rejected: {content['verdict']}"
+            yield Line(at_ns, f"{request} requested by {_who(source)}{verdict}")
+        elif message.topic == keys.EVENT and kind != Kind.COMMAND_REJECTED:
+            if kind == _AT_ZERO.get(kind_of(name)) and 0 <= at_ns < _TOGETHER_NS:
+                at_ns = 0
+            prefix = _EVENTS.get(kind, str(kind).replace("_", " "))
+            sentence = detail if detail.startswith(prefix) else f"{prefix}: {detail}"
+            yield Line(at_ns, f"{sentence} ({source})" if source else sentence)
+        elif message.topic == RECORDER and (words := _NOTES.get(str(content.get("what")))) is not None:
+            yield Line(at_ns, words.format(detail=detail, sender=source or "senders without a name"))
 
 
 def _stops(frames: Iterable[FrameIn]) -> Iterator[Line]:
     """Stops; consecutive ones of one cause are one line. Frames that move are in the commands of the summary."""
-    group: list[FrameIn] = []
+    groups: list[list[FrameIn]] = []
+    cause, last_ns = None, 0
     for message, frame in frames:
-        if not frame.is_stop:
-            continue
-        if group and (
-            message.content.get("cause") != group[-1][0].content.get("cause")
-            or message.time_ns - group[-1][0].time_ns > _TOGETHER_NS
-        ):
-            yield _stops_in_one_line(group)
-            group = []
-        group.append((message, frame))
-    if group:
-        yield _stops_in_one_line(group)
+        if frame.is_stop:
+            if message.content.get("cause") != cause or message.time_ns - last_ns > _TOGETHER_NS or not groups:
+                groups.append([])
+            groups[-1].append((message, frame))
+            cause, last_ns = message.content.get("cause"), message.time_ns
+    return map(_stops_in_one_line, groups)
 
 
 def _stops_in_one_line(group: Sequence[FrameIn]) -> Line:
@@ -354,26 +359,6 @@ def _standing(stands: dict[int, int | None]) -> str:
             words = " ".join("off" if angle is None else f"{angle / 100:g}" for angle in angles)
             legs.setdefault(words, []).append(leg)
     return "; ".join(f"{legs_named(numbers)} at {words}" for words, numbers in legs.items())
-
-
-_NOTES: Final = {
-    "start": "a gateway starts ({detail})",
-    "end": "the gateway ends: {detail}",
-    "mode": "mode {detail}",
-    "killed": "the gateway's last record; its process ended without a word",
-    "stop-servos": "stop-servos has written a Stop to each of the six legs, {detail}",
-    "left_out": "{detail} of {sender} were left out, more than the black box has room for",
-    "lag": "the loop was {detail} late",
-}
-"""By a note's `what`."""
-
-
-def _notes(messages: list[RecordedMessage]) -> Iterator[Line]:
-    for message in messages:
-        content = message.content
-        if message.topic == RECORDER and (words := _NOTES.get(str(content.get("what")))) is not None:
-            sender = content.get("source") or "senders without a name"
-            yield Line(message.time_ns, words.format(detail=content.get("detail"), sender=sender))
 
 
 def frames_in(messages: Iterable[RecordedMessage]) -> Iterator[FrameIn]:
