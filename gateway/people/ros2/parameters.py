@@ -9,8 +9,7 @@ from gateway.errors import ConfigError
 from gateway.geometry.kinematics import BASE
 from schemas.robot import MAX_DEG
 
-JOINT_STATES_HZ: Final = (1.0, 50.0)
-DIAGNOSTICS_HZ: Final = (0.1, 10.0)
+RANGES: Final = {"joint_states_hz": (1.0, 50.0), "diagnostics_hz": (0.1, 10.0), "uncommanded_deg": (0.0, MAX_DEG)}
 _FRAME: Final = re.compile(r"[A-Za-z_][\w./-]{0,63}", re.ASCII)
 DESCRIPTIONS: Final = {
     "joint_states_hz": "most joint states a second, 1 to 50",
@@ -25,22 +24,17 @@ DESCRIPTIONS: Final = {
 class Parameters:
     """See DESCRIPTIONS. Raises ConfigError for a value out of its range."""
 
-    joint_states_hz: float = JOINT_STATES_HZ[1]
+    joint_states_hz: float = 50.0
     diagnostics_hz: float = 1.0
     base_frame: str = BASE
     imu_frame: str = ""
     uncommanded_deg: float = math.nan
 
     def __post_init__(self) -> None:
-        _check("joint_states_hz", self.joint_states_hz, *JOINT_STATES_HZ)
-        _check("diagnostics_hz", self.diagnostics_hz, *DIAGNOSTICS_HZ)
-        if not math.isnan(self.uncommanded_deg):
-            _check("uncommanded_deg", self.uncommanded_deg, 0.0, MAX_DEG)
+        for name, (least, most) in RANGES.items():
+            value = getattr(self, name)
+            if not (least <= value <= most or (name == "uncommanded_deg" and math.isnan(value))):
+                raise ConfigError(f"{name}: {value:g} is not between {least:g} and {most:g}")
         for name, frame in (("base_frame", self.base_frame), ("imu_frame", self.imu_frame or BASE)):
             if not _FRAME.fullmatch(frame):
                 raise ConfigError(f"{name}: {frame[:80]!r} is no name of a frame, such as base_link")
-
-
-def _check(name: str, value: float, least: float, most: float) -> None:
-    if not least <= value <= most:
-        raise ConfigError(f"{name}: {value:g} is not between {least:g} and {most:g}")

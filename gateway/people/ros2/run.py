@@ -115,7 +115,13 @@ class Reports:
             self._joint_states(robot.joint_state(at_rad, time_ns, self.topics.joints.of))
             if self.with_tf:
                 self._tf(robot.frames(self.topics.geometry, at_rad, time_ns, base))
-            self._walked(time_ns, base)
+            if (walked := self.topics.driving.odometry) is not None:
+                at, velocity = walked
+                turned_m = robot.A_TURN_M * abs(at.heading_rad - self._at.heading_rad)
+                self._way_m += math.hypot(at.x_m - self._at.x_m, at.y_m - self._at.y_m) + turned_m
+                self._at = at
+                self._odom(robot.odometry(at, velocity, self._way_m, time_ns, base))
+                self._tf(robot.odometry_frame(at, time_ns, base))
         sign = (self._state and self._state.mode, self.topics.driving.does, self.topics.latest_rejection)
         if now_s - self._diagnosed_s >= (1 / self.parameters.diagnostics_hz if sign == self._diagnosed else CHANGED_S):
             self._diagnosed_s, self._diagnosed = now_s, sign
@@ -125,17 +131,6 @@ class Reports:
             if self._state is not None and now_s - self._received_s <= SILENT_S:
                 gateway = robot.diagnostics(self._state)
             self._diagnostics(robot.diagnostic_array((*gateway, self._bridge()), time_ns, self.hardware_id))
-
-    def _walked(self, time_ns: int, base: str) -> None:
-        """Publish odometry and its frame while the bridge walks the robot."""
-        if (walked := self.topics.driving.odometry) is None:
-            return
-        at, velocity = walked
-        turned_m = robot.A_TURN_M * abs(at.heading_rad - self._at.heading_rad)
-        self._way_m += math.hypot(at.x_m - self._at.x_m, at.y_m - self._at.y_m) + turned_m
-        self._at = at
-        self._odom(robot.odometry(at, velocity, self._way_m, time_ns, base))
-        self._tf(robot.odometry_frame(at, time_ns, base))
 
     def _take(self, key: str, kind: type[R], read: Callable[[bytes], R | None] | None = None) -> R | None:
         """Return the next valid report on a key: without access control anybody may publish there."""
