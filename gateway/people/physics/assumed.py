@@ -55,9 +55,6 @@ class Terrain(NamedTuple):
         return next((f"{kind}:{amount:g}" for kind, amount in amounts if amount), "flat")
 
 
-FLAT: Final = Terrain()
-
-
 class Assumed(NamedTuple):
     """Values that were never measured on the robot, and the ground."""
 
@@ -65,7 +62,7 @@ class Assumed(NamedTuple):
     """Mass of the whole robot; its parts keep their shares."""
     torque_nm: float = TORQUE_NM
     friction: float = FRICTION
-    terrain: Terrain = FLAT
+    terrain: Terrain = Terrain()
 
 
 USUAL: Final = Assumed()
@@ -75,4 +72,4 @@ def assumed(mass_kg: float | None, torque_nm: float | None, friction: float | No
     """Return these values; None means the default. Raises ConfigError if `terrain` cannot be read."""
     given = {"mass_kg": mass_kg, "torque_nm": torque_nm, "friction": friction}
     known = {name: value for name, value in given.items() if value is not None}
-    return Assumed(**known, terrain=FLAT if terrain is None else Terrain.parsed(terrain))
+    return Assumed(**known, terrain=Terrain() if terrain is None else Terrain.parsed(terrain))
