@@ -8,6 +8,7 @@ import asyncio
 import logging
 import socket
 from collections.abc import Callable, Collection
+from functools import partial
 from http.client import parse_headers
 from io import BytesIO
 from threading import Thread
@@ -36,83 +37,77 @@ NO_DESCRIPTOR_S: Final = 0.5
 logger = logging.getLogger(__name__)
 
 
-class MetricsPage:
-    """A listening socket, and the page that it serves at METRICS_PATH.
+def serve(address: str, page: Callable[[], bytes], ours: Collection[str]) -> None:
+    """Serve `page` at METRICS_PATH of `address` (`host:port`) from a thread of its own, until the process ends.
 
-    Requests from other sites' pages get 403, and so do requests for a host that is neither one of `ours` nor the
-    address that they reached.
+    Requests from other sites' pages get 403, and so do requests for a host that is neither the loopback, one of `ours`,
+    nor the address that they reached. Raises ConfigError if the address cannot be opened. May wait for a name server, so do not
+    call it on the loop's thread.
     """
+    host, _, port = address.rpartition(":")
+    try:
+        family, kind, _, _, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(family, kind)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(where)
+        listening.listen(WAITING)
+    except OSError as error:
+        raise ConfigError(f"telemetry.metrics: {address} cannot be opened: {error.strerror or error}") from error
+    listening.setblocking(False)
 
-    def __init__(self, address: str, page: Callable[[], bytes], ours: Collection[str]) -> None:
-        """Listen on `address` (`host:port`). Raises ConfigError if it cannot be opened.
-
-        May wait for a name server, so do not call it on the loop's thread.
-        """
-        host, _, port = address.rpartition(":")
-        try:
-            family, kind, _, _, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-            self._socket = socket.socket(family, kind)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind(where)
-            self._socket.listen(WAITING)
-        except OSError as error:
-            raise ConfigError(f"telemetry.metrics: {address} cannot be opened: {error.strerror or error}") from error
-        self._socket.setblocking(False)
-        self._page = page
-        self._ours = ours
-
-    def start(self) -> None:
-        """Serve from a thread of its own, until the process ends."""
-        Thread(target=self._run, name="metrics", daemon=True).start()
-
-    def _run(self) -> None:
+    def run() -> None:
         prefer_thread(PAGE_PRIORITY)
-        asyncio.run(self._accept())
+        asyncio.run(_accept(listening, partial(_response_to, page, ours)))
 
-    async def _accept(self) -> None:
-        loop, answering = asyncio.get_running_loop(), dict[asyncio.Task[None], None]()
-        while True:
-            try:
-                connection, _ = await loop.sock_accept(self._socket)
-            except OSError as error:
-                logger.debug("no connection for metrics could be accepted: %s", error)
-                await asyncio.sleep(NO_DESCRIPTOR_S)
-                continue
-            if len(answering) >= MOST_REQUESTS:
-                next(iter(answering)).cancel()  # the oldest
-            task = loop.create_task(self._answer(connection))
-            answering[task] = None
-            task.add_done_callback(answering.pop)
-            await asyncio.sleep(1 / MOST_A_SECOND)
+    Thread(target=run, name="metrics", daemon=True).start()
 
-    async def _answer(self, connection: socket.socket) -> None:
-        loop = asyncio.get_running_loop()
+
+async def _accept(listening: socket.socket, response_to: Callable[[bytes, str], bytes]) -> None:
+    loop, answering = asyncio.get_running_loop(), dict[asyncio.Task[None], None]()
+    while True:
         try:
-            with connection:
-                connection.setblocking(False)
-                async with asyncio.timeout(REQUEST_S):
-                    request = b""
-                    while b"\r\n\r\n" not in request:
-                        more = await loop.sock_recv(connection, MAX_REQUEST_BYTES)
-                        request += more
-                        if not more or len(request) > MAX_REQUEST_BYTES:
-                            return
-                    await loop.sock_sendall(connection, self._response_to(request, connection.getsockname()[0]))
-        except Exception as error:
-            logger.debug("a request for metrics failed", exc_info=error)
+            connection, _ = await loop.sock_accept(listening)
+        except OSError as error:
+            logger.debug("no connection for metrics could be accepted: %s", error)
+            await asyncio.sleep(NO_DESCRIPTOR_S)
+            continue
+        if len(answering) >= MOST_REQUESTS:
+            next(iter(answering)).cancel()  # the oldest
+        task = loop.create_task(_answer(connection, response_to))
+        answering[task] = None
+        task.add_done_callback(answering.pop)
+        await asyncio.sleep(1 / MOST_A_SECOND)
 
-    def _response_to(self, request: bytes, reached: str) -> bytes:
-        """`reached` is the address of ours that the client dialled; the socket may listen on all addresses."""
-        first, _, rest = request.partition(b"\r\n")
-        path, headers = first.decode("latin-1").split(" ")[1].partition("?")[0], parse_headers(BytesIO(rest))
-        kind = "text/plain"
-        if not may_ask(headers["Host"], headers["Origin"], {*self._ours, reached.removeprefix("::ffff:")}):
-            status, body = "403 Forbidden", b"not under this name: ask by this machine's name or address\n"
-        elif path != METRICS_PATH:
-            status, body = "404 Not Found", f"the numbers are at {METRICS_PATH}\n".encode()
-        else:
-            status, kind, body = "200 OK", CONTENT_TYPE_LATEST, self._page()
-        return f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\n\r\n".encode() + body
+
+async def _answer(connection: socket.socket, response_to: Callable[[bytes, str], bytes]) -> None:
+    loop = asyncio.get_running_loop()
+    try:
+        with connection:
+            connection.setblocking(False)
+            async with asyncio.timeout(REQUEST_S):
+                request = b""
+                while b"\r\n\r\n" not in request:
+                    more = await loop.sock_recv(connection, MAX_REQUEST_BYTES)
+                    request += more
+                    if not more or len(request) > MAX_REQUEST_BYTES:
+                        return
+                await loop.sock_sendall(connection, response_to(request, connection.getsockname()[0]))
+    except Exception as error:
+        logger.debug("a request for metrics failed", exc_info=error)
+
+
+def _response_to(page: Callable[[], bytes], ours: Collection[str], request: bytes, reached: str) -> bytes:
+    """`reached` is the address of ours that the client dialled; the socket may listen on all addresses."""
+    first, _, rest = request.partition(b"\r\n")
+    path, headers = first.decode("latin-1").split(" ")[1].partition("?")[0], parse_headers(BytesIO(rest))
+    kind = "text/plain"
+    if not may_ask(headers["Host"], headers["Origin"], {*LOOPBACK, *ours, reached.removeprefix("::ffff:")}):
+        status, body = "403 Forbidden", b"not under this name: ask by this machine's name or address\n"
+    elif path != METRICS_PATH:
+        status, body = "404 Not Found", f"the numbers are at {METRICS_PATH}\n".encode()
+    else:
+        status, kind, body = "200 OK", CONTENT_TYPE_LATEST, page()
+    return f"HTTP/1.0 {status}\r\nContent-Type: {kind}\r\n\r\n".encode() + body
 
 
 def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool:

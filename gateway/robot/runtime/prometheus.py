@@ -20,8 +20,8 @@ from gateway import __version__
 from gateway.endpoints import is_local
 from gateway.host import logs
 from gateway.robot.protocol.latency import BOUNDS_US, Latency
+from gateway.robot.runtime import metrics_page
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.metrics_page import LOOPBACK, MetricsPage
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, PowerReport, Reason, Telemetry
 
@@ -178,7 +178,7 @@ def serve(address: str, conductor: Conductor) -> None:
     registry.register(Numbers(conductor))
     ProcessCollector(registry=registry)
     machine = socket.gethostname().lower()
-    ours = {*LOOPBACK, address.rpartition(":")[0].strip("[]").lower(), machine, f"{machine.partition('.')[0]}.local"}
-    MetricsPage(address, partial(generate_latest, registry), ours).start()
+    ours = {address.rpartition(":")[0].strip("[]").lower(), machine, f"{machine.partition('.')[0]}.local"}
+    metrics_page.serve(address, partial(generate_latest, registry), ours)
     if not is_local(f"tcp/{address}"):
         logger.warning("telemetry.metrics: anyone who reaches %s can read how the robot is used", address)
