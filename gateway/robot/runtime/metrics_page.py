@@ -41,8 +41,8 @@ def serve(address: str, page: Callable[[], bytes], ours: Collection[str]) -> Non
     """Serve `page` at METRICS_PATH of `address` (`host:port`) from a thread of its own, until the process ends.
 
     Requests from other sites' pages get 403, and so do requests for a host that is neither the loopback, one of `ours`,
-    nor the address that they reached. Raises ConfigError if the address cannot be opened. May wait for a name server, so do not
-    call it on the loop's thread.
+    nor the address that they reached. Raises ConfigError if the address cannot be opened. May wait for a name server,
+    so do not call it on the loop's thread.
     """
     host, _, port = address.rpartition(":")
     try:

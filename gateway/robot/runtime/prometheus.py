@@ -98,7 +98,8 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
     """Yield the robot's measurements and its controller's health; without values before the first measurement."""
     events, alive, telemetry = conductor.metrics.events, conductor.bus.controller_alive, conductor.telemetry
     values = telemetry.newest and telemetry.newest.values
-    age_s = telemetry.age_s(conductor.bus.answered_ns)
+    answered_ns = conductor.bus.answered_ns
+    age_s = None if answered_ns is None else (conductor.clock() - answered_ns) / 1e9
     for name, help_text, number in (
         ("battery_volts", "The battery's voltage", values and values.voltage_v),
         ("battery_percent", "The battery's charge, as the robot reports it", values and values.percent),

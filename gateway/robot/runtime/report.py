@@ -8,6 +8,7 @@ from typing import Final
 from gateway import __version__
 from gateway.host.settings_table import ServoLimits
 from gateway.model.frames import Op
+from gateway.model.telemetry import battery_of
 from gateway.robot.core.events import Announce
 from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
@@ -99,6 +100,7 @@ class StateReports:
         settings = self.settings
         buttons = supervisor.buttons
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
+        newest = self.measurements.newest
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
         return telemetry.GatewayState(
             mode=supervisor.mode,
@@ -150,7 +152,7 @@ class StateReports:
             limits=self._limits,
             wire=self._wire,
             controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
-            battery=self.measurements.battery,
+            battery=None if newest is None else battery_of(newest.values),
             power=self.measurements.power(),
         )
 

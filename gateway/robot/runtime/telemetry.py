@@ -5,13 +5,13 @@ from typing import Any, Final, NamedTuple
 
 from gateway.model import power_board
 from gateway.model.elkapod import Measured
-from gateway.model.telemetry import battery_of, report_of
+from gateway.model.telemetry import report_of
 from gateway.robot.core.message import Outbox, Reply
 from gateway.robot.power.board import Status
 from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.supply import RobotSupply
 from schemas import keys
-from schemas.telemetry import Battery, PowerReport, ServoTelemetry, Supply, Telemetry
+from schemas.telemetry import PowerReport, ServoTelemetry, Supply, Telemetry
 
 _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
 
@@ -40,11 +40,6 @@ class LatestTelemetry:
         """Take values received at `now_ns`."""
         self.newest = Measurement(values, now_ns)
 
-    @property
-    def battery(self) -> Battery | None:
-        """The battery's part of the state, or None if nothing was measured."""
-        return None if self.newest is None else battery_of(self.newest.values)
-
     def power(self) -> PowerReport | None:
         """Return the power board's report, or None without a board. For any thread."""
         return None if self._supply is None else self._supply.report(self._clock())
@@ -62,10 +57,6 @@ class LatestTelemetry:
         report = self.report()
         if report is not None:
             reply(report.model_dump_json().encode())
-
-    def age_s(self, since_ns: int | None) -> float | None:
-        """Return the seconds since `since_ns` (None stays None). For any thread."""
-        return None if since_ns is None else (self._clock() - since_ns) / 1e9
 
     def report(self) -> Telemetry | None:
         """Return the measurements of the robot and its power board, or None without any. For any thread."""
