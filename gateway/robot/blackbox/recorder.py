@@ -178,7 +178,15 @@ class Recorder:
         self._ran = True  # since the latest copy
         self._copied_ns = -FOLLOW_NS
         self._on = state_directory(settings.state.path) is not None
-        self._about = form.text(json.dumps(_about(settings, facts)))
+        about = {
+            "version": __version__,
+            "protocol": settings.protocol,
+            "simulated": facts.get("simulated"),
+            "spi": asdict(settings.spi),
+            "watchdog": asdict(settings.watchdog),
+            "limits": asdict(settings.limits),
+        }
+        self._about = form.text(json.dumps(about))
         self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
 
     def __enter__(self) -> Self:
@@ -373,14 +381,3 @@ class Recorder:
             self._ring.append(kind, ns, rest)
         elif self._on and len(self._waiting) < KEPT_BEFORE_OPEN:
             self._waiting.append((kind, ns, rest))
-
-
-def _about(settings: Settings, facts: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "version": __version__,
-        "protocol": settings.protocol,
-        "simulated": facts.get("simulated"),
-        "spi": asdict(settings.spi),
-        "watchdog": asdict(settings.watchdog),
-        "limits": asdict(settings.limits),
-    }

@@ -55,7 +55,10 @@ class RecordRing:
         self._slots = slots
         if not whole:
             self._map[: form.HEADER_BYTES] = header.new(slots)
-        self.sequence = self._newest() + 1
+        newest, torn = form.newest(self._map, slots)
+        if newest and torn:
+            self.note = f"the black box continues; {torn} of its newest records are incomplete"
+        self.sequence = newest + 1
         """Number of the next record."""
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:
@@ -97,13 +100,6 @@ class RecordRing:
         if found != slots:
             self.note = f"the black box starts empty: it has {found} records, and the settings want {slots}"
         return found == slots
-
-    def _newest(self) -> int:
-        """Return the highest sequence number of a valid record, or 0."""
-        number, torn = form.newest(self._map, self._slots)
-        if number and torn:
-            self.note = f"the black box continues; {torn} of its newest records are incomplete"
-        return number
 
 
 def _check_owner(fd: int, path: Path) -> None:

@@ -10,7 +10,6 @@ from gateway.host.settings_table import ServoLimits
 from gateway.model.frames import Op
 from gateway.model.telemetry import battery_of
 from gateway.robot.core.events import Announce
-from gateway.robot.core.lease import RobotLease
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
@@ -98,7 +97,7 @@ class StateReports:
     def state(self) -> telemetry.GatewayState:
         supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.events.metrics, self.events.clock()
         settings = self.settings
-        buttons = supervisor.buttons
+        lease, buttons = supervisor.lease, supervisor.buttons
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
         newest = self.measurements.newest
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -138,7 +137,13 @@ class StateReports:
             loop_lag_us=telemetry.LoopLag(
                 p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
             ),
-            lease=_lease(supervisor.lease, now_ns),
+            lease=telemetry.LeaseReport(
+                holder=lease.holder,
+                verified=lease.verified,
+                held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
+                expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
+                asked_by=lease.asked_by,
+            ),
             buttons=telemetry.ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names),
             calibration=telemetry.CalibrationReport(
                 revision=supervisor.calibrating.in_force.revision,
@@ -163,16 +168,6 @@ def limits_of(settings: Settings) -> telemetry.LimitsReport:
     each = {name: limits.servos.get(name, ServoLimits()) for name in map(str, SERVO_IDS)}
     servos = {name: telemetry.ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}
     return telemetry.LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
-
-
-def _lease(lease: RobotLease, now_ns: int) -> telemetry.LeaseReport:
-    return telemetry.LeaseReport(
-        holder=lease.holder,
-        verified=lease.verified,
-        held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
-        expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
-        asked_by=lease.asked_by,
-    )
 
 
 def _leg(leg: Leg, now_ns: int) -> telemetry.LegReport:
