@@ -263,7 +263,7 @@ class _Service:
                 upkeep.close,
                 self.inbox.close,
                 session.close,
-                *(() if self.supply is None else (self.supply.end,)),
+                *(() if self.supply is None else (self.supply.line.close,)),
             )
         finally:
             with self.owner:
@@ -303,7 +303,7 @@ class _Service:
             },
             tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
             depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
-            on_estop_received=None if self.supply is None else self.supply.cut_early,
+            on_estop_received=None if self.supply is None else self.supply.line.cut,
         )
 
     # ---- the beat: timers instead of a task's sleep, so that an idle loop turns once for each beat, and not twice

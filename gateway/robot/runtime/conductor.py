@@ -305,7 +305,7 @@ class Conductor:
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # The payload is read after the Stops: even a malformed one means that somebody wants the robot to stop.
-        self.events.note_estop(received)
+        self.events.unread_estop = received
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)

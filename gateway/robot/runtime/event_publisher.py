@@ -57,19 +57,16 @@ class EventPublisher:
         self.metrics = metrics
         self.clock = clock
         self._limits = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
-        self._unread: Received | None = None
+        self.unread_estop: Received | None = None
+        """The latest emergency stop request, whose payload is parsed after its Stops."""
         self._estop_source: str | None = None
-
-    def note_estop(self, received: Received) -> None:
-        """Keep an emergency stop request. Its payload is parsed after its Stops."""
-        self._unread = received
 
     @property
     def estop_source(self) -> str | None:
         """The source of the latest emergency stop. Reading it parses a payload, so read it after the Stops."""
-        if self._unread is not None:
-            self._estop_source = named_source(self._unread.payload) or self._unread.source
-            self._unread = None
+        if self.unread_estop is not None:
+            self._estop_source = named_source(self.unread_estop.payload) or self.unread_estop.source
+            self.unread_estop = None
         return self._estop_source
 
     def restore_estop(self, source: str | None) -> None:

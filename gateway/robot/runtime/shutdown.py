@@ -105,7 +105,7 @@ async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
     deadline = asyncio.get_running_loop().time() + REPEATS_S
     supply, asked_ns = conductor.supply, time.monotonic_ns()
     if supply is not None:
-        supply.cut_early()  # a transfer that hangs may hold the state
+        supply.line.cut()  # a transfer that hangs may hold the state
     with conductor.owner:
         try:
             stopped = conductor.shut_down()

@@ -24,7 +24,7 @@ from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import News, PowerBoard, Status
+from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.currents import IDLE_MA, CurrentRules
 from gateway.robot.power.line import PowerLine
 from gateway.robot.power.offs import Confirmed
@@ -134,11 +134,8 @@ class RobotSupply:
         self, line: PowerLine, interface: str, ready: Callable[[Mapping[int, int | None]], frozenset[int]] | None
     ) -> None:
         """`ready` returns those of the given servos whose angle is on the wire, if supply starts servos; else None."""
-        self._line = line
-        self.cut_early = line.cut
-        """Cut all power. For any thread; it need not own the state, which an SPI transfer may hold."""
-        self.end = line.close
-        """Close the line. It waits, so the caller must not own the state."""
+        self.line = line
+        """For any thread: `status`, and `cut`, which waits neither for SPI nor for the state. Only `close` waits."""
         self.on_news: Callable[[], None] = lambda: None
         """Called, with the state owned, when the board reports something."""
         self._interface = interface
@@ -182,7 +179,7 @@ class RobotSupply:
         """Request the step's powering, after its frames."""
         to_feed = supervisor.legs.to_feed()
         wanted = frozenset(to_feed) if self._ready is None else self._ready(to_feed)
-        wanted = wanted.difference(self._withheld, self._line.status.refused)
+        wanted = wanted.difference(self._withheld, self.line.status.refused)
         if not self._trusted and wanted:
             wanted = wanted & self._asked or frozenset([min(wanted)])
         self._ask(wanted)
@@ -190,7 +187,7 @@ class RobotSupply:
     def _ask(self, servos: frozenset[int]) -> None:
         self._changes += servos != self._asked
         self._asked = servos
-        self._line.want(servos, self._changes)
+        self.line.want(servos, self._changes)
         self.confirmations.feeds(servos)
 
     def reset(self) -> None:
@@ -198,13 +195,13 @@ class RobotSupply:
         self._withheld.clear()
         self._currents = CurrentRules()
         self._changed = True
-        self._line.clear_errors()
+        self.line.clear_errors()
 
     # ---- news of the board
 
     def makes_progress(self) -> bool:
         """Return whether the line has polled within the last STUCK_BEATS beats. Call it once a beat."""
-        polled_ns = self._line.polled_ns
+        polled_ns = self.line.polled_ns
         self._stuck_beats = self._stuck_beats + 1 if polled_ns == self._polled_ns else 0
         self._polled_ns = polled_ns
         return self._stuck_beats < STUCK_BEATS
@@ -212,12 +209,12 @@ class RobotSupply:
     @property
     def _fed(self) -> frozenset[int]:
         """The servos that the board has confirmed to power since the latest request."""
-        status = self._line.status
+        status = self.line.status
         return status.fed & self._asked if status.changes == self._changes else _NONE
 
     def judge_currents(self, now_ns: int) -> bool:
         """Compare the servos' currents with their state. Return whether there is news. Call it a few times a second."""
-        status = self._line.status
+        status = self.line.status
         if status.alive:
             unfed = self._runs - status.supplied  # their power is on its way: they may draw current or not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
@@ -230,16 +227,16 @@ class RobotSupply:
         """Take the board's news. Return the event for the supervisor, and the events to publish."""
         announcements, doubt = list[Announce](), ""
         found, self._found, self._changed = self._found, [], False
-        for each in (*self._line.news(), *found):
+        for each in (*self.line.news(), *found):
             if isinstance(each, Confirmed):
                 self.confirmations.answered(each)
                 continue
             announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
             if each.kind is Kind.SERVO_DRAWS:
                 doubt = doubt or self._drew(each)
-            elif each.kind is Kind.POWER_UNCONFIRMED and self._line.status.alive:
+            elif each.kind is Kind.POWER_UNCONFIRMED and self.line.status.alive:
                 doubt = each.detail
-        status = self._line.status
+        status = self.line.status
         if self._cut and status.supplied & self._asked:
             self._cut = False
             announcements.append(Announce(Kind.POWER_RESTORED, "the power board feeds servos again"))
@@ -276,7 +273,7 @@ class RobotSupply:
         self.confirmations.wait(servos, asked_ns, then)
 
     def report(self, now_ns: int) -> PowerReport:  # mutants accepted (Step): a nanosecond
-        status = self.status
+        status = self.line.status
         return PowerReport(
             interface=self._interface,
             alive=status.alive,
@@ -284,10 +281,6 @@ class RobotSupply:
             confirmed=status.confirmed,
             age_ms=None if status.answered_ns is None else max(0, now_ns - status.answered_ns) / 1e6,
         )
-
-    @property
-    def status(self) -> Status:
-        return self._line.status
 
 
 def off_button(now_ns: int) -> Received:

@@ -61,7 +61,7 @@ class LatestTelemetry:
     def report(self) -> Telemetry | None:
         """Return the measurements of the robot and its power board, or None without any. For any thread."""
         now_ns = self._clock()
-        board = {} if self._supply is None else board_values(self._supply.status, now_ns)
+        board = {} if self._supply is None else board_values(self._supply.line.status, now_ns)
         if self.newest is None:
             return Telemetry.model_validate({"time": wall_clock(), **board}) if board else None
         report = report_of(self.newest.values, wall_clock(), max(0, now_ns - self.newest.ns) / 1e6)

@@ -161,7 +161,7 @@ def do(judge: Judge, what: str, number: int) -> None:
         if what == "cut early":
             supply = robot.conductor.supply
             assert supply is not None
-            supply.cut_early()
+            supply.line.cut()
         robot.put(keys.ESTOP)
         judge.nothing_stopped_is_fed()
         if what == "estop and reset":

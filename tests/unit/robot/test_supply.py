@@ -49,7 +49,7 @@ async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_th
     told: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
     supply.confirm(frozenset({11}), time.monotonic_ns(), lambda confirmed, _ms: told.set_result(confirmed))
     assert await asyncio.wait_for(told, 10), "within confirm_ms"
-    await asyncio.to_thread(supply.end)
+    await asyncio.to_thread(supply.line.close)
     asked = len(adapter.received)
     await asyncio.sleep(0.1)
     assert len(adapter.received) - asked <= 1, "the line is closed"
