@@ -73,7 +73,7 @@ _KNOWN: Final = (
         _ROBOT,
         "_rules legs lease buttons body power backlog calibrating _limits _opened _fault latch _ended outside watchdog",
     ),
-    (_ROBOT, "_interlocks _timed _with_deadlines _own mode due_ns"),
+    (_ROBOT, "_interlocks _own mode due_ns"),
     (_ROBOT.outside, "_rules"),
     (_ROBOT.watchdog, "_rules expirations"),
     (_ROBOT.latch, "_rules number since_ns unknown"),

@@ -140,10 +140,6 @@ class Supervisor:
         """Use these interlocks, in this order."""
         found: dict[type, Any] = {type(each): each for each in interlocks}
         self._interlocks: tuple[Interlock[Any], ...] = tuple(found.values())
-        self._timed = tuple(each for each in self._interlocks if type(each).expire is not Interlock.expire)
-        # Reversed, so that the watchdog does not land the robot for a leg that another rule stops.
-        late = [each for each in self._interlocks if type(each).overdue is not Interlock.overdue]
-        self._with_deadlines = tuple(reversed(late))
         self._own = {event: each for each in self._interlocks for event in each.takes}
         self.outside: Outside = found[Outside]
         self.lease: RobotLease = found[RobotLease]
@@ -166,7 +162,7 @@ class Supervisor:
             self._check_legal(event, kind)
         legs.begin(now_ns if instant_ns is None else instant_ns)
         effects: list[Effect] = []
-        for each in self._timed:
+        for each in self._interlocks:
             if each.due_ns is not None and now_ns >= each.due_ns:
                 effects += each.expire(now_ns, legs)
         # An event comes after deadlines, for which it is too late, and before rate slots, which it may use.
@@ -181,7 +177,7 @@ class Supervisor:
                 if each.down is not None:
                     effects += bring_down(each.down, now_ns, legs, self._rules)
         if due:
-            for each in self._with_deadlines:
+            for each in reversed(self._interlocks):  # the watchdog lands no robot for a leg that another rule stops
                 effects += each.overdue(now_ns, legs)
         self.watchdog.closed = legs.landing is not None
         if halt is not None:
@@ -198,7 +194,7 @@ class Supervisor:
             legs.landing = None  # clients have stopped all landing servos
         self.mode = self._mode_now()
         self.due_ns = legs.due_ns if legs.sends else None
-        for each in self._timed:
+        for each in self._interlocks:
             if each.due_ns is not None:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
         return sorted(effects, key=_after_stops) if legs.stopping else effects
