@@ -125,18 +125,9 @@ MODES_A_SECOND: Final = 50
 EVENT_SLOTS: Final = 3
 """Slots of an event with a long sentence."""
 _ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
-LIMITED: Final = (
-    Kind.COMMAND_REJECTED,
-    Kind.SOURCE_CHANGED,
-    Kind.OVERFLOW,
-    Kind.LEASE_ACQUIRED,
-    Kind.LEASE_RELEASED,
-    Kind.LEASE_TAKEN,
-    Kind.LEASE_ASKED,
-    Kind.CALIBRATED,
-    Kind.BUTTON_REGISTERED,
-    Kind.BUTTON_LEFT,
-    Kind.BUTTON_RETURNED,
+_UNLIMITED: Final = (Kind.LEASE_EXPIRED, Kind.BUTTON_SILENT)
+LIMITED: Final = frozenset({Kind.COMMAND_REJECTED, Kind.SOURCE_CHANGED, Kind.OVERFLOW, Kind.CALIBRATED}).union(
+    kind for kind in Kind if kind.startswith(("lease_", "button_")) and kind not in _UNLIMITED
 )
 """Events that clients can cause at any rate. Each kind has its own limit, so that a flood of one hides no other: two
 clients that compete for a leg hide no takeover."""
