@@ -129,12 +129,9 @@ class Progress:
 
     def at(self, share: float) -> Reached:
         """0 … 1: so much is written, under dpkg's own names. 1 … 2: so much has got its name."""
-        file = self._file(share % 1)
+        file = self._files[int(share % 1 * (len(self._files) - 1))]
         written = file.with_name(f"{file.name}.dpkg-new")
         return file.exists if share > 1 else (lambda: written.exists() or file.exists())
-
-    def _file(self, share: float) -> Path:
-        return self._files[int(share * (len(self._files) - 1))]
 
 
 def comes_up(cut: Disk, folder: Path, packages: Packages) -> str:

@@ -97,7 +97,8 @@ def _make(folder: Path) -> None:
     before: list[str] = []
     for generator in LIBRARIES:
         is_python = generator == "rosidl_generator_py"
-        sources = [each for each in _sources(folder / generator) if not is_python or "_s." in each.name]
+        found = sorted((*(folder / generator).rglob("*.c"), *(folder / generator).rglob("*.cpp")))
+        sources = [each for each in found if not is_python or "_s." in each.name]
         target = folder / "made" / f"lib{NAME}__{generator}.so"
         if is_python:
             shutil.copytree(folder / generator / NAME, folder / "made" / NAME)
@@ -145,10 +146,6 @@ def _generate(folder: Path, kinds: dict[str, str]) -> None:
     call("rosidl_typesupport_fastrtps_cpp", "generate_cpp")
     call("rosidl_typesupport_c", "generate_c", ["rosidl_typesupport_fastrtps_c"])
     call("rosidl_generator_py", "generate_py", ["rosidl_typesupport_c"], module=".generate_py_impl")
-
-
-def _sources(folder: Path) -> list[Path]:
-    return sorted((*folder.rglob("*.c"), *folder.rglob("*.cpp")))
 
 
 def _libraries(generator: str) -> Iterator[str]:

@@ -8,7 +8,6 @@ from gateway.errors import SpiError
 from gateway.model.elkapod import SHUTDOWN, START
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.cycle import CYCLE_HZ, Cycle
-from gateway.robot.spi import DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.robot import LEGS
 from schemas.telemetry import Kind
@@ -42,7 +41,7 @@ class ElkapodRobot(Robot):
     def wire(self) -> Wire:
         self.elkapod = FailingElkapod(clock=self.now_ns)
         self.cyclic = CyclicBus(
-            self._device,
+            lambda: self.elkapod,
             lambda: self.elkapod,
             silent_ns=round(self.settings.controller.silent_ms * MS),
             before_frames_ns=70 * MS,
@@ -54,9 +53,6 @@ class ElkapodRobot(Robot):
     @property
     def _hz(self) -> float:
         return CYCLE_HZ
-
-    def _device(self) -> DuplexDevice:
-        return self.elkapod
 
     def _go_on(self) -> None:
         self._cycle.exchange()

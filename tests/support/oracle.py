@@ -197,10 +197,6 @@ class Oracle(RobotHistory):
         if self.rules.start_pause_ns and ((stops and only_stops) or watchdog):
             self.queue_ended(event)
 
-    def _drop_starts(self) -> None:
-        """With staggered starts, the watchdog's Stop ends what waits to be energised, before a command of the step."""
-        self._lose({servo.want.number for servo in self.servos.values() if servo.want is not None and not servo.on})
-
     def _expired(self, now_ns: int) -> list[int]:
         """The legs that the watchdog must stop now, before anything else; they count as stopped from here on."""
         if not self.bus_ok:
@@ -278,7 +274,8 @@ class Oracle(RobotHistory):
                 servo.stop(Cause.WATCHDOG, self.instant_ns)
                 self.owe((servo,), now_ns)
         if stopped and self.rules.start_pause_ns:
-            self._drop_starts()
+            # What waits to be energised is ended by the watchdog's Stop, before a command of the step.
+            self._lose({each.want.number for each in self.servos.values() if each.want is not None and not each.on})
 
     def _lands(self, deadline_ns: int, now_ns: int) -> bool:
         """Whether the robot lands now, since `deadline_ns` has passed, something runs, and there is time left."""

@@ -86,10 +86,6 @@ class PowerHistory:
             self.silent, self.refused = not event.alive, frozenset(servo_id for servo_id, _ in event.refused)
             self.fed = event.fed
 
-    def has_not_fed(self, servo_id: int) -> bool:
-        """Whether a start of this servo waits for its supply."""
-        return self.on and servo_id not in self.fed
-
     def reason_to_reject(self, moved: Collection[int]) -> Reason | None:
         """Why these servos may neither start nor move."""
         return Reason.NO_POWER if self.silent or not self.refused.isdisjoint(moved) else None
@@ -201,7 +197,7 @@ class RobotHistory:
             landing,
             others,
             self.power.key(),
-            self.backlog.key(now_ns, [number for number in self.legs if self.waits_to_start(number)]),
+            self.backlog.key(now_ns, [number for number in self.legs if self.armed(number) and not self.runs(number)]),
             self.bus_ok and self.rest_ns and max(0, self.rest_ns - now_ns),
             self.bus_ok and self.runs_left and (self.runs_left, max(0, self.settled_ns - now_ns)),
         )
@@ -219,10 +215,6 @@ class RobotHistory:
     def runs(self, leg: int) -> bool:
         return any(servo.on for servo in self.servos_of(leg))
 
-    def waits_to_start(self, leg: int) -> bool:
-        """Whether it waits, and does not run."""
-        return self.armed(leg) and not self.runs(leg)
-
     def servos_of(self, leg: int) -> list[ServoHistory]:
         return [self.servos[servo_id] for servo_id in servo_ids_of(leg)]
 
@@ -231,7 +223,7 @@ class RobotHistory:
         starting = {
             each: servo.want for each, servo in self.servos.items() if servo.want and servo.starts and not servo.on
         }
-        unfed = {want.number for each, want in starting.items() if self.power.has_not_fed(each)}
+        unfed = {want.number for each, want in starting.items() if self.power.on and each not in self.power.fed}
         return [each for each in servo_ids_of(leg) if each in starting and starting[each].number in unfed]
 
     def fed_late(self, number: int, now_ns: int) -> bool:
