@@ -36,16 +36,11 @@ def test_no_key_for_a_leg_or_a_servo_that_is_none(leg: int, servo_id: int) -> No
 @pytest.mark.parametrize(
     ("key", "sentence"),
     [
-        ("hexapod/leg/0/cmd", f"leg 0 {NO_LEG}"),
         ("hexapod/leg/7/cmd", f"leg 7 {NO_LEG}"),
         ("hexapod/leg/01/cmd", f"leg 01 {NO_LEG}"),
-        ("hexapod/leg/one/cmd", f"leg one {NO_LEG}"),
         ("hexapod/servo/14/cmd", f"servo 14 {NO_SERVO}"),
-        ("hexapod/servo/3/cmd", f"servo 3 {NO_SERVO}"),
         ("hexapod/legs", f"hexapod/legs {NO_KEY}"),
-        ("hexapod/leg/cmd", f"hexapod/leg/cmd {NO_KEY}"),
         ("hexapod/leg/1/2/cmd", f"hexapod/leg/1/2/cmd {NO_KEY}"),
-        ("hexapod/state", f"hexapod/state {NO_KEY}"),
         ("", f'"" {NO_KEY}'),
         ("hexapod/leg/a\nb/cmd", rf'leg "a\nb" {NO_LEG}'),
         (f"hexapod/servo/{'9' * 999}/cmd", f"servo {'9' * 60}… {NO_SERVO}"),

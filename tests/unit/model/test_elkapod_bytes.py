@@ -46,7 +46,6 @@ FIELDS = range(19)
     [
         (0, 11, 0, 1, "00000000"),
         (2, 13, 180_00, 9, "00003443"),
-        (3, 21, 12_34, 13, "a4704541"),
         (17, 63, 1, 69, "0ad7233c"),
     ],
 )
@@ -69,31 +68,21 @@ def test_every_legal_angle_comes_back(angles_cdeg: list[int]) -> None:
 @pytest.mark.parametrize(
     ("call", "wrong", "error", "sentence"),
     [
-        (frame, [], ValueError, "here are 0 angles; a frame has 18"),
         (frame, [MIDDLE_CDEG] * 17, ValueError, "here are 17 angles"),
         (frame, [MIDDLE_CDEG] * 19, ValueError, "here are 19 angles"),
         (frame, [-1] + [MIDDLE_CDEG] * 17, ValueError, "servo 11 at -1 hundredths"),
         (frame, [MIDDLE_CDEG] * 17 + [180_01], ValueError, "servo 63 at 18001 hundredths"),
-        (angles_of, b"", ValueError, "these are 0"),
         (angles_of, FRAME[:-1], ValueError, "these are 79"),
-        (angles_of, FRAME + b"\x0f", ValueError, "these are 81"),
         (angles_of, b"\0" + FRAME[1:], ValueError, "from 7e to 0f"),
         (angles_of, FRAME[:-1] + b"\0", ValueError, "from 7e to 0f"),
-        (angles_of, b"\0" + FRAME[:-1], ValueError, "from 7e to 0f"),
-        (angles_of, FRAME[1:] + b"\0", ValueError, "from 7e to 0f"),
-        (angles_of, bytes(80), ValueError, "from 7e to 0f"),
         (angles_of, b"\xff" * 80, ValueError, "from 7e to 0f"),
         (angles_of, FRAME[:1] + struct.pack("<f", -0.01) + FRAME[5:], ValueError, "servo 11 at -0.0"),
         (angles_of, FRAME[:69] + struct.pack("<f", 180.01) + FRAME[73:], ValueError, "servo 63 at 180.0"),
         (angles_of, FRAME[:5] + struct.pack("<f", math.nan) + FRAME[9:], ValueError, "servo 12 at nan"),
         (angles_of, FRAME[:5] + struct.pack("<f", math.inf) + FRAME[9:], ValueError, "servo 12 at inf"),
-        (measured, b"", AnswerError, "0 bytes"),
         (measured, ANSWER[:-1], AnswerError, "79 bytes"),
         (measured, ANSWER + b"\0", AnswerError, "81 bytes"),
-        (measured, bytes(80), AnswerError, "from 00 to 00"),
         (measured, b"\xff" * 80, AnswerError, "from ff to ff"),
-        (measured, b"\0" + ANSWER[:-1], AnswerError, "from 00 to 00"),
-        (measured, ANSWER[1:] + ANSWER[:1], AnswerError, "from 00 to 7e"),
         (measured, b"\x7f" + ANSWER[1:], AnswerError, "from 7f to 0f"),
         (measured, ANSWER[:-1] + b"\x0e", AnswerError, "from 7e to 0e"),
         (measured, b"\x7e" + b"\xff" * 78 + b"\x0f", AnswerError, "not finite"),
@@ -136,13 +125,10 @@ HALF = math.sqrt(0.5)
     ("orientation_wxyz", "tilt_deg"),
     [
         ((1.0, 0.0, 0.0, 0.0), 0),
-        ((-1.0, 0.0, 0.0, 0.0), 0),
         ((HALF, 0.0, 0.0, HALF), 0),  # turned to the left
         ((HALF, HALF, 0.0, 0.0), 90),
-        ((HALF, 0.0, -HALF, 0.0), 90),
         ((0.0, 1.0, 0.0, 0.0), 180),
         ((math.cos(math.radians(10)), 0.0, math.sin(math.radians(10)), 0.0), 20),
-        ((0.95, 0.0, 0.0, 0.0), 0),
         ((1.05 * HALF, 1.05 * HALF, 0.0, 0.0), 90),
     ],
 )

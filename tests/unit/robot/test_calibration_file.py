@@ -35,28 +35,11 @@ def test_every_file_that_was_cut_off_is_noticed() -> None:
     [
         ("trim_deg = 7.5", "trim_deg = 400", "servos.32.trim_deg: 400 is not allowed: input should be less than"),
         ("trim_deg = 7.5", "trim_deg = 100", "servo 32: trim_deg is 100; it is -90 to 90"),
-        ("trim_deg = 7.5", "trim_deg = nan", "servos.32.trim_deg: NaN is not allowed: input should be a finite number"),
-        (
-            "trim_deg = 7.5",
-            "trim_deg = true",
-            "servos.32.trim_deg: true is not allowed: input should be a valid number",
-        ),
         ("trim_deg = 7.5\n", "", "servos.32.trim_deg: is missing; a whole calibration names every servo"),
-        (
-            "inverted = true",
-            'inverted = "yes"',
-            'servos.32.inverted: "yes" is not allowed: input should be a valid boolean',
-        ),
         ("[servos.32]", "[servos.34]", "servos has no 32; a whole calibration names every servo"),
         ("31 = 90.0", "70 = 90.0", "servo 70 does not exist"),
         ("version = 1", "version = 2", "version is 2; this gateway reads 1"),
-        ("version = 1", "speed = 2", "version is None; this gateway reads 1"),
         ("[landing]", "[colours]", "landing: is missing"),
-        (
-            "revision = 3\n\n[landing]",
-            "revision = -3\n\n[landing]",
-            "revision: -3 is not allowed: input should be greater",
-        ),
         ("revision = 3\n\n[landing]", "revision = 4\n\n[landing]", "the last line is not of_revision = 4"),
         ("[landing]", "[landing", "is not TOML"),
     ],

@@ -209,16 +209,8 @@ def test_one_source_leaves_some_for_others_and_what_is_left_out_is_counted_once(
     assert shares.left_out() == []
 
 
-def estops_and_resets(robot: Robot, number: int) -> None:
-    robot.put(keys.ESTOP)
-    reset = {"estop": robot.conductor.supervisor.latch.number, "source": f"source {number % 300}"}
-    robot.put(keys.RESET, reset)
-
-
 MORE_FLOODS: dict[str, tuple[int, Callable[[Robot, int], None]]] = {
     "emergency stops": (3000, lambda robot, number: robot.put(keys.ESTOP, {"source": f"source {number % 300}"})),
-    "Stops of a servo": (18_000, lambda robot, _: robot.put(keys.servo_command(31), servo("stop"))),
-    "emergency stops and resets": (2000, estops_and_resets),
     "rejected messages": (18_000, lambda robot, number: robot.put(keys.leg_command(1), {"source": f"source {number}"})),
 }
 """How many messages, which made more records than the ring of these settings has slots."""
