@@ -86,8 +86,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "several keys apply in the wrong order",
-            "            taken.sort(key=_place)\n",
-            "            taken.sort(key=_place, reverse=True)\n",
+            "            taken.sort(key=lambda each: each[0].place)\n",
+            "            taken.sort(key=lambda each: -each[0].place)\n",
         ),
     ),
     "gateway/robot/runtime/conductor.py": (
@@ -134,11 +134,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     ),
     "gateway/robot/core/legs.py": (
         ByHand(
-            "an older start comes after the Stop",
-            "            effects += self._replaced(servo)\n            servo.note_stop(command",
-            "            servo.note_stop(command",
-        ),
-        ByHand(
             "an older start of the same instant overtakes the Stop, where time passes in it",
             "            servo.note_stop(command.channel, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
             "            servo.note_stop(command.channel, now_ns)\n            self._stopped(servo, now_ns)\n",
@@ -181,7 +176,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "self._runs_left, self._settled_ns = self.runs, ",
             "self._runs_left, self._settled_ns = 0, ",
         ),
-        ByHand("the runs go on for ever", "        self._runs_left -= 1\n", ""),
     ),
     "gateway/robot/core/backlog.py": (
         ByHand(
