@@ -296,7 +296,12 @@ CONFIGURATIONS: Final = (
     Configuration(
         "two servos of a leg, and a board whose supply starts each",
         _rules(timeout_ns=3 * TICK, power=True, angles_first=True, feed_ns=4 * TICK),
-        (("leg", ((11, START), (12, START))), ("servo", _each(SET, 12)), ("servo", _each(STOP, 11))),
+        (
+            ("leg", ((11, START), (12, START))),
+            ("leg", ((11, STOP), (12, START))),
+            ("servo", _each(SET, 12)),
+            ("servo", _each(STOP, 11)),
+        ),
         boards=(_FED, _SILENT, replace(_FED, fed=frozenset({11})), PowerSeen(alive=True, lost=frozenset({12}))),
     ),
     Configuration(

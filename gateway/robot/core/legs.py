@@ -381,11 +381,15 @@ class Legs:
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
     def _send_beside(self, leg: Leg, held: list[Servo], now_ns: int, cause: Cause) -> list[Effect]:
-        """Do as `_send`, without the starts that wait for power."""
+        """Do as `_send`, without the starts that wait for power. Stops alone are left to `_move`: they need no slot."""
         starts = [(servo, servo.waiting) for servo in held]
         for servo in held:
             servo.waiting = None
-        effects = self._send(leg, now_ns, cause)
+        moves = any(
+            servo.target_cdeg is not None or (servo.waiting is not None and servo.waiting.op is not OP_STOP)
+            for servo in leg.servos
+        )
+        effects = self._send(leg, now_ns, cause) if moves else []
         for servo, start in starts:
             servo.waiting = start
         return effects

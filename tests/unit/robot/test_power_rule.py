@@ -41,6 +41,12 @@ def test_a_start_that_waits_for_a_servo_that_is_now_blocked_is_never_sent() -> N
         running none""")
 
 
+def test_a_stop_beside_starts_that_wait_for_their_supply_needs_no_rate_slot() -> None:
+    play(f"""{BOARD.replace("power", "period_ms=1000, power")}
+        10 leg 3 stop | start 90 | start 90 → command 31 stop
+        10 board → command 3 stop | start 90 | start 90; completed 1""")
+
+
 def test_all_is_stopped_when_the_board_does_not_answer() -> None:
     play(f"""{FED}
         20 board silent → watchdog 1-6 stop
