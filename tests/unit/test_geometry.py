@@ -44,16 +44,12 @@ def changed(change: Callable[[dict[str, Any]], object]) -> str:
         (None, "No such file"),
         ("{", "Invalid JSON"),
         ("[" * 100_000, "Invalid JSON"),
-        ("[]", "the file"),
         (" " * (MAX_FILE_BYTES + 1), "it is no geometry file"),
         (changed(lambda it: it.pop("servos")), "servos: Field required"),
-        (changed(lambda it: it["servos"].pop("32")), "missing: 32"),
         (changed(lambda it: it["servos"].update({"77": it["servos"]["11"]})), "no servo has the id: 77"),
         (changed(lambda it: it["leg_mounts"].pop("6")), "six legs"),
         (changed(lambda it: it["leg_mounts"]["1"].update(xyz_m=[178, 132, -30])), "leg_mounts.1.xyz_m.0"),
-        (changed(lambda it: it["chain"].pop()), "chain.3"),
         (changed(lambda it: it["chain"][0].update(axis=[0, 0, 0])), "an axis has the length 1"),
-        (changed(lambda it: it["servos"]["11"].update(direction=2)), "servos.11.direction"),
         (changed(lambda it: it["servos"]["11"].update(zero_deg=float("nan"))), "servos.11.zero_deg"),
     ],
 )
@@ -95,7 +91,6 @@ def leg_3_of(tmp_path: Path, change: Any) -> Limb:
 @pytest.mark.parametrize(
     "change",
     [
-        lambda it: it["chain"][1].update(origin_xyz_m=[0.06, 0.012, 0.02], origin_rpy_rad=[-1.5708, 0, 0]),
         lambda it: it["chain"][2].update(origin_xyz_m=[0.09, 0.03, 0.015], origin_rpy_rad=[3.14159265, 0, 0.4]),
         lambda it: it["chain"][0].update(axis=[0, 0, -1], origin_rpy_rad=[0, 0, 0.3]),
         lambda it: (
@@ -105,7 +100,7 @@ def leg_3_of(tmp_path: Path, change: Any) -> Limb:
         ),
         lambda it: it["chain"][1].update(origin_rpy_rad=[1.56, 0.004, 0]),
     ],
-    ids=["offset sideways", "turned knee", "downward axis", "axes along y", "crooked"],
+    ids=["turned knee", "downward axis", "axes along y", "crooked"],
 )
 def test_another_robots_chain_is_inverted_too(tmp_path: Path, change: Any) -> None:
     limb = leg_3_of(tmp_path, change)

@@ -119,12 +119,9 @@ def test_it_keeps_what_a_wire_has_to_keep(
     ("change", "sentence"),
     [
         ({"speed": 1}, "speed is no option of pca9685"),
-        ({"servos": {}}, "servos names all 18"),
         ({"pulse_us": [500, 3000]}, "pulses are 300 to 2700"),
         ({"servos": {**OPTIONS["servos"], "11": [0x20, 0]}}, r"servos\.11: a board is 0x40"),
         ({"servos": {**OPTIONS["servos"], "11": OPTIONS["servos"]["12"]}}, "two servos are on one channel"),
-        ({"servos": {**OPTIONS["servos"], "11": 5}}, r"servos\.11: write 2 or 4 numbers"),
-        ({"bus": "one"}, "bus: write a whole number"),
     ],
 )
 def test_wrong_options_are_a_sentence(kind: type[ServoWire], change: dict[str, object], sentence: str) -> None:

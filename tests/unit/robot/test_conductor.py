@@ -23,7 +23,6 @@ from tests.unit.people.test_recorder import contents, recorded
 pytestmark = pytest.mark.virtual_time
 
 
-@pytest.mark.virtual_time
 @pytest.mark.parametrize(
     "key", ["hexapod/leg/{}/cmd", "hexapod/{}/cmd", "hexapod/" + "x" * 86 + "{}/cmd", "{0}/{0}/cmd"]
 )

@@ -8,7 +8,6 @@ import time
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -198,18 +197,6 @@ def test_on_an_adapter_that_a_gateway_goes_on_using(tmp_path: Path) -> None:
     assert confirmed, said
     assert adapter.board.fed == 0
     assert b"C" not in adapter.received[adapter.received.index(b"O") :]
-
-
-def test_whatever_an_interface_raises_it_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    works, tries = last_cut._cut, iter([RuntimeError("a mistake of its own")])
-
-    def cut(*what: Any) -> bool:
-        for mistake in tries:
-            raise mistake
-        return works(*what)
-
-    monkeypatch.setattr(last_cut, "_cut", cut)
-    assert told(BoardBus())[0]
 
 
 def test_it_begins_behind_the_first_stops_or_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,7 +39,6 @@ BUILT = {
         2025, 2, 6
     ),
     "Linux version 6.1.0 (a@b) (gcc (2020-01-01)) #1 SMP PREEMPT\n": None,
-    "Linux version 6.1.0 (a@b) #1 SMP (2024-13-45)\n": None,
     "Linux version 6.1.0 (a@b) #1 SMP Fri Feb 30 10:11:12 UTC 2024\n": None,
 }
 
