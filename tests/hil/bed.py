@@ -61,7 +61,6 @@ class Transfer:
 
     monotonic_ns: int
     """When it begins: when its call arrived, and its place on the wire."""
-    kind: Literal["write", "message"]
     data: bytes
     errno: int
     opening: int
@@ -73,7 +72,7 @@ class Transfer:
     speed_hz: int
     bits_per_word: int
     segments: int
-    """How many `spi_ioc_transfer` it is made of; a plain write is one, with the device's own speed and bits."""
+    """How many `spi_ioc_transfer` it is made of."""
     pause_us: int
     """The pause that was asked for at its end: Linux makes it while chip select is asserted, and then releases it."""
 
@@ -92,14 +91,7 @@ class Setting:
     value: int
     errno: int
     opening: int
-
-
-@dataclass(frozen=True)
-class Opened:
-    """A program opened the device (seen at its first call, which spidev makes as it opens); numbered from 1."""
-
-    monotonic_ns: int
-    opening: int
+    """The number of the program's opening of the device, from 1."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +102,8 @@ class Message:
     data: bytes
 
 
-Event = Transfer | Setting | Opened | Message
-KINDS = {kind.__name__: kind for kind in (Transfer, Setting, Opened, Message)}
+Event = Transfer | Setting | Message
+KINDS = {kind.__name__: kind for kind in (Transfer, Setting, Message)}
 E = TypeVar("E", Transfer, Message)
 
 

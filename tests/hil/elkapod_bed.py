@@ -7,29 +7,16 @@ is recorded, and what it then wants to say is what the next one reads. So no tra
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.model.elkapod import SHUTDOWN, START, angles_of
-from schemas.robot import SERVO_IDS
-from tests.hil.bed import Message, SpiTestbed, Transfer
+from gateway.model.elkapod import SHUTDOWN, START
+from tests.hil.bed import Message, Setting, SpiTestbed, Transfer
 from tests.support.controllers import Elkapod
 
 BEAT_S = 0.01
 """How often the controller is asked for what it wants to say over the UART."""
-AT_REST = (90.0,) * len(SERVO_IDS)
-"""The angles of a frame before anything was commanded."""
-Angles = tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Said:
-    """One thing that a program said to the controller: a frame's angles, or "start" or "shutdown" on the UART."""
-
-    monotonic_ns: int
-    what: str | Angles
-    """Of a frame, its eighteen angles in degrees."""
+WORDS = {START: "start", SHUTDOWN: "shutdown"}
 
 
 class ElkapodBed(SpiTestbed):
@@ -51,19 +38,10 @@ class ElkapodBed(SpiTestbed):
         self._player.join()
         return ended
 
-    def said_since(self, since: int = 0) -> list[Said]:
-        """What these events say from index `since` on, in order. Raises KeyError for bytes that say nothing."""
-        found: list[Said] = []
-        for event in self.events[since:]:
-            if isinstance(event, Transfer):
-                found.append(Said(event.monotonic_ns, tuple(angles_of(event.data).values())))
-            elif isinstance(event, Message):
-                found.append(Said(event.monotonic_ns, {START: "start", SHUTDOWN: "shutdown"}[event.data]))
-        return found
-
-    def messages_since(self, since: int) -> list[bytes]:
-        """What was written to the UART, among all events from index `since` on."""
-        return [event.data for event in self.events[since:] if isinstance(event, Message)]
+    def said_since(self, since: int = 0) -> list[str]:
+        """From event `since` on: "frame", and "start" or "shutdown" on the UART. Raises KeyError for other bytes."""
+        said = [event for event in self.events[since:] if not isinstance(event, Setting)]
+        return [WORDS[event.data] if isinstance(event, Message) else "frame" for event in said]
 
     def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""

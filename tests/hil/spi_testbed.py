@@ -2,8 +2,8 @@
 """An emulated `/dev/spidev0.0` (umockdev) for unmodified programs; runs under the system's Python, which has gi.
 
 The test kit starts `spi_testbed.py FD` with its end of a socket; `tests/hil/bed.py` is the other end. On it, JSON
-lines both ways. Out: first `ready` with the environment for children, then every `open`, setting and transfer as it
-arrives and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "set", …}`.
+lines both ways. Out: first `ready` with the environment for children, then every setting and transfer as it arrives
+and before it is answered, and one `reply` per request. In: `{"id": 1, "do": "set", …}`.
 
 The answers follow Linux's drivers/spi/spidev.c, spi.c and spi-bcm2835.c (Raspberry Pi 4): 8 bits only, no lsb-first,
 all openings share one mode, speed and number of bits; mode and bits outlive the program that set them, and the speed
@@ -45,7 +45,6 @@ CS_CHANGE_NS = 10_000  # for how long Linux releases chip select between two tra
 SPIN_NS = 150_000  # a sleep may end later than asked by as much
 # From linux/spi/spi.h: CPHA, CPOL, CS_HIGH, 3WIRE, NO_CS: all that spi-bcm2835 supports.
 SUPPORTED_MODE_BITS = 0x01 | 0x02 | 0x04 | 0x10 | 0x40
-LSB_FIRST = 0x08
 # From linux/spi/spidev.h: `_IOC(direction, 'k', number, size)`.
 IOC_MAGIC, IOC_READ = ord("k"), 2
 NR_MESSAGE, NR_MODE, NR_LSB_FIRST, NR_BITS, NR_SPEED, NR_MODE32 = 0, 1, 2, 3, 4, 5
@@ -58,10 +57,10 @@ class Segment(NamedTuple):
     """What counts of it. A speed and bits of 0 are the device's own."""
 
     data: bytes
-    speed_hz: int = 0
-    bits: int = 0
-    delay_us: int = 0
-    cs_change: int = 0
+    speed_hz: int
+    bits: int
+    delay_us: int
+    cs_change: int
 
 
 Emit = Callable[[dict[str, object]], None]
@@ -114,13 +113,12 @@ class SpiController:
         with self._lock:
             self._clients[client] = len(self._clients) + 1
 
-    def _opening(self, now_ns: int, client: Any) -> int:
+    def _opening(self, client: Any) -> int:
         """The number of this client's opening, which its first call makes known (spidev calls as it opens)."""
         if client not in self._openings:
             if not any(each.get_connected() for each in self._openings):  # umockdev notices a close some time after it
                 self._speed_hz = DEFAULT_SPEED_HZ
             self._openings[client] = len(self._openings) + 1
-            self._emit({"is": "Opened", "monotonic_ns": now_ns, "opening": self._openings[client]})
         return self._openings[client]
 
     def handle_ioctl(self, _base: object, client: Any) -> bool:
@@ -135,14 +133,10 @@ class SpiController:
         if number == NR_MESSAGE:
             self._message(now_ns, client, argument, size)
         elif request >> 30 & IOC_READ:
-            self._read_setting(now_ns, client, argument, number, size)
+            self._read_setting(client, argument, number, size)
         else:
             value = int.from_bytes(bytes(argument.retrieve()), sys.byteorder)
             self._write_setting(now_ns, client, number, value)
-        return True
-
-    def handle_write(self, _base: object, client: Any) -> bool:
-        self._transfer(time.monotonic_ns(), client, "write", [Segment(bytes(client.get_arg().retrieve()))])
         return True
 
     def _message(self, now_ns: int, client: Any, argument: Any, size: int) -> None:
@@ -157,15 +151,15 @@ class SpiController:
                 argument.resolve(offset + 8, length).update(0, answer[:length].ljust(length, b"\0"))
                 filled.add((rx_buf, length))
             segments.append(Segment(sent, speed_hz, bits, delay_us, cs_change))
-        self._transfer(now_ns, client, "message", segments)
+        self._transfer(now_ns, client, segments)
 
-    def _transfer(self, now_ns: int, client: Any, kind: str, segments: list[Segment]) -> None:
+    def _transfer(self, now_ns: int, client: Any, segments: list[Segment]) -> None:
         with self._lock:
-            opening, length, at_ns = self._opening(now_ns, client), 0, now_ns
+            opening, length, at_ns = self._opening(client), 0, now_ns
             self._calls += 1
             code = self._rejection(client, [segment.data for segment in segments])
             rejected = bool(code)
-            about = {"is": "Transfer", "kind": kind, "opening": opening, "mode": self._mode, "call": self._calls}
+            about = {"is": "Transfer", "opening": opening, "mode": self._mode, "call": self._calls}
             about["held"] = blocking = self._faults["blocking"]
             for cycle in [segments] if rejected else self._cycles(segments):
                 code = code or self._verdict()
@@ -225,12 +219,11 @@ class SpiController:
             faults["left"] -= 1
         return int(faults["errno"])
 
-    def _read_setting(self, now_ns: int, client: Any, argument: Any, number: int, size: int) -> None:
+    def _read_setting(self, client: Any, argument: Any, number: int, size: int) -> None:
         with self._lock:
-            self._opening(now_ns, client)
+            self._opening(client)
             gone = self._clients[client] <= self._gone_before
-            lsb_first = int(bool(self._mode & LSB_FIRST))
-            values = {"mode": self._mode, "lsb_first": lsb_first, "bits": self._bits, "speed": self._speed_hz}
+            values = {"mode": self._mode, "lsb_first": 0, "bits": self._bits, "speed": self._speed_hz}
         if not gone:
             argument.update(0, values[SETTINGS[number]].to_bytes(size, sys.byteorder))
         _answer(client, 0, errno.ESHUTDOWN if gone else 0)
@@ -238,7 +231,7 @@ class SpiController:
     def _write_setting(self, now_ns: int, client: Any, number: int, value: int) -> None:
         kind, code = SETTINGS[number], 0
         with self._lock:
-            opening = self._opening(now_ns, client)
+            opening = self._opening(client)
             if self._clients[client] <= self._gone_before:
                 code = errno.ESHUTDOWN
             elif kind == "mode" and not value & ~SUPPORTED_MODE_BITS:
@@ -274,7 +267,6 @@ class Testbed:
         self._base = UMockdev.IoctlBase()
         self._base.connect("client-connected", self._controller.connected)
         self._base.connect("handle-ioctl", self._controller.handle_ioctl)
-        self._base.connect("handle-write", self._controller.handle_write)
         self._testbed.attach_ioctl(f"/dev/{NODE}", self._base)
         self.root = Path(self._testbed.get_root_dir())
         self._node = self.root / "dev" / NODE
@@ -322,7 +314,6 @@ class Testbed:
 
     def close(self) -> None:
         """Remove what lies in the file system."""
-        self._controller.uart.detach()
         shutil.rmtree(self.root, ignore_errors=True)
 
 

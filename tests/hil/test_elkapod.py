@@ -5,17 +5,19 @@ Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gateway.client import Client
-from gateway.model.elkapod import SHUTDOWN, START
+from gateway.model.elkapod import SHUTDOWN, START, angles_of
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
-from tests.hil.elkapod_bed import AT_REST, ElkapodBed
+from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S
+from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states
 
@@ -42,10 +44,7 @@ def gateway(robot: ElkapodBed, tmp_path: Path) -> Iterator[Gateway]:
         yield gateway
 
 
-@pytest.fixture
-def client(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client() as client:
-        yield client
+client = client_fixture(None)
 
 
 def start_all(robot: ElkapodBed, client: Client) -> None:
@@ -58,31 +57,23 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
     robot.wait_until(lambda: robot.controller.energised == ALL, LATE_S)
 
 
-def order_of(robot: ElkapodBed, since: int = 0) -> list[str]:
-    """What was said since, each frame as one word."""
-    return [each.what if isinstance(each.what, str) else "frame" for each in robot.said_since(since)]
-
-
 # ---- start
 
 
-def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot: ElkapodBed, gateway: Gateway) -> None:
+def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot: ElkapodBed, client: Client) -> None:
     robot.wait_for_count(ENOUGH, LATE_S)
     first, *_ = frames = robot.transfers
-    order = order_of(robot)
+    order = robot.said_since()
     assert order.index("frame") >= 1
     assert set(order[: order.index("frame")]) == {"shutdown"}
     assert order.count("shutdown") >= ROUNDS
     assert "start" not in order
-    assert {each.what for each in robot.said_since() if not isinstance(each.what, str)} == {AT_REST}
-    assert {(each.kind, each.mode, each.speed_hz, each.bits_per_word, each.segments) for each in frames} == {
-        ("message", 2, 1_000_000, 8, 1)
-    }
+    assert {*chain(*(angles_of(each.data).values() for each in frames))} == {90}, "what nobody commanded"
+    assert {(each.mode, each.speed_hz, each.bits_per_word, each.segments) for each in frames} == {(2, 1_000_000, 8, 1)}
     # Never more often than asked for: one that was late is not made up for.
     assert frames[-1].monotonic_ns - first.monotonic_ns >= (len(frames) - 2) * 19_000_000
-    with gateway.client() as client:
-        robot.wait_until(lambda: bool(client.state().controller.alive), LATE_S)
-        assert client.state().wire.name == "elkapod-2025"
+    robot.wait_until(lambda: bool(client.state().controller.alive), LATE_S)
+    assert client.state().wire.name == "elkapod-2025"
     assert not robot.controller.corruptions
 
 
@@ -99,8 +90,9 @@ def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
         since = len(robot.events)
         child = robot.spawn(command)
         assert child.wait(LATE_S) == 0, str(child)
-        assert robot.messages_since(since).count(SHUTDOWN) >= ROUNDS
-        assert START not in robot.messages_since(since)
+        said = robot.said_since(since)
+        assert said.count("shutdown") >= ROUNDS
+        assert "start" not in said
         assert robot.controller.energised == frozenset()
         if not count:
             heard.wait(lambda event: event.kind is Kind.STOPPED_OUTSIDE)
@@ -123,10 +115,10 @@ def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client)
     since = len(robot.events)
     assert client.estop().accepted
     robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
-    assert "frame" not in order_of(robot, since), "it still hangs"
+    assert "frame" not in robot.said_since(since), "it still hangs"
     assert robot.controller.energised == frozenset()
     robot.release()
-    robot.wait_for(lambda _: robot.messages_since(since).count(SHUTDOWN) >= ROUNDS, LATE_S)
+    robot.wait_for(lambda _: robot.said_since(since).count("shutdown") >= ROUNDS, LATE_S)
     robot.wait_for_count(len(robot.transfers) + ENOUGH)
-    assert START not in robot.messages_since(since)
+    assert "start" not in robot.said_since(since)
     assert robot.controller.energised == frozenset()

@@ -13,10 +13,11 @@ from typing import Final
 
 import pytest
 
+from gateway.model.elkapod import angles_of
 from gateway.people.client.blocking import Client
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason
-from tests.hil.bed import SpiTestbed
+from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.elkapod_bed import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
@@ -169,9 +170,9 @@ def test_with_elkapod_2025_a_servos_supply_is_its_start_and_its_stop(tmp_path: P
             since = len(robot.events)
             assert client.start_leg(3, 91, 45, 120).accepted
             on = board.next("fed", LEG_3)
-            angles = [each for each in robot.said_since(since) if not isinstance(each.what, str)]
-            first_ns = next(each.monotonic_ns for each in angles if each.what[6:9] == (91, 45, 120))
-            assert first_ns < on.at_ns, "the angle is on the wire before the supply comes"
+            frames = [each for each in robot.events[since:] if isinstance(each, Transfer)]
+            first = next(each for each in frames if [*angles_of(each.data).values()][6:9] == [91, 45, 120])
+            assert first.monotonic_ns < on.at_ns, "the angle is on the wire before the supply comes"
             board.skip()
             ack = client.servo(32, "stop")
             assert (ack.accepted, ack.confirmed) == (True, True)

@@ -4,6 +4,7 @@ import ast
 import errno
 import os
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
@@ -193,6 +194,21 @@ def uart(path: str, model: str) -> Callable[[Path], CheckedRobot]:
     return here({"model": model}, wire={"name": "elkapod-2025"}, controller={"uart": path})
 
 
+def console(names: str) -> Callable[[Path], CheckedRobot]:
+    tree = {"sys/class/tty/console/active": f"{names}\n"}
+    return files(tree, wire={"name": "elkapod-2025"}, controller={"uart": "/dev/null"})
+
+
+def not_tried(*_: object) -> None:
+    pytest.fail("it was opened")
+
+
+def login(root: Path) -> CheckedRobot:
+    made = NULL(root)
+    made.shown = lambda _: {"ActiveState": "active"}
+    return made
+
+
 def built(version: str) -> Callable[[Path], CheckedRobot]:
     """A kernel of a Raspberry Pi 5."""
     node = "axi/pcie@120000/rp1/spi@50000"
@@ -261,6 +277,15 @@ def served(plant: Callable[[Path], CheckedRobot]) -> Callable[[Path], CheckedRob
     def plants(root: Path) -> CheckedRobot:
         made = plant(root)
         made.service = (9, 9)
+        return made
+
+    return plants
+
+
+def beside_a_gateway(plant: Callable[[Path], CheckedRobot]) -> Callable[[Path], CheckedRobot]:
+    def plants(root: Path) -> CheckedRobot:
+        made = plant(root)
+        made.gateway_runs = True
         return made
 
     return plants
@@ -372,8 +397,10 @@ SCENES = (
     scene("UART", uart("/bin/sh", PI_5), "failure UART: /bin/sh is no device node"),
     scene("UART", NULL, "failure UART: the UART /dev/null cannot be opened"),
     scene("UART", served(NULL), "→ sudo chgrp dialout /dev/null", patch=DENIED),
-    scene("UART", files({"sys/class/tty/console/active": "null\n"}, wire={"name": "elkapod-2025"},
-                        controller={"uart": "/dev/null"}), "failure UART: /dev/null has Linux's console or a login"),
+    scene("UART", console("tty1 null"), "failure UART: /dev/null has Linux's console", patch={SERIAL: not_tried}),
+    scene("UART", login, "failure UART: /dev/null has Linux's console or a login", patch={SERIAL: not_tried}),
+    scene("UART", beside_a_gateway(NULL), "ok UART: /dev/null is the running gateway's", patch={SERIAL: not_tried}),
+    scene("UART", console("tty1"), "ok UART: /dev/null opens", patch={SERIAL: lambda _: Opened()}),
     scene("UART", NULL, "failure UART: /dev/null is held by another program", patch={SERIAL: BUSY}),
     scene("UART", served(uart("/dev/full", PI_5)), "warning UART: /dev/full opens, but the unit lets the service open "
           "ttyAMA… only → sudo systemctl edit hexapod-gateway, with [Service] DeviceAllow=char-full rw",
@@ -394,7 +421,9 @@ SCENES = (
     scene("power board", here(power={"interface": "sim"}), "warning power board: is simulated"),
     scene("power board", SLCAN, "failure power board: e → see dmesg", patch={BUS: raises(GatewayError("e"))}),
     scene("power board", SLCAN, "failure power board: e →", patch={BUS: raises(ValueError("e"))}),
-    scene("power board", SLCAN, "ok power board: /dev/null opens", patch={BUS: lambda _: Opened()}),
+    scene("power board", SLCAN, "ok power board: /dev/null opens … whether the board answers",
+          patch={BUS: lambda _: Opened()}),
+    scene("power board", beside_a_gateway(SLCAN), "ok power board: /dev/null is the running", patch={BUS: not_tried}),
     dated(61, "ok certificates: … gateway.pem is good until"),
     dated(59, f"warning … gateway.pem expires on … in 59 days → {RENEW}"),
     dated(1, f"warning … in 1 day → {RENEW}"),
@@ -453,6 +482,12 @@ def test_what_is_planted_is_a_line(planted: Scene, tmp_path: Path, monkeypatch: 
     for each in lines:
         assert (each.verdict is Verdict.OK) is (each.fix == ""), each
         parse_commands(each.fix)
+
+
+def test_without_python_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "can", None)
+    (line,) = results(SLCAN(tmp_path), wire.power)
+    assert "python-can is not installed" in line.sentence
 
 
 def test_each_row_of_the_table_is_reached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
