@@ -15,6 +15,7 @@ servos. The values' units are undocumented; docs/protocol.md states the assumed 
 import math
 import struct
 from collections.abc import Sequence
+from itertools import chain
 from typing import Final, NamedTuple
 
 from gateway.model.frames import MAX_ANGLE_CDEG
@@ -117,17 +118,7 @@ def values_of(data: bytes) -> tuple[float, ...]:
 
 def answer(values: Measured) -> bytes:
     """Return the bytes of an answer, as a controller sends it: for simulated controllers."""
-    return _ANSWER.pack(
-        BEGIN,
-        values.temperature_c,
-        values.voltage_v,
-        values.percent,
-        *values.orientation_wxyz,
-        *values.angular_velocity_rad_s,
-        *values.linear_acceleration_m_s2,
-        *values.feet,
-        END,
-    )
+    return _ANSWER.pack(BEGIN, *values[:3], *chain.from_iterable(values[3:]), END)
 
 
 def heartbeat(content: bytes = bytes(16)) -> bytes:

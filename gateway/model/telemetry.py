@@ -13,16 +13,6 @@ def battery_of(values: Measured) -> Battery:
 
 def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
     """Return the telemetry of these values, which were `age_ms` old at `time`."""
-    return Telemetry(
-        time=time,
-        age_ms=age_ms,
-        temperature_c=values.temperature_c,
-        battery=battery_of(values),
-        imu=Imu(
-            orientation_wxyz=values.orientation_wxyz,
-            angular_velocity_rad_s=values.angular_velocity_rad_s,
-            linear_acceleration_m_s2=values.linear_acceleration_m_s2,
-        ),
-        tilt_deg=values.tilt_deg,
-        feet=values.feet,
-    )
+    named = values._asdict()  # by the names of the report
+    battery, imu = battery_of(values), Imu.model_validate(named)
+    return Telemetry(time=time, age_ms=age_ms, battery=battery, imu=imu, tilt_deg=values.tilt_deg, **named)
