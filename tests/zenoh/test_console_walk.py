@@ -3,14 +3,17 @@
 import itertools
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
 from gateway.client import Client
+from schemas.telemetry import Kind
 from tests.support.console_process import TRIES, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
+from tests.support.heard import events
 
 FORWARD: Final = {"forward_m_s": 0.06}
 STEP_S: Final = 0.05
@@ -159,6 +162,24 @@ def test_who_gives_the_lease_up_sits_down_first_and_meanwhile_joints_wait(
     page.send(type="lease", id=2, do="release")
     page.state(lambda state: state["mode"] == "idle")
     assert not page.wait("lease", lambda message: message["id"] == 2)["mine"]
+
+
+def test_the_robot_sits_down_before_a_console_that_is_stopped_ends(
+    gateway: Gateway, tmp_path: Path, robot: Client
+) -> None:
+    heard = events(robot)
+    with Console(tmp_path, "--connect", gateway.endpoint) as own:
+        page = own.page(own.sign_in())
+        acquire(page)
+        pad = Pad(page)
+        walks(page, pad)
+        own.child.terminate()
+        own.child.wait()
+        pad.close()
+        page.close()
+    assert robot.state().mode == "idle"
+    heard.wait(lambda event: event.kind in (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED))
+    assert not [event for event in heard.all if event.kind == Kind.WATCHDOG_EXPIRED]
 
 
 def test_after_a_stop_of_somebody_else_only_a_new_press_walks(page: Page, pad: Pad, robot: Client) -> None:

@@ -44,6 +44,8 @@ MAX_PAGES: Final = 64
 """Open at once, as many as the gateway takes sessions."""
 MAX_CLOSING: Final = 16
 """Further WebSockets, which are being closed; those beyond are rejected."""
+SIT_S: Final = 3.5
+"""The longest wait for a robot that sits down, which takes 2 s. systemd kills the console 5 s after its signal."""
 CHECK_S: Final = 1.0
 """The period in which each page's session is checked."""
 SIGNED_OUT: Final = "signed out"
@@ -216,6 +218,9 @@ async def _run(
     # Not by the loop's own handlers of signals, which Windows does not have.
     with on_end_signals(lambda: loop.call_soon_threadsafe(ended.set)), shown:
         await ended.wait()
+        ended.clear()  # a second signal does not wait for a robot that sits down
+        waits = [asyncio.create_task(pages.sit()), asyncio.create_task(ended.wait())]
+        await asyncio.wait(waits, timeout=SIT_S, return_when=asyncio.FIRST_COMPLETED)
         await console.close()
     failed = watching.exception() if watching.done() else None
     watching.cancel()

@@ -104,6 +104,12 @@ class Pages(Receiver):
         if tab and page.drives:
             self._left[tab] = page, self._clock_ns()
 
+    async def sit(self) -> None:
+        """Have the robot sit down if a page walks. Return once its legs are stopped."""
+        async with asyncio.TaskGroup() as tasks:
+            for page in self._pages:
+                tasks.create_task(page.sit())
+
     def former(self, tab: str) -> "Page | None":
         """Return the page that drove in this tab just before; None: none did."""
         since_ns = self._clock_ns() - round(GOES_ON_S * 1e9)
@@ -228,6 +234,12 @@ class Page:
         """Continue the driving of the page before this one. Nothing moves: all its presses are used up."""
         if self._former is not None:
             self._lease.go_on()
+
+    async def sit(self) -> None:
+        """End its walk, if there is one. Return once the legs are stopped."""
+        over = asyncio.Event()
+        self._walks.when_over(over.set, sits=True)
+        await over.wait()
 
     def close(self) -> None:
         """The WebSocket is closed. A stop that it requested goes on; the lease is released after the walk, unless the
