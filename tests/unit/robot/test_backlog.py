@@ -34,10 +34,10 @@ SCENES: Final = {
         110 leg 1 start 90 → completed 2 coalesced
         120 leg 1 start 90 → completed 3 coalesced; command 1 start 90; completed 4""",
     "sets are of the burst too and a start before them is dropped": f"""{RULES}
-        100 leg 1 start 90
-        101 leg 1 set 90
-        102 leg 1 set 90
-        103 leg 1 set 90 → rejected 3 stale; rejected 4 servo_stopped""",
+        100 leg 6 start 90
+        101 leg 6 set 90
+        102 leg 6 set 90
+        103 leg 6 set 90 → rejected 3 stale; rejected 4 servo_stopped""",
     "a start that a burst of sets drops keeps no other leg waiting": f"""{STAGGERED}
         50 leg 2 start 90
         65 time

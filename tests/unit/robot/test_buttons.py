@@ -94,6 +94,13 @@ SCENES: Final = {
         900 button alive kitchen 1 → stale
         900 button alive kitchen 0 → stale
         1000 time → watchdog 1-6 stop; …""",
+    "where none is required buttons come and go and stop nothing": f"""{SLOW} buttons_required=0
+        1 leg 1 start 90
+        1 button register kitchen
+        1 button alive kitchen 1
+        1001 time → announce button_silent
+        legs
+        running 11 12 13""",
 }
 test_a_scene = scene_test(SCENES)
 

@@ -168,5 +168,10 @@ ANNA_HOLDS_IT: Final = {
         61 lease ask carl → lease_held
         62 lease acquire bert (fresh bert) → announce lease_acquired; granted
         63 leg 1 set 45 (lease bert) → command 1 set 45; completed 6""",
+    "the end of the service ends it": """
+        2 end
+        holder nobody
+        due never
+        3 lease take bert (fresh bert) → stopping""",
 }
 test_a_scene_in_which_anna_holds_it = scene_test(ANNA_HOLDS_IT, HELD)

@@ -129,5 +129,10 @@ SCENES: Final = {
         601 servo 31 stop  # three rate slots are kept
         700 servo 31 start 90
         950 time → watchdog 3 stop; rejected 7 stale; announce watchdog_expired""",
+    "when all are stopped the landing is over": f"""{LANDS}
+        260 time
+        300 legs 34 stop
+        due never
+        301 leg 3 start 90 → command 3 start 90; …""",
 }
 test_a_scene = scene_test(SCENES)
