@@ -1,6 +1,6 @@
 """A program that publishes one payload on one key as fast as it can, until it is killed.
 
-    python -m tests.attack.flood ENDPOINT KEY PAYLOAD [--ask]     # or --delete in place of a payload
+    python -m tests.attack.flood ENDPOINT KEY PAYLOAD [--ask]
 
 With `--ask` it asks in place of publishing, and waits for no answer. It prints `flooding` once it has begun.
 """
@@ -14,8 +14,6 @@ import zenoh
 
 from gateway.zenoh_config import client_config
 from tests.support.child import Child
-
-DELETE = "--delete"
 
 
 @contextmanager
@@ -36,8 +34,6 @@ def main() -> None:
         def send() -> None:
             if ask:
                 querier.get(zenoh.handlers.RingChannel(1), payload=payload)
-            elif payload == DELETE:
-                publisher.delete()
             else:
                 publisher.put(payload)
 

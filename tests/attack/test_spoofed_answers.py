@@ -32,16 +32,12 @@ def router_at(endpoint: str) -> zenoh.Session:
 
 
 @contextmanager
-def answering(endpoint: str, text: str | None, *wanted: str) -> Iterator[None]:
-    """A stranger's session that answers these keys with `text`; None: it keeps the questions, and answers none."""
-    kept: list[zenoh.Query] = []
+def answering(endpoint: str, text: str, *wanted: str) -> Iterator[None]:
+    """A stranger's session that answers these keys with `text`."""
     asked = threading.Event()
 
     def on_query(query: zenoh.Query) -> None:
         asked.set()
-        if text is None:
-            kept.append(query)
-            return
         with query:
             query.reply(query.key_expr, text)
 
@@ -52,7 +48,6 @@ def answering(endpoint: str, text: str | None, *wanted: str) -> Iterator[None]:
             while not asked.wait(0.01):  # the declaration is on its way
                 client.session.get(key, zenoh.handlers.RingChannel(1), timeout=1.0)
         yield
-        kept.clear()
 
 
 gateway = gateway_fixture()

@@ -4,7 +4,8 @@ import ast
 import builtins
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.machinery import ModuleSpec, SourceFileLoader
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_loader
 from inspect import CO_OPTIMIZED
 from types import CodeType, FunctionType, ModuleType
@@ -16,33 +17,22 @@ CALLED: Final = "__called_in_a_test__"
 """A name among Python's builtins."""
 
 
-class MutatedImport:
-    """A finder for `sys.meta_path`: one module comes from this source instead of its file."""
+class MutatedImport(MetaPathFinder, Loader):
+    """For `sys.meta_path`: one module comes from this source instead of its file."""
 
     def __init__(self, module: str, file: str, source: str) -> None:
         self._module = module
-        self._loader = _Loader(module, file, source.encode())
+        self._file = file
+        self._source = source
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
         """The import system's hook."""
         del path, target
-        return spec_from_loader(name, self._loader) if name == self._module else None
+        return spec_from_loader(name, self, origin=self._file) if name == self._module else None
 
-
-class _Loader(SourceFileLoader):
-    """Has its own source, and no bytecode of the file's."""
-
-    def __init__(self, module: str, file: str, source: bytes) -> None:
-        super().__init__(module, file)
-        self._source = source
-
-    def get_data(self, path: str) -> bytes:
-        if path.endswith(".py"):
-            return self._source
-        raise OSError("a mutant has no bytecode")
-
-    def set_data(self, path: str, data: object, *, _mode: int = 0o666) -> None:
-        """Keeps none, either."""
+    def exec_module(self, module: ModuleType) -> None:
+        module.__file__ = self._file
+        exec(compile(self._source, self._file, "exec"), vars(module))  # noqa: S102  (what an import does)
 
 
 @dataclass(frozen=True, slots=True)

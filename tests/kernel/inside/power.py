@@ -106,13 +106,6 @@ def supplied(ours: Robot) -> int:
     return 0 if power is None else len(power.supplied)
 
 
-def until_event(ours: Robot, kind: str, words: str) -> None:
-    def come() -> bool:
-        return any(words in each.detail for each in ours.events(kind))
-
-    wire.wait_until(come, f"{kind}: {words}", WITHIN_S)
-
-
 def estop() -> str:
     """An emergency stop takes all supply, and its answer says that the board has confirmed it."""
     with robot_with_board() as (ours, theirs):
@@ -133,7 +126,9 @@ def others() -> str:
         with can.Bus(channel=OURS, interface="socketcan", ignore_config=True) as bus:
             mask = set_supply(ALL & ~1)
             bus.send(can.Message(arbitration_id=mask.id, is_extended_id=False, data=mask.data))
-        until_event(ours, "power_fault", "another program")
+        wire.wait_until(
+            lambda: any("another program" in each.detail for each in ours.events("power_fault")), "its event", WITHIN_S
+        )
         wire.wait_until(lambda: not theirs.fed & 0b111, "the leg whose servo it took is off", WITHIN_S)
         ours.gateway.child.kill()
         command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(ours.gateway.config)]

@@ -33,9 +33,15 @@ SCENES: Final = {
         "length-prefixed: an emergency stop of a service", lambda: service.emergency_stop(Framing.LENGTH_PREFIXED)
     ),
     "lost-zeros": Scene("zeros are lost and frames pass: six Stops soon", service.lost_zeros),
-    "other-speed-fast": Scene("another program sets 20 MHz: no Stop leaves with it", service.faster),
-    "other-speed-slow": Scene("another program sets 10 kHz: no Stop leaves with it", service.slower),
-    "other-mode": Scene("another program sets mode 3: no Stop leaves with it", service.other_mode),
+    "other-speed-fast": Scene(
+        "another program sets 20 MHz: no Stop leaves with it", lambda: service.other_speed(20_000_000)
+    ),
+    "other-speed-slow": Scene(
+        "another program sets 10 kHz: no Stop leaves with it", lambda: service.other_speed(10_000)
+    ),
+    "other-mode": Scene(
+        "another program sets mode 3: no Stop leaves with it", lambda: service.meddled(service.WRITE_MODE, b"\x03")
+    ),
     "unbound": Scene("the device goes while it is written, and returns: six Stops", service.unbound),
     "power-estop": Scene("socketcan: an emergency stop takes the supply, and is confirmed", power.estop),
     "power-others": Scene("socketcan: masks of other programs on this computer, and stop-servos", power.others),

@@ -26,12 +26,20 @@ def settings(folder: Path) -> Settings:
     return Settings.of({"state": {"path": str(folder)}})
 
 
+@pytest.fixture
+def ring_at(folder: Path) -> Path:
+    """A ring with one incident, which the link in `folder` leads to."""
+    path = paths.prepare(folder)
+    ring = RecordRing(path, 100)
+    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
+    ring.close()
+    return path
+
+
+@pytest.mark.usefixtures("ring_at")
 def test_an_incident_is_listed_shown_and_exported_by_its_name_or_as_the_last(folder: Path, tmp_path: Path) -> None:
     config, file = tmp_path / "gateway.toml", tmp_path / "stop.mcap"
     config.write_text(f'state.path = "{folder}"\n')
-    ring = RecordRing(paths.prepare(folder), 100)
-    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
-    ring.close()
 
     def run(*arguments: str) -> tuple[int, str]:
         done = run_here("incidents", *arguments, "--config", str(config))
@@ -72,13 +80,9 @@ def test_who_may_not_read_it_is_not_told_that_there_is_nothing(mode: int) -> Non
     ids=["another user's", "for all to write", "with another name"],
 )
 def test_a_ring_that_somebody_else_has_made_is_not_shown(
-    folder: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], None]
+    folder: Path, ring_at: Path, capsys: pytest.CaptureFixture[str], spoil: Callable[[Path], None]
 ) -> None:
     """In /dev/shm, where a link of ours leads: it could be there before the gateway begins one."""
-    ring_at = paths.prepare(folder)
-    ring = RecordRing(ring_at, 100)
-    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
-    ring.close()
     os.chown(folder / RING_FILE, 65534, -1, follow_symlinks=False)
     os.chown(ring_at, 65534, -1)
     black_box.list_all(settings(folder))
@@ -90,10 +94,8 @@ def test_a_ring_that_somebody_else_has_made_is_not_shown(
     assert "another user has made this file, or may write to it" in said.err
 
 
+@pytest.mark.usefixtures("ring_at")
 def test_a_disk_that_gets_full_is_left_without_half_an_export(folder: Path, tmp_path: Path) -> None:
-    ring = RecordRing(paths.prepare(folder), 100)
-    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
-    ring.close()
     copy = tmp_path / "stop.mcap"
 
     with disk_that_takes(50), pytest.raises(ConfigError, match="File too large"):

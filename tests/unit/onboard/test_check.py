@@ -51,9 +51,9 @@ OF: Mapping[str, Probes] = {
 """The functions of the table, by the names of their lines."""
 
 
-def robot(root: Path, *, service: tuple[int, int] | None = None, **sections: Any) -> CheckedRobot:
+def robot(root: Path, **sections: Any) -> CheckedRobot:
     found = CheckedRobot(Settings.of(sections), root, lambda *_: {})
-    found.service = service
+    found.service = None
     return found
 
 
@@ -179,7 +179,9 @@ def raises(error: Exception, cause: Exception | None = None) -> Callable[..., No
 
 
 class Opened:
-    """A UART, or an interface to the power board."""
+    """A UART, a board's plug-in, or an interface to the power board."""
+
+    def open(self) -> None: ...
 
     def close(self) -> None: ...
 
@@ -201,12 +203,6 @@ def console(names: str) -> Callable[[Path], CheckedRobot]:
 
 def not_tried(*_: object) -> None:
     pytest.fail("it was opened")
-
-
-def login(root: Path) -> CheckedRobot:
-    made = NULL(root)
-    made.shown = lambda _: {"ActiveState": "active"}
-    return made
 
 
 def built(version: str) -> Callable[[Path], CheckedRobot]:
@@ -271,40 +267,23 @@ UNIT = ("systemd unit", installation.unit)
 NULL = uart("/dev/null", PI_5)
 
 
+def but(plant: Callable[[Path], CheckedRobot], **differs: Any) -> Callable[[Path], CheckedRobot]:
+    def plants(root: Path) -> CheckedRobot:
+        made = plant(root)
+        vars(made).update(differs)
+        return made
+
+    return plants
+
+
 def served(plant: Callable[[Path], CheckedRobot]) -> Callable[[Path], CheckedRobot]:
     """A machine with the service's user."""
-
-    def plants(root: Path) -> CheckedRobot:
-        made = plant(root)
-        made.service = (9, 9)
-        return made
-
-    return plants
+    return but(plant, service=(9, 9))
 
 
-def beside_a_gateway(plant: Callable[[Path], CheckedRobot]) -> Callable[[Path], CheckedRobot]:
-    def plants(root: Path) -> CheckedRobot:
-        made = plant(root)
-        made.gateway_runs = True
-        return made
-
-    return plants
-
-
-class Plugin:
-    """In place of a board's plug-in."""
-
-    def open(self) -> None: ...
-
-    def close(self) -> None: ...
-
-
-def board(root: Path) -> CheckedRobot:
-    """A robot with a wire that is not built in."""
-    made, settings = robot(root), Settings()
-    wire = SimpleNamespace(name="x", built_in=None, capabilities=Capabilities(), plugin=Plugin(), has_uart=False)
-    made.settings = SimpleNamespace(**{**vars(settings), "wire": wire})  # type: ignore[assignment]
-    return made
+A_BOARD = SimpleNamespace(name="x", built_in=None, capabilities=Capabilities(), plugin=Opened(), has_uart=False)
+BOARD = but(here(), settings=SimpleNamespace(**{**vars(Settings()), "wire": A_BOARD}))
+"""A wire that is not built in."""
 
 
 def disk(**differs: int) -> dict[str, object]:
@@ -356,8 +335,8 @@ SCENES = (
     scene("SPI device", here(**NODE), "ok SPI device: /dev/null is the running gateway's",
           patch={SPIDEV: BUSY, "gateway.robot.spi.outside.is_gateways": lambda _: True}),
     scene("wire", here()),
-    scene("wire", board, "ok wire: x opens →"),
-    scene("wire", board, "failure wire: x: no such device → read what the plug-in needs",
+    scene("wire", BOARD, "ok wire: x opens →"),
+    scene("wire", BOARD, "failure wire: x: no such device → read what the plug-in needs",
           patch={"gateway.onboard.check.wire.PluginDevice": raises(SpiError("x: no such device"))}),
     scene("SPI controller", here({}), "ok SPI controller: Raspberry Pi 4 Model B Rev 1.4, Linux 6.6.31+rpt-rpi-v8, "
           "spi-bcm2835, chip select is a GPIO →"),
@@ -398,8 +377,9 @@ SCENES = (
     scene("UART", NULL, "failure UART: the UART /dev/null cannot be opened"),
     scene("UART", served(NULL), "→ sudo chgrp dialout /dev/null", patch=DENIED),
     scene("UART", console("tty1 null"), "failure UART: /dev/null has Linux's console", patch={SERIAL: not_tried}),
-    scene("UART", login, "failure UART: /dev/null has Linux's console or a login", patch={SERIAL: not_tried}),
-    scene("UART", beside_a_gateway(NULL), "ok UART: /dev/null is the running gateway's", patch={SERIAL: not_tried}),
+    scene("UART", but(NULL, shown=lambda _: {"ActiveState": "active"}), "failure UART: /dev/null has … a login",
+          patch={SERIAL: not_tried}),
+    scene("UART", but(NULL, gateway_runs=True), "ok UART: … is the running gateway's", patch={SERIAL: not_tried}),
     scene("UART", console("tty1"), "ok UART: /dev/null opens", patch={SERIAL: lambda _: Opened()}),
     scene("UART", NULL, "failure UART: /dev/null is held by another program", patch={SERIAL: BUSY}),
     scene("UART", served(uart("/dev/full", PI_5)), "warning UART: /dev/full opens, but the unit lets the service open "
@@ -423,7 +403,7 @@ SCENES = (
     scene("power board", SLCAN, "failure power board: e →", patch={BUS: raises(ValueError("e"))}),
     scene("power board", SLCAN, "ok power board: /dev/null opens … whether the board answers",
           patch={BUS: lambda _: Opened()}),
-    scene("power board", beside_a_gateway(SLCAN), "ok power board: /dev/null is the running", patch={BUS: not_tried}),
+    scene("power board", but(SLCAN, gateway_runs=True), "ok power board: … is the running", patch={BUS: not_tried}),
     dated(61, "ok certificates: … gateway.pem is good until"),
     dated(59, f"warning … gateway.pem expires on … in 59 days → {RENEW}"),
     dated(1, f"warning … in 1 day → {RENEW}"),
