@@ -20,7 +20,6 @@ import os
 import socket
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -283,14 +282,9 @@ class SpiTestbed(Closing):
             raise RuntimeError(error)
 
     def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        deadline = time.monotonic() + timeout_s
         with self._changed:
-            while not (held := condition()):
-                left_s = deadline - time.monotonic()
-                if self._ended or left_s <= 0:
-                    break
-                self._changed.wait(left_s)
-        return held
+            self._changed.wait_for(lambda: condition() or self._ended, timeout_s)
+            return condition()
 
     def _read(self) -> None:
         with self._channel.makefile("r", encoding="utf-8") as lines:

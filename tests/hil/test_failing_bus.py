@@ -54,18 +54,11 @@ def trial(bed: SpiTestbed, framing: Framing, client: Client, seed: int) -> float
     ) is None and time.monotonic() < deadline_s:
         time.sleep(0.05)
     bed.heal()
-    wait_until_at_rest(client)
-    return found
-
-
-def wait_until_at_rest(client: Client) -> None:
-    """Until the last repeats are written and a reset is taken."""
     deadline_s = time.monotonic() + LATE_S
-    while time.monotonic() < deadline_s:
+    while not client.reset(check=False).accepted:  # until the last repeats are written
+        assert time.monotonic() < deadline_s, "the bus did not recover"
         time.sleep(0.12)
-        if client.reset(check=False).accepted:
-            return
-    raise TimeoutError("the bus did not recover")
+    return found
 
 
 def figures(found: list[float | None]) -> str:

@@ -112,12 +112,11 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
     (lambda robot: robot.write("etc/hexapod-gateway/a.key", mode=0o604), "not only root and the service may read"),
     (lambda robot: robot.keys("old.key"), "zenoh/old.key is the authority's key"),
     (lambda robot: robot.keys("ca.key"), "zenoh/ca.key is the authority's key"),
+    (lambda _: None, ""),
+    (lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nCPUWeight=9"), ""),
+    (lambda robot: robot.drop_in("Environment=LANG=C"), ""),
 )
-FINE: tuple[Plant, ...] = (
-    lambda _: None,
-    lambda robot: robot.drop_in("# ExecStopPost=\n;User=root\nCPUWeight=9"),
-    lambda robot: robot.drop_in("Environment=LANG=C"),
-)
+"""Each fault with its sentence, and last what is well."""
 
 
 def found(robot: Installed) -> list[Result]:
@@ -134,17 +133,11 @@ def found(robot: Installed) -> list[Result]:
 def test_each_fault_of_an_installation_is_one_line(plant: Plant, sentence: str, tmp_path: Path) -> None:
     robot = Installed(tmp_path)
     plant(robot)
-    (line,) = found(robot)
-    assert sentence in line.sentence
-    assert line.verdict is not Verdict.OK
-    assert "sudo " in line.fix or "systemctl cat" in line.fix
-
-
-@pytest.mark.parametrize("plant", FINE)
-def test_what_is_well_is_no_line(plant: Plant, tmp_path: Path) -> None:
-    robot = Installed(tmp_path)
-    plant(robot)
-    assert found(robot) == []
+    lines = found(robot)
+    assert len(lines) == bool(sentence), lines
+    for line in lines:
+        assert sentence in line.sentence
+        assert "sudo " in line.fix or "systemctl cat" in line.fix
 
 
 # ---- currents
