@@ -42,36 +42,30 @@ class Stuck(Closing):
                         os.write(self._more, b"." * size)
 
 
-def client_of(gateway: Gateway) -> Client:
-    """A client, once the gateway answers."""
-    with Client(gateway.endpoint, timeout_s=20) as client:
-        client.state()
-    return Client(gateway.endpoint, timeout_s=ANSWER_S)
-
-
-def check_stops_come(gateway: Gateway, client: Client) -> None:
-    """The watchdog's, the emergency stop's, and those of the end, with exit code 0."""
-    heard = frames(client)
-    assert client.start_leg(3, 90, 45, 120).accepted
-    assert not client.ask(keys.leg_command(1), {"servos": []}).accepted, "which is said in the log"
-    heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, timeout_s=ANSWER_S)
-    assert client.estop().stop_frames == 6
-    gateway.child.terminate()
-    heard.wait(lambda frame: frame.cause is Cause.SHUTDOWN, count=6, timeout_s=ANSWER_S)
-    assert gateway.child.wait() == 0
-
-
 @pytest.mark.parametrize("full_before", [False, True])
 @pytest.mark.parametrize("make", [os.pipe, pty.openpty])
 def test_whatever_nobody_reads_holds_no_stop(
     tmp_path: Path, make: Callable[[], tuple[int, int]], full_before: bool
 ) -> None:
-    """Nor its start, where nobody has read for long. A journal that is stuck: tests/box."""
+    """The watchdog's, the emergency stop's, those of the end. Nor its start, where nobody has read for long.
+
+    A journal that is stuck: tests/box.
+    """
     with Stuck(make) as stuck:
         if full_before:
             stuck.fill()
         redirected = ["sh", "-c", f'exec "$@" >{stuck.path} 2>{stuck.path}', "sh"]
         settings = {"telemetry": {"frames": True}}
-        with Gateway(tmp_path, settings, prefix=redirected, wait=False) as gateway, client_of(gateway) as client:
+        with (
+            Gateway(tmp_path, settings, prefix=redirected, wait=False) as gateway,
+            Client(gateway.endpoint, timeout_s=ANSWER_S) as client,
+        ):
+            heard = frames(client)  # once the gateway answers
             stuck.fill()
-            check_stops_come(gateway, client)
+            assert client.start_leg(3, 90, 45, 120).accepted
+            assert not client.ask(keys.leg_command(1), {"servos": []}).accepted, "which is said in the log"
+            heard.wait(lambda frame: frame.cause is Cause.WATCHDOG, timeout_s=ANSWER_S)
+            assert client.estop().stop_frames == 6
+            gateway.child.terminate()
+            heard.wait(lambda frame: frame.cause is Cause.SHUTDOWN, count=6, timeout_s=ANSWER_S)
+            assert gateway.child.wait() == 0

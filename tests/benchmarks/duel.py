@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -131,7 +131,8 @@ class Runner:
         stack.callback(child.close)
         child.wait_for_output(ready, timeout_s=30)
         self.pid = child.pid
-        self._notes = stack.enter_context(_mapped(notes))
+        file = stack.enter_context(notes.open("r+b"))
+        self._notes = stack.enter_context(mmap.mmap(file.fileno(), 0))
         self._flood = program("publisher", endpoint, "--legs", "6", "--hz", str(FLOOD_HZ)) if stream.flood else None
         if self._flood is not None:
             stack.callback(self._flood.close)
@@ -217,12 +218,6 @@ def _acquired(session: zenoh.Session) -> str:
         if reply.ok is not None:
             return str(LeaseAck.model_validate_json(reply.ok.payload.to_bytes()).lease)
     raise RuntimeError("no answer")
-
-
-@contextmanager
-def _mapped(path: Path) -> Iterator[mmap.mmap]:
-    with path.open("r+b") as file, mmap.mmap(file.fileno(), 0) as notes:
-        yield notes
 
 
 def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:

@@ -20,6 +20,7 @@ import errno
 import json
 import os
 import random
+import select
 import shutil
 import signal
 import socket
@@ -27,13 +28,11 @@ import struct
 import sys
 import threading
 import time
+import tty
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-from tests.hil.pseudo_uart import PseudoUart
 
 NODE = "spidev0.0"
 PRELOAD = "libumockdev-preload.so.0"
@@ -52,6 +51,8 @@ SETTINGS = {NR_MODE: "mode", NR_LSB_FIRST: "lsb_first", NR_BITS: "bits", NR_SPEE
 # struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, nbits and padding.
 SEGMENT = struct.Struct("=QQIIHBBBBBB")
 
+MESSAGE_BYTES = 10  # a program writes messages of this length to the UART; several may come at once
+
 
 class Segment(NamedTuple):
     """What counts of it. A speed and bits of 0 are the device's own."""
@@ -64,6 +65,43 @@ class Segment(NamedTuple):
 
 
 Emit = Callable[[dict[str, object]], None]
+
+
+class PseudoUart:
+    """The controller's end of a pair of pseudo terminals, once attached. The program's end is a link to a terminal."""
+
+    def __init__(self, arrived: Callable[[int, bytes], None]) -> None:
+        """`arrived` gets each message of the program as it comes, and when."""
+        self._arrived = arrived
+        self._lock = threading.Lock()
+        self._ours = -1
+
+    def attach(self, path: str) -> None:
+        """From now on there is a terminal at this path, in which nothing is waiting."""
+        self._ours, theirs = os.openpty()  # theirs is kept open here, so the controller's end outlives each program
+        tty.setraw(theirs)
+        os.set_blocking(self._ours, False)
+        Path(path).symlink_to(os.ttyname(theirs))
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def send(self, data: str) -> None:
+        """The controller sends these bytes (hex). What no program reads is lost, once the kernel keeps no more."""
+        with self._lock, suppress(BlockingIOError):
+            os.write(self._ours, bytes.fromhex(data))
+
+    def drain(self) -> None:
+        """Take what has come up to now."""
+        with self._lock, suppress(BlockingIOError):
+            data = os.read(self._ours, 4096) if self._ours != -1 else b""
+            now_ns = time.monotonic_ns()
+            for place in range(0, len(data), MESSAGE_BYTES):
+                self._arrived(now_ns, data[place : place + MESSAGE_BYTES])
+
+    def _read(self) -> None:
+        poll = select.poll()
+        poll.register(self._ours, select.POLLIN)
+        while poll.poll():
+            self.drain()
 
 
 class SpiController:

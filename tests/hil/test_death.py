@@ -177,12 +177,6 @@ def cuts(framing: Framing) -> Iterator[list[bytes]]:
                 yield transfers[:length]
 
 
-@pytest.fixture
-def last_resort(tmp_path: Path, wire: Wire) -> list[Transfer]:
-    """What stop-servos writes, and when."""
-    return stop_servos(wire.bed, write_settings(tmp_path / "gateway.toml", settings_for(wire)))
-
-
 def later(transfers: list[Transfer], begin_ns: int) -> list[Transfer]:
     """The same as if the first had come at `begin_ns`."""
     moved_ns = begin_ns - transfers[0].monotonic_ns
@@ -190,7 +184,8 @@ def later(transfers: list[Transfer], begin_ns: int) -> list[Transfer]:
 
 
 @EACH_FRAMING
-def test_wherever_it_died_stop_servos_leaves_no_servo_on(wire: Wire, last_resort: list[Transfer]) -> None:
+def test_wherever_it_died_stop_servos_leaves_no_servo_on(tmp_path: Path, wire: Wire) -> None:
+    last_resort = stop_servos(wire.bed, write_settings(tmp_path / "gateway.toml", settings_for(wire)))
     for cut in cuts(wire.framing):
         for lag_ns in LAGS_NS:
             replay = moving(wire.framing)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 from tests.hil.wire import LATE_S, Replay, Wire, settings_for
 from tests.support.gateway_process import COMMAND, Gateway, write_settings
@@ -24,21 +25,16 @@ def test_whoever_starts_legs_meanwhile_the_state_is_what_the_controller_does(
     with gateway.client() as client:
         heard = events(client)
 
-        def known(count: int) -> bool:
-            return sum(event.kind is Kind.STOPPED_OUTSIDE for event in heard.all) >= count
-
-        def start_legs() -> None:
-            for leg in range(1, 7):
-                assert client.start_leg(leg, 90, 45, 120, check=False).reason in (None, Reason.SERVO_STOPPED)
-
-        def until_known(count: int) -> None:
-            while not known(count):
-                start_legs()
-            start_legs()
+        def start_until_known(count: int) -> None:
+            known = False
+            while not known:
+                known = sum(event.kind is Kind.STOPPED_OUTSIDE for event in heard.all) >= count
+                for leg in LEGS:
+                    assert client.start_leg(leg, 90, 45, 120, check=False).reason in (None, Reason.SERVO_STOPPED)
 
         for count in range(1, 4):
             with ThreadPoolExecutor(1) as pool:
-                starter = pool.submit(until_known, count)
+                starter = pool.submit(start_until_known, count)
                 config = write_settings(tmp_path / "stop.toml", settings_for(wire))
                 child = wire.bed.spawn([*COMMAND, "stop-servos", "--config", str(config)])
                 assert child.wait(LATE_S) == 0, str(child)

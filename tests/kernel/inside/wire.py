@@ -153,12 +153,7 @@ def leg(number: int, op: int, whole: int = 0) -> bytes:
     return bytes((14, 1)) + b"".join(servos)
 
 
-def stop(number: int) -> bytes:
-    """ONE LEG, stopped."""
-    return leg(number, 2)
-
-
-STOPS: Final = [stop(each) for each in SIX]
+STOPS: Final = [leg(each, 2) for each in SIX]
 
 
 def announced(frames: list[bytes]) -> list[bytes]:
