@@ -1,17 +1,303 @@
-"""The benchmark: this gateway and the naive script at once, on devices that answer at once (duel.py).
+"""What setpoints and idling cost: naive script and gateway run at once, and one publisher gives each a slice in turn.
+
+Both write to a device that answers at once (instant_spidev.c). Within a second a machine changes its pace, and with it
+all figures; the ratio of two slices that follow each other stays. Processor time is that of all threads (schedstat).
+An earlier release, in a folder with its source, may run as a third.
 
 python -m tests.benchmarks [--quick] [--release FOLDER]
 """
 
 import argparse
+import json
+import mmap
 import os
 import platform
+import random
+import shutil
+import struct
+import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
+from typing import Any, Final
 
-from tests.benchmarks.duel import as_text, duel
+import zenoh
+
+from gateway.model.framing import Framing
+from gateway.zenoh_config import client_config
+from schemas.keys import LEASE, LEGS_COMMAND, leg_command
+from schemas.lease import LeaseAck
+from schemas.robot import LEGS
+from tests.benchmarks.processes import cpu_ns, never_delay, program, say
+from tests.support.child import Child
+from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
+
+NAIVE, GATEWAY, RELEASE = "naive", "gateway", "release"
+SLICES, SLICE_S, HZ = 8, 1.0, 50
+TIMEOUT_MS, IDLE_S = 10_000, 5.0
+FLOOD_HZ = 1500
+"""What a naive script still keeps up with: its backlog would be in the next slice."""
+_SOURCE: Final = Path(__file__).with_name("instant_spidev.c")
+_NOTES_AT, _NOTE = 4096, struct.Struct("<QB15s8x")
+_LEAST_CDEG, _ANGLES = 4_00, 176_00
+"""A message's number is the angle of joint 1 in hundredths; `length-prefixed` sends none of 1 to 4 degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One kind of traffic."""
+
+    name: str
+    whole: bool = False
+    """All legs in one message, as the client's stream sends them."""
+    lease: bool = False
+    asks: bool = False
+    """Each message is a query, which the gateway answers once the controller has it; the naive script answers none."""
+    flood: bool = False
+    """Beside it another program sends leg 6 FLOOD_HZ messages a second."""
+    framing: Framing = Framing.PLAIN
+    cpu_aim: float | None = None
+    p50_aim: float | None = None
+    short: bool = False
+
+
+STREAMS: Final = (
+    Stream("six legs, a message each", cpu_aim=2.2, p50_aim=1.5, short=True),
+    Stream("legs/cmd", whole=True, cpu_aim=2.7, p50_aim=1.4, short=True),
+    Stream("a walk's legs/cmd, with its lease", whole=True, lease=True),
+    Stream("legs/cmd, acknowledged", whole=True, asks=True),
+    Stream("six legs, length-prefixed", framing=Framing.LENGTH_PREFIXED),
+    Stream("legs/cmd, length-prefixed", whole=True, framing=Framing.LENGTH_PREFIXED),
+    Stream("six legs, beside a flood", flood=True),
+)
+
+
+@dataclass(slots=True)
+class Figures:
+    """What the slices of one have given: µs of processor a message, share of a core in %, and latencies in µs."""
+
+    cpu_us: list[float] = field(default_factory=list)
+    core: list[float] = field(default_factory=list)
+    latency_us: list[float] = field(default_factory=list)
+
+    @property
+    def p50_us(self) -> float:
+        return median(self.latency_us)
+
+
+Row = tuple[str, ...]
+"""A figure's name, the gateway's, the naive script's beside it, the aim, and whether it is met."""
+
+
+def row(name: str, gateway: str, naive: str, aim: str = "", met: bool | None = None) -> Row:
+    """`met` is None without an aim."""
+    return name, gateway, naive, aim, {True: "met", False: "NOT MET", None: ""}[met]
+
+
+def as_text(rows: list[Row]) -> str:
+    """Columns that line up."""
+    cells = [("figure", "gateway", "naive script", "aim", ""), *rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+class Runner:
+    """One of those that are compared, running on a device of its own."""
+
+    def __init__(self, name: str, stream: Stream, folder: Path, stack: ExitStack, release: Path | None) -> None:
+        self.name, self._stream, self._count, self.figures = name, stream, 0, Figures()
+        endpoint, notes = f"tcp/127.0.0.1:{free_port()}", folder / "notes"
+        env = {**os.environ, "LD_PRELOAD": str(folder.parent / "instant_spidev.so"), "NOTES": str(notes)}
+        if name == NAIVE:
+            command, ready, cwd = (
+                [sys.executable, "-m", "tests.benchmarks.naive", endpoint, stream.framing],
+                "ready",
+                None,
+            )
+        else:
+            settings: dict[str, dict[str, Any]] = {
+                "zenoh": {"listen": [endpoint]},
+                "spi": {"framing": stream.framing},
+                "limits": {"leg_rate_hz": 250},
+                "watchdog": {"timeout_ms": TIMEOUT_MS},
+                "lease": {"ttl_ms": 10_000},
+                "state": {"path": str(folder / "state")},
+            }
+            config = write_settings(folder / "gateway.toml", settings)
+            command, ready = [*COMMAND, "run", "--config", str(config)], READY
+            cwd = release if name == RELEASE else None
+        child = Child(["env", *command], env, cwd)  # a fork of the tests' fork server would not load the library
+        stack.callback(child.close)
+        child.wait_for_output(ready, timeout_s=30)
+        self.pid = child.pid
+        file = stack.enter_context(notes.open("r+b"))
+        self._notes = stack.enter_context(mmap.mmap(file.fileno(), 0))
+        self._flood = program("publisher", endpoint, "--legs", "6", "--hz", str(FLOOD_HZ)) if stream.flood else None
+        if self._flood is not None:
+            stack.callback(self._flood.close)
+            self._flood.wait_for_output("ready")
+        self._session = stack.enter_context(zenoh.open(client_config(endpoint)))
+        token = _acquired(self._session) if stream.lease and name != NAIVE else None
+        self._more = {"source": "publisher"} | ({"lease": token} if token else {})
+        self._legs = LEGS[:-1] if stream.flood else LEGS
+        keys = [LEGS_COMMAND] if stream.whole else [leg_command(leg) for leg in self._legs]
+        self._publishers = [
+            self._session.declare_publisher(
+                key, encoding="application/json", congestion_control=zenoh.CongestionControl.DROP, express=True
+            )
+            for key in keys
+        ]
+        for leg in LEGS:
+            self._session.put(leg_command(leg), json.dumps(_leg("start", 0) | self._more), encoding="application/json")
+            time.sleep(0.05)
+        time.sleep(0.5)
+
+    def slice(self, seconds: float, *, counts: bool) -> None:
+        """Publish for that long, and note what it cost."""
+        sent_ns: dict[int, int] = {}
+        if self._flood is not None:
+            self._flood.tell(str(seconds))
+        first, begun_ns, begun_cpu_ns = self._seen(), time.monotonic_ns(), cpu_ns(self.pid)
+        period_s = 1 / HZ / len(self._publishers)
+        messages = round(seconds / period_s)
+        for number in range(messages):
+            pause_s = begun_ns / 1e9 + number * period_s - time.monotonic()
+            if pause_s > 0:
+                time.sleep(pause_s)
+            self._count += 1
+            cdeg = _LEAST_CDEG + self._count % _ANGLES
+            sent_ns[cdeg] = self._send(number % len(self._publishers), cdeg)
+        time.sleep(0.05)
+        took_ns, used_ns = time.monotonic_ns() - begun_ns, cpu_ns(self.pid) - begun_cpu_ns
+        if self._flood is not None:
+            self._flood.wait_for_output("done")
+        if not counts:
+            return
+        self.figures.cpu_us.append(used_ns / 1000 / messages)
+        self.figures.core.append(100 * used_ns / took_ns)
+        last = LEGS[-1] if self._stream.whole else None
+        for at_ns, frame in self._notes_since(first):
+            if len(frame) >= 14 and frame[3] == 3 and last in (None, frame[2] // 10):
+                begun = sent_ns.pop(frame[4] * 100 + frame[5], None)
+                if begun is not None:
+                    self.figures.latency_us.append((at_ns - begun) / 1000)
+
+    def _send(self, index: int, cdeg: int) -> int:
+        """Send the next message. Returns when."""
+        now = time.monotonic_ns()
+        sender = {**self._more, "sent_ms": now / 1e6}
+        if not self._stream.whole:
+            self._publishers[index].put(json.dumps(_leg("set", cdeg) | sender))
+            return now
+        payload = json.dumps({"legs": {str(leg): _leg("set", cdeg) for leg in LEGS}, **sender})
+        if self._stream.asks and self.name != NAIVE:
+            self._session.get(LEGS_COMMAND, lambda _: None, payload=payload, encoding="application/json")
+        else:
+            self._publishers[index].put(payload)
+        return now
+
+    def _seen(self) -> int:
+        return int.from_bytes(self._notes[:8], "little")
+
+    def _notes_since(self, first: int) -> Iterator[tuple[int, bytes]]:
+        most = (len(self._notes) - _NOTES_AT) // _NOTE.size
+        for number in range(first, self._seen()):
+            at_ns, length, data = _NOTE.unpack_from(self._notes, _NOTES_AT + number % most * _NOTE.size)
+            yield at_ns, data[:length]
+
+
+def _leg(op: str, cdeg: int) -> dict[str, Any]:
+    """A leg's setpoint that carries a number in joint 1's angle."""
+    return {"servos": [{"op": op, "angle_deg": each} for each in (cdeg / 100, 90, 90)]}
+
+
+def _acquired(session: zenoh.Session) -> str:
+    """The token of the lease, which nobody else must hold."""
+    for reply in session.get(LEASE, payload='{"do": "acquire", "source": "publisher"}', timeout=5):
+        if reply.ok is not None:
+            return str(LeaseAck.model_validate_json(reply.ok.payload.to_bytes()).lease)
+    raise RuntimeError("no answer")
+
+
+def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:
+    """All streams, each with all runners at once. Returns one row for each figure of each stream."""
+    if shutil.which("cc") is None:
+        say("no C compiler: the device that answers at once cannot be built, so setpoints are not measured")
+        return []
+    library = folder / "instant_spidev.so"
+    subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-o", str(library), str(_SOURCE), "-ldl"], check=True)
+    never_delay(os.getpid())  # the publisher is on another machine
+    return [each for stream in STREAMS if stream.short or not short for each in _compared(stream, folder, release)]
+
+
+def _compared(stream: Stream, folder: Path, release: Path | None) -> list[Row]:
+    with ExitStack() as stack:
+        runners = []
+        for name in (NAIVE, GATEWAY, RELEASE) if release else (NAIVE, GATEWAY):
+            own = folder / name
+            shutil.rmtree(own, ignore_errors=True)
+            own.mkdir()
+            runners.append(Runner(name, stream, own, stack, release))
+        for number in range(SLICES + 1):  # the first counts for nothing: what is slow only once
+            say(f"{stream.name}: slice {number} of {SLICES}")
+            for runner in random.sample(runners, len(runners)):
+                runner.slice(SLICE_S, counts=number > 0)
+        idle = _idle(*runners[:2]) if stream.cpu_aim and not stream.whole else []
+    found = {runner.name: runner.figures for runner in runners}
+    return [*_rows(stream, found), *_rows_of_release(stream, found), *idle]
+
+
+def _idle(naive: Runner, ours: Runner) -> list[Row]:
+    """Nobody commands anything, and the watchdog has stopped the legs."""
+    say(f"idle for {IDLE_S:g} s")
+    time.sleep(TIMEOUT_MS / 1000)
+    begun_ns, begun = time.monotonic_ns(), [cpu_ns(runner.pid) for runner in (ours, naive)]
+    time.sleep(IDLE_S)
+    took_ns = time.monotonic_ns() - begun_ns
+    used = [cpu_ns(runner.pid) - before_ns for runner, before_ns in zip((ours, naive), begun, strict=True)]
+    share, their_share = (100 * used_ns / took_ns for used_ns in used)
+    return [
+        row("idle: CPU, share of one core", f"{share:.2f} %", f"{their_share:.2f} %", "at most 0.3 %", share <= 0.3)
+    ]
+
+
+def _rows(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:
+    ours, naive = found[GATEWAY], found[NAIVE]
+    ratios = [our / their for our, their in zip(ours.cpu_us, naive.cpu_us, strict=True)]
+    times = median(ratios)
+    yield row(
+        f"{stream.name}: processor time a message; of a core",
+        f"{median(ours.cpu_us):.0f} µs, {times:.2f}× ({min(ratios):.2f} to {max(ratios):.2f}); "
+        f"{median(ours.core):.1f} %",
+        f"{median(naive.cpu_us):.0f} µs; {median(naive.core):.1f} %",
+        f"at most {stream.cpu_aim}×" if stream.cpu_aim else "",
+        times <= stream.cpu_aim if stream.cpu_aim else None,
+    )
+    times = ours.p50_us / naive.p50_us
+    yield row(
+        f"{stream.name}: publish → {'sixth ' if stream.whole else ''}frame, p50",
+        f"{ours.p50_us:.0f} µs, {times:.2f}×",
+        f"{naive.p50_us:.0f} µs",
+        f"at most {stream.p50_aim}×" if stream.p50_aim else "",
+        times <= stream.p50_aim if stream.p50_aim else None,
+    )
+
+
+def _rows_of_release(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]:
+    if RELEASE in found:
+        before, ours = found[RELEASE], found[GATEWAY]
+        cpu = median(our / their for our, their in zip(ours.cpu_us, before.cpu_us, strict=True))
+        yield row(
+            f"{stream.name}: against the release: processor time, p50",
+            f"{cpu:.2f}×, {ours.p50_us / before.p50_us:.2f}×",
+            f"(the release: {median(before.cpu_us):.0f} µs, {before.p50_us:.0f} µs)",
+        )
 
 
 def machine() -> str:

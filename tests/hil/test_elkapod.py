@@ -4,7 +4,9 @@ What is said over SPI and over the UART is one stream in order. Only a start tha
 Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
-from collections.abc import Iterator
+import threading
+import time
+from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,9 @@ from gateway.client import Client
 from gateway.model.elkapod import SHUTDOWN, START, angles_of
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
-from tests.hil.elkapod_bed import ElkapodBed
+from tests.hil.bed import Message, Setting, SpiTestbed, Transfer
 from tests.hil.wire import LATE_S
+from tests.support.controllers import Elkapod
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states
@@ -30,6 +33,67 @@ POSE = {leg: (80.0 + leg, 100.0 + leg, 120.0 + leg) for leg in LEGS}
 ALL = frozenset(SERVO_IDS)
 ENOUGH = 10
 """Frames to wait for something that must not come."""
+BEAT_S = 0.01
+"""How often the controller is asked for what it wants to say over the UART."""
+WORDS = {START: "start", SHUTDOWN: "shutdown"}
+
+
+class ElkapodBed(SpiTestbed):
+    """A robot of elkapod-2025 for unmodified programs: `/dev/spidev0.0`, and a UART at `uart`.
+
+    `controller`, played by the test's process, has what its servos do, and switches for faults; those of transfers are
+    the device's. What is sent during a transfer was made ready before it, as on the robot: the controller gets each
+    transfer as it is recorded, and what it then wants to say is what the next one reads. So none waits for the test.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.uart = folder / "ttyAMA1"
+        self.controller = Elkapod()
+        self.attach_uart(self.uart)
+        self._player = threading.Thread(target=self._play, daemon=True)
+        self._player.start()
+
+    def close(self) -> str:
+        ended = super().close()
+        self._player.join()
+        return ended
+
+    def said_since(self, since: int = 0) -> list[str]:
+        """From event `since` on: "frame", and "start" or "shutdown" on the UART. Raises KeyError for other bytes."""
+        said = [event for event in self.events[since:] if not isinstance(event, Setting)]
+        return [WORDS[event.data] if isinstance(event, Message) else "frame" for event in said]
+
+    def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""
+        return {
+            **sections,
+            "wire": {"name": "elkapod-2025"},
+            "controller": {"uart": str(self.uart), "silent_ms": 2000, **sections.get("controller", {})},
+        }
+
+    def wait_until(self, holds: Callable[[], bool], timeout_s: float) -> None:
+        """Until something holds that a frame can change: it is looked at behind each."""
+        deadline_s = time.monotonic() + timeout_s
+        while not holds():
+            if time.monotonic() > deadline_s:
+                raise TimeoutError(f"waited {timeout_s} s")
+            self.follow(len(self.events), 0.1)
+
+    def _play(self) -> None:
+        seen = 0
+        while (events := self.follow(seen, BEAT_S)) is not None:
+            seen += len(events)
+            try:
+                for event in events:
+                    if isinstance(event, Message):
+                        self.controller.write(event.data)
+                    elif isinstance(event, Transfer) and event.delivered:
+                        self.tell("answer", self.controller.exchange(event.data))
+                if beats := self.controller.read():
+                    self.tell("send_uart", beats)
+            except OSError:  # the emulation has ended
+                return
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from gateway.people.client.blocking import Client
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer
-from tests.hil.elkapod_bed import ElkapodBed
+from tests.hil.test_elkapod import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
 from tests.support.fixtures import client_fixture

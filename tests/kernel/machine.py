@@ -1,17 +1,50 @@
-"""The virtual machine: one boot, watched until it powers off. It ends with this process, however that ends."""
+"""The virtual machine: one boot, watched until it powers off. It ends with this process, however that ends.
 
+Its first files are busybox, the drivers of its root, the module, and what starts the scenes.
+"""
+
+import gzip
 import os
 import shutil
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from tests.kernel import initramfs
-from tests.kernel.parts import CACHE, LIBRARIES, Parts, PartsError
+from tests.kernel.parts import CACHE, LIBRARIES, ROOT, Parts, PartsError
 
 LONGEST_S: Final = 900
+DRIVERS: Final = (
+    "fs/netfs/netfs", "fs/fscache/fscache", "net/9p/9pnet", "drivers/virtio/virtio_ring", "drivers/virtio/virtio",
+    "drivers/virtio/virtio_pci_legacy_dev", "drivers/virtio/virtio_pci_modern_dev", "drivers/virtio/virtio_pci",
+    "net/9p/9pnet_virtio", "fs/9p/9p", "fs/overlayfs/overlay",
+    "net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vxcan",
+)  # fmt: skip
+"""In the order in which they need each other."""
+_INIT: Final = """#!/bin/busybox sh
+export PATH=/bin
+/bin/busybox --install -s /bin
+mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev
+for each in {drivers} spirec; do
+    insmod /$each.ko || echo "KERNEL-TEST: no $each"
+done
+mount -t 9p -o ro,trans=virtio,version=9p2000.L,cache=loose,msize=512000 root /lower
+mount -t 9p -o trans=virtio,version=9p2000.L,msize=512000 out /out
+mount -t tmpfs tmpfs /upper; mkdir /upper/files /upper/work
+mount -t overlay -o lowerdir=/lower,upperdir=/upper/files,workdir=/upper/work root /root
+for each in proc sys dev; do mount --move /$each /root/$each; done
+mount -t debugfs debug /root/sys/kernel/debug
+for each in tmp run dev/shm; do mkdir -p /root/$each; mount -t tmpfs tmpfs /root/$each; done
+mkdir /root/run/kernel-test; mount --move /out /root/run/kernel-test
+ifconfig lo 127.0.0.1 up
+export PATH=/usr/bin:/bin:/usr/sbin:/sbin PYTHONDONTWRITEBYTECODE=1 HOME=/tmp TMPDIR=/tmp
+/bin/busybox chroot /root /bin/sh -c 'cd {tree} && exec {python} -m tests.kernel.inside {scenes}' \
+    >/root/run/kernel-test/output 2>&1
+/bin/busybox sync
+/bin/busybox poweroff -f
+"""
 
 
 def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], cache: Path = CACHE) -> None:
@@ -22,7 +55,7 @@ def boot(parts: Parts, scenes: str, options: str, look: Callable[[Path], None], 
     out = cache / "out"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
-    initrd = initramfs.build(parts, scenes, cache / "initramfs.gz")
+    initrd = _initramfs(parts, scenes, cache / "initramfs.gz")
     libraries = ":".join(str(parts.root / name) for name in LIBRARIES)
     command = [
         *("setpriv", "--pdeathsig", "KILL"),  # the kernel kills it when this process ends, also by SIGKILL
@@ -63,3 +96,28 @@ def _accelerator() -> str:
     flags = Path("/proc/cpuinfo").read_text().split()
     usable = os.access("/dev/kvm", os.R_OK | os.W_OK) and not {"vmx", "svm"}.isdisjoint(flags)
     return "kvm" if usable else "tcg,thread=multi"
+
+
+def _initramfs(parts: Parts, scenes: str, path: Path) -> Path:
+    """Write the first files, as the kernel unpacks it: a cpio archive. `scenes`: the arguments of what runs inside."""
+    names = [Path(name).name for name in DRIVERS]
+    init = _INIT.format(drivers=" ".join(names), tree=ROOT, python=sys.executable, scenes=scenes)
+    files = {"init": init.encode(), "bin/busybox": (parts.root / "bin/busybox").read_bytes()}
+    files |= {f"{Path(name).name}.ko": (parts.drivers / f"{name}.ko").read_bytes() for name in DRIVERS}
+    files["spirec.ko"] = parts.module.read_bytes()
+    path.write_bytes(gzip.compress(_cpio(files), 1))
+    return path
+
+
+def _cpio(files: Mapping[str, bytes]) -> bytes:
+    folders = ("bin", "dev", "lower", "out", "proc", "root", "sys", "upper")
+    entries = [*((name, 0o040755, b"") for name in folders), *((name, 0o100755, data) for name, data in files.items())]
+    entries.append(("TRAILER!!!", 0, b""))
+    return b"".join(_entry(number, *each) for number, each in enumerate(entries, 1))
+
+
+def _entry(inode: int, name: str, mode: int, data: bytes) -> bytes:
+    """ "new ASCII": thirteen numbers in hex, the name and the data, each filled up to four bytes."""
+    fields = (inode, mode, 0, 0, 1, 0, len(data), 0, 0, 0, 0, len(name) + 1, 0)
+    head = b"070701" + b"".join(b"%08x" % each for each in fields) + name.encode() + b"\0"
+    return head + bytes(-len(head) % 4) + data + bytes(-len(data) % 4)

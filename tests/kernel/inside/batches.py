@@ -1,19 +1,39 @@
-"""Lists of transfers on the real spidev: bytes, chip select, pauses, and who else is there."""
+"""Lists of transfers on the real spidev: bytes, chip select, pauses, and who else is there. Loads fast: no Zenoh."""
 
 import os
 import signal
+import sys
+from contextlib import closing
 from itertools import pairwise
 
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import OP_SET, OneLeg, ServoOp, stop_leg
 from gateway.model.framing import Framing
-from gateway.robot.spi.kernel import BUFSIZ
+from gateway.robot.spi.bus import Bus
+from gateway.robot.spi.kernel import BUFSIZ, KernelDevice
 from tests.kernel.inside import wire
-from tests.kernel.inside.device import GAP_US, OURS, bus, program
+from tests.support.child import Child
 
+SPEED_HZ = 2_500_000
+OURS = (SPEED_HZ, 8, 0)
+"""Speed, bits and mode."""
+GAP_US = 50
 STOPS = [stop_leg(each) for each in wire.SIX]
 MOVES = [OneLeg(each, (ServoOp(OP_SET, 90_00),) * 3) for each in wire.SIX]
 SET = [wire.leg(each, 3, 90) for each in wire.SIX]
 ZERO = b"\0"
+
+
+def bus(framing: Framing) -> closing[Bus]:
+    """The gateway's bus on the device, opened."""
+    found = Bus(SpiSettings(framing=framing), lambda: KernelDevice(wire.DEVICE, SPEED_HZ))
+    found.open()
+    return closing(found)
+
+
+def program(text: str, *arguments: str) -> Child:
+    """Another Python program."""
+    return Child([sys.executable, "-c", text, *arguments], {"PATH": "/usr/bin:/bin"})
 
 
 def edges(framing: Framing) -> str:

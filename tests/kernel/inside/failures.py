@@ -7,8 +7,7 @@ import time
 
 from gateway.model.framing import Framing
 from tests.kernel.inside import wire
-from tests.kernel.inside.batches import BATCH, STOPS
-from tests.kernel.inside.device import bus, program
+from tests.kernel.inside.batches import BATCH, STOPS, bus, program
 
 GIVEN_UP_NS = 200_000_000
 """What Linux waits at least for a transfer that never ends."""

@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Final
 
 import can
@@ -64,26 +64,18 @@ def link(*arguments: str) -> None:
 
 
 @contextmanager
-def board() -> Iterator[CanBoard]:
-    """Both interfaces, and the board."""
+def robot_with_board() -> Iterator[tuple[Robot, CanBoard]]:
+    """A robot whose board answers. A slow machine alone is no silence of the board: it is waited for."""
     link("add", OURS, "type", "vxcan", "peer", "name", THEIRS)
     for name in (OURS, THEIRS):
         link("set", name, "up")
-    found = CanBoard()
-    try:
-        yield found
-    finally:
-        found.close()
-        link("delete", OURS)
-
-
-@contextmanager
-def robot_with_board() -> Iterator[tuple[Robot, CanBoard]]:
-    """A robot whose board answers. A slow machine alone is no silence of the board: it is waited for."""
     power = {"interface": "socketcan", "channel": OURS, "confirm_ms": 2000}
-    with board() as theirs, robot(power=power) as ours:
-        until_alive(ours)
-        yield ours, theirs
+    try:
+        with closing(CanBoard()) as theirs, robot(power=power) as ours:
+            until_alive(ours)
+            yield ours, theirs
+    finally:
+        link("delete", OURS)
 
 
 def until_alive(ours: Robot) -> None:

@@ -10,7 +10,7 @@ from gateway.client import Client
 from gateway.model.framing import Framing
 from schemas.telemetry import Event
 from tests.kernel.inside import wire
-from tests.kernel.inside.device import SPEED_HZ
+from tests.kernel.inside.batches import SPEED_HZ
 from tests.support.gateway_process import READY, Gateway
 from tests.support.heard import events
 

@@ -11,7 +11,7 @@ from gateway.model.framing import Framing
 from gateway.people.client.payloads import legs_payload
 from schemas import keys
 from tests.kernel.inside import wire
-from tests.kernel.inside.device import OURS
+from tests.kernel.inside.batches import OURS
 from tests.kernel.inside.robot import robot
 
 WRITE_MODE: Final = 0x40016B01

@@ -56,9 +56,7 @@ OF: Mapping[str, Probes] = {
 
 
 def robot(root: Path, **sections: Any) -> CheckedRobot:
-    found = CheckedRobot(Settings.of(sections), root, lambda *_: {})
-    found.service = None
-    return found
+    return CheckedRobot(Settings.of(sections), root, lambda *_: {})
 
 
 UP = {"LoadState": "loaded", "ActiveState": "active", "UnitFileState": "enabled", "NeedDaemonReload": "no"}
@@ -122,9 +120,6 @@ class Installed(CheckedRobot):
         self.write("x", "#!/usr/bin/python3.1 -I\n", 0o755)
         self.show(ExecStart="{ path=/x ; argv[]=/x }")
 
-    def forget(self, name: str) -> None:
-        (self.root / name).unlink()
-
 
 Plant = Callable[[Installed], object]
 PLANTED: tuple[tuple[Plant, str], ...] = (
@@ -136,7 +131,7 @@ PLANTED: tuple[tuple[Plant, str], ...] = (
         lambda robot: robot.runs("", "7f-8a r-xp /usr/lib/hexapod-gateway/1.0.9.kept/x.so"),
         "the running service is 1.0",
     ),
-    (lambda robot: robot.forget(UNIT_FILE), f"/{UNIT_FILE} is not this release's"),
+    (lambda robot: robot.path(UNIT_FILE).unlink(), f"/{UNIT_FILE} is not this release's"),
     (lambda robot: robot.write(UNIT_FILE, "x"), f"/{UNIT_FILE} is not this release's"),
     (lambda robot: robot.write(OTHER_UNIT, "[Service]"), f"/{OTHER_UNIT} is not this release's"),
     (lambda robot: robot.show(ExecStart="{ path=/none ; argv[]=/none }"), "/none cannot be run"),
@@ -257,13 +252,7 @@ def dated(days_left: int, *lines: str) -> Scene:
 
 def unit(**properties: str) -> Callable[[Path], CheckedRobot]:
     """What systemd shows of an installed unit."""
-
-    def plant(root: Path) -> CheckedRobot:
-        made = Installed(root)
-        made.show(**properties)
-        return made
-
-    return plant
+    return but(Installed, unit={**UP, **properties})
 
 
 def brought(*names: str, damaged: bool = False, of: str = "other") -> Callable[[Path], CheckedRobot]:
