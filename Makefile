@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 # What `make test-all` needs of Debian: an emulated kernel device (for the system's own Python), network namespaces, a browser, a
 # terminal, and a systemd to start in a box of its own.
-DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 tmux systemd dbus chromium xfsprogs
+DEBIAN_PACKAGES := umockdev gir1.2-umockdev-1.0 python3-gi iproute2 systemd dbus chromium xfsprogs
 # And what only `make nightly` needs: the other two browsers, a display with a window manager for WebKit, other Debians, containers, and
 # arm64.
 nightly: DEBIAN_PACKAGES += webkit2gtk-driver xvfb matchbox-window-manager firefox-esr debootstrap \

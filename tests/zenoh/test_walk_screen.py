@@ -3,102 +3,80 @@
 import os
 import pty
 import re
-import shlex
-import shutil
+import select
 import subprocess
+import termios
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, Self
+from typing import Final
 
 import pytest
 
 from gateway.client import Client
 from schemas.telemetry import Mode
+from tests.support.closing import Closing
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
-from tests.support.lacks import skip_where
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
-POLL_S: Final = 0.05
 LATE_S: Final = 30.0
 """For what takes milliseconds on a machine that is not busy."""
-_ENDED: Final = "ended with status"
+STEERING: Final = re.compile(rb"\x1b\[[0-9;?]*[A-Za-z]")
 
 
-class Terminal:
-    """One command in a terminal of 80 columns and 24 rows; after it, `stty -a` says how it left the terminal.
+class Terminal(Closing):
+    """`walk` in a terminal of 80 columns and 24 rows. What it draws waits there until it is read."""
 
-    Without tmux the test is skipped or, in CI, fails in one line that names the package.
-    """
+    def __init__(self, endpoint: str) -> None:
+        self.end, slave = pty.openpty()
+        termios.tcsetwinsize(slave, (24, 80))
+        command = [*COMMAND, "walk", "--connect", endpoint]
+        self.process = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
+        os.close(slave)
 
-    def __init__(self, folder: Path, program: str, endpoint: str) -> None:
-        """One of our programs, with its options, which dials this endpoint."""
-        skip_where("" if shutil.which("tmux") else "Debian package missing: tmux")
-        self._socket = folder / "tmux"  # a path, so that no server of somebody else's is met
-        options = folder / "tmux.conf"
-        options.write_text('set -g default-terminal "screen-256color"\n')
-        # tmux itself loses an exit status now and then.
-        command = shlex.join([*COMMAND, *program.split(), "--connect", endpoint])
-        script = f'{command}; echo "{_ENDED} $?"; stty -a; exec cat'
-        size = ("-x", "80", "-y", "24")
-        self._tmux("-f", str(options), "new-session", "-d", *size, shlex.join(["sh", "-c", script]))
+    def press(self, keys: str) -> None:
+        os.write(self.end, keys.encode())
 
-    def __enter__(self) -> Self:
-        return self
+    def wait(self, *texts: str) -> None:
+        """Read until all of `texts` have been drawn anew. Raises TimeoutError."""
+        drawn, end_s = b"", time.monotonic() + LATE_S
+        while not all(
+            text in (words := b" ".join(STEERING.sub(b"", drawn).split()).decode(errors="replace")) for text in texts
+        ):
+            if not select.select([self.end], [], [], max(0.0, end_s - time.monotonic()))[0]:
+                raise TimeoutError(f"waited {LATE_S} s for {texts}, and saw {words}")
+            drawn += os.read(self.end, 4096)
 
-    def __exit__(self, *_: object) -> None:
-        subprocess.run(["tmux", "-S", self._socket, "kill-server"], capture_output=True, check=False, timeout=LATE_S)
+    def wait_for_end(self) -> int:
+        """Read until the command ends; its exit status."""
+        with suppress(OSError):  # as Linux reports the end
+            while os.read(self.end, 4096):
+                pass
+        return self.process.wait(LATE_S)
 
-    def press(self, *keys: str) -> None:
-        """Press keys: "Space", "r", "C-c"."""
-        self._tmux("send-keys", *keys)
-
-    def wait(self, *texts: str, timeout_s: float = LATE_S) -> str:
-        """Wait until all of `texts` are on the screen; its words, of which wrapping parts none.
-
-        Raises TimeoutError that shows the screen.
-        """
-        deadline = time.monotonic() + timeout_s
-        while True:
-            screen = self._tmux("capture-pane", "-p")
-            words = " ".join(screen.split())
-            if all(text in words for text in texts):
-                return words
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"waited {timeout_s} s for {texts}; on the screen:\n{screen}")
-            time.sleep(POLL_S)
-
-    def wait_for_end(self, timeout_s: float = LATE_S) -> int:
-        """Wait until the command ends; its exit status."""
-        found = re.search(rf"{_ENDED} (\d+)", self.wait(f"{_ENDED} ", timeout_s=timeout_s))
-        assert found is not None
-        return int(found[1])
-
-    def _tmux(self, *arguments: str) -> str:
-        command = ["tmux", "-u", "-S", str(self._socket), *arguments]
-        env = {**os.environ, "LC_ALL": "C.UTF-8"}
-        env.pop("TMUX", None)
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=LATE_S, env=env).stdout
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        os.close(self.end)
 
 
 gateway = gateway_fixture(patient(10_000))
 watcher = client_fixture("watcher")
 
 
-def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watcher: Client) -> None:
-    with Terminal(tmp_path, "walk", gateway.endpoint) as terminal:
+def test_a_person_walks_stops_and_leaves(gateway: Gateway, watcher: Client) -> None:
+    with Terminal(gateway.endpoint) as terminal:
         terminal.wait("Nothing moves before you press a key.", "drives", "It lies")
         assert watcher.state().mode == Mode.IDLE
         terminal.press("t")
         terminal.wait("It stands")
-        terminal.press("2")
-        terminal.press("w")
+        terminal.press("2w")
         terminal.wait("It walks ripple")
         terminal.wait("It stands")  # a key that is released
-        terminal.press("Space")
+        terminal.press(" ")
         terminal.wait("STOPPED: 6 Stop frames written within")
         assert watcher.state().mode == Mode.ESTOPPED
         terminal.press("w")
@@ -109,36 +87,28 @@ def test_a_person_walks_stops_and_leaves(tmp_path: Path, gateway: Gateway, watch
         terminal.press("c")
         terminal.wait("It sits")
         terminal.press("q")
-        assert terminal.wait_for_end(60) == 0
+        assert terminal.wait_for_end() == 0
     assert watcher.state().mode == Mode.IDLE
     assert watcher.state().lease.holder is None
 
 
-def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(gateway: Gateway) -> None:
+def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
+    gateway: Gateway, watcher: Client
+) -> None:
     """A terminal that nobody reads: drawing blocks in the middle of a picture, and the key still stops the robot."""
-    master, slave = pty.openpty()
-    os.set_blocking(master, True)
-    with gateway.client() as client:
-        seen = states(client)
-        command = [*COMMAND, "walk", "--connect", gateway.endpoint]
-        shown = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave)
-        try:
-            os.close(slave)
-            # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
-            assert os.read(master, 1)
-            wait_for_stuck_writer(shown.pid)
-            os.write(master, b" ")
-            seen.wait(lambda state: state.mode is Mode.ESTOPPED)
-            deadline = time.monotonic() + LATE_S
-            while shown.poll() is None and time.monotonic() < deadline:
-                os.write(master, b"\x03")  # Ctrl-C; one that is read together with the stop does not count
-                with suppress(subprocess.TimeoutExpired):
-                    shown.wait(0.2)
-            assert shown.returncode is not None
-        finally:
-            shown.kill()
-            shown.wait()
-            os.close(master)
+    seen = states(watcher)
+    with Terminal(gateway.endpoint) as terminal:
+        # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
+        assert os.read(terminal.end, 1)
+        wait_for_stuck_writer(terminal.process.pid)
+        terminal.press(" ")
+        seen.wait(lambda state: state.mode is Mode.ESTOPPED)
+        deadline = time.monotonic() + LATE_S
+        while terminal.process.poll() is None and time.monotonic() < deadline:
+            terminal.press("\x03")  # Ctrl-C; one that is read together with the stop does not count
+            with suppress(subprocess.TimeoutExpired):
+                terminal.process.wait(0.2)
+        assert terminal.process.returncode is not None
 
 
 def wait_for_stuck_writer(pid: int) -> None:
