@@ -70,7 +70,7 @@ def issue(
     """
     paths = certs.folder.issue(directory, name, role, hosts=host, bundle=bundle, days=days)
     files = " ".join(path.name for path in paths if path != bundle)
-    say(f"Made {name}, {role}, in {directory}: {files}")
+    say(f"Made {name}, {role}, in {paths[0].parent}: {files}")
     if role == certs.folder.ROBOT:
         _say_installation(host[0], directory / name, bundle)
         say(f"Laptops issued before reach it with --connect tls/{host[0]}:PORT --zenoh-config …")
@@ -113,7 +113,7 @@ def show(directory: Directory = DEFAULT_FOLDER, as_json: JsonOption = False) -> 
         typer.echo(json.dumps([dict(zip(names, row, strict=True)) for row in rows]))
         return
     for row in [("NAME", "ROLE", "EXPIRES", "COMMON NAME", "STATE"), *rows]:
-        say("{:24}  {:8}  {:10}  {:13}  {}".format(*row))
+        say("{:27}  {:8}  {:10}  {:13}  {}".format(*row))
 
 
 @app.command(epilog="Example: hexapod-gateway certs revoke alice --dir ~/hexapod-certs")
