@@ -216,9 +216,10 @@ class RobotSupply:
         """Compare the servos' currents with their state. Return whether there is news. Call it a few times a second."""
         status = self.line.status
         if status.alive:
-            unfed = self._runs - status.supplied  # their power is on its way: they may draw current or not
+            runs = self._runs if self._ready is None else self._runs | self._asked  # supply starts a servo
+            unfed = runs - status.supplied  # their power is on its way: they may draw current or not
             drawn = {each: ma for each, ma in status.currents_ma.items() if each not in unfed}
-            self._found += self._currents.measured(drawn, self._runs, now_ns)
+            self._found += self._currents.measured(drawn, runs, now_ns)
             if not self._trusted and any(drawn.get(each, IDLE_MA + 1) <= IDLE_MA for each in self._fed - self._runs):
                 self._trusted = self._changed = True
         return self._changed or bool(self._found)

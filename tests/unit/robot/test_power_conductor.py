@@ -260,6 +260,17 @@ async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -
     assert shutdowns(robot) > before, "with the last, the UART's too"
 
 
+async def test_a_servo_that_its_supply_started_may_draw_current_while_others_wait_for_theirs() -> None:
+    robot = FedElkapod()
+    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
+    await asyncio.sleep(0.5)
+    for _ in range(2):
+        await starts(robot, keys.LEGS_COMMAND, all_legs("start", 90), within_s=1.3)
+        robot.put(keys.LEGS_COMMAND, all_legs("stop"))
+        await asyncio.sleep(1)
+    assert robot.events(Kind.SERVO_DRAWS) == []
+
+
 async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_whole_elkapod() -> None:
     robot = FedElkapod()
     await asyncio.sleep(0.5)
