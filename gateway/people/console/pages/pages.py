@@ -105,7 +105,7 @@ class Pages(Receiver):
             self._left[tab] = page, self._clock_ns()
 
     async def sit(self) -> None:
-        """Have the robot sit down if a page walks. Return once its legs are stopped."""
+        """Make the robot sit down if a page walks. Return once its legs are stopped."""
         async with asyncio.TaskGroup() as tasks:
             for page in self._pages:
                 tasks.create_task(page.sit())
