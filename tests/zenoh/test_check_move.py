@@ -19,7 +19,7 @@ from schemas.robot import JOINTS, LEGS, SERVO_IDS
 from schemas.telemetry import Cause, FrameRecord, Mode, Reason
 from tests.support.child import Child
 from tests.support.command import Ended
-from tests.support.fixtures import gateway_fixture
+from tests.support.fixtures import client_fixture, gateway_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import Heard, frames, is_stop, states
 
@@ -29,11 +29,7 @@ gateway = gateway_fixture(
 )
 
 
-@pytest.fixture
-def client(gateway: Gateway) -> Iterator[Client]:
-    with gateway.client() as made:
-        yield made
-        assert made.stop().accepted
+client = client_fixture(None, rests=True)
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,35 +15,16 @@ from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
-from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
 
 LATE_S = 15.0
 
 
-@pytest.fixture
-def gateway(tmp_path: Path) -> Iterator["Gateways"]:
-    with Gateways(tmp_path) as made:
-        yield made
-
-
-class Gateways(Closing):
+def start(folder: Path) -> Gateway:
     """One after the other, on the same state directory."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder, self.state = folder, folder / "state"
-        self.state.mkdir()
-        self._running: list[Gateway] = []
-
-    def start(self) -> Gateway:
-        self.close()
-        self._running = [Gateway(self._folder, env={"HEXAPOD_STATE__PATH": str(self.state)})]
-        return self._running[0]
-
-    def close(self) -> None:
-        for each in self._running:
-            each.close()
+    (folder / "state").mkdir(exist_ok=True)
+    return Gateway(folder, env={"HEXAPOD_STATE__PATH": str(folder / "state")})
 
 
 def until(condition: Callable[[], bool]) -> None:
@@ -69,28 +50,27 @@ def is_kept(folder: Path, number: int) -> bool:
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_good(
-    gateway: Gateways, how: signal.Signals
+    tmp_path: Path, how: signal.Signals
 ) -> None:
-    first = gateway.start()
-    with first.client() as client:
+    state = tmp_path / "state"
+    with start(tmp_path) as first, first.client() as client:
         assert press(client, "anna") == 1
         since = client.state().estop_since
-    if how is signal.SIGKILL:  # an end in order waits for the write
-        until(lambda: is_kept(gateway.state, 1))
-    first.child.send_signal(how)
-    first.child.wait(LATE_S)
-    assert is_kept(gateway.state, 1)
-    second = gateway.start()
-    with second.client() as client:
+        if how is signal.SIGKILL:  # an end in order waits for the write
+            until(lambda: is_kept(state, 1))
+        first.child.send_signal(how)
+        first.child.wait(LATE_S)
+    assert is_kept(state, 1)
+    with start(tmp_path) as second, second.client() as client:
         found = client.state()
         assert (found.mode, found.estop) == (Mode.ESTOPPED, 1)
         assert (found.estop_source, found.estop_since, found.estop_fault) == ("anna", since, None)
         assert client.start_leg(3, 90, 90, 90, check=False).reason is Reason.ESTOPPED
         second.child.wait_for_output("is still engaged")
         assert client.ask(keys.RESET, {"estop": 1}).accepted
-        until(lambda: not (gateway.state / ESTOP_FILE).exists())
-    second.child.kill()
-    with gateway.start().client() as client:
+        until(lambda: not (state / ESTOP_FILE).exists())
+        second.child.kill()
+    with start(tmp_path) as third, third.client() as client:
         found = client.state()
         assert (found.mode, found.estop, found.estop_since) == (Mode.IDLE, 1, None)
         assert press(client) == 2
@@ -100,10 +80,10 @@ def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_g
 # ---- the disk (all ways to be damaged: tests/unit/robot/test_estop_file.py)
 
 
-def test_where_the_disk_hangs_it_starts_estopped_says_so_and_a_person_may_reset_it(gateway: Gateways) -> None:
-    os.mkfifo(durable.staged_for(gateway.state / LAST_FILE))
-    first = gateway.start()
-    with first.client() as client:
+def test_where_the_disk_hangs_it_starts_estopped_says_so_and_a_person_may_reset_it(tmp_path: Path) -> None:
+    (tmp_path / "state").mkdir()
+    os.mkfifo(durable.staged_for(tmp_path / "state" / LAST_FILE))
+    with start(tmp_path) as first, first.client() as client:
         found = client.state()
         assert found.mode is Mode.ESTOPPED
         assert "has not answered for 2 s" in str(found.estop_fault)
@@ -114,10 +94,9 @@ def test_where_the_disk_hangs_it_starts_estopped_says_so_and_a_person_may_reset_
         assert client.start_leg(3, 90, 90, 90).accepted
 
 
-def test_no_stop_waits_for_a_disk_that_hangs_while_it_runs(gateway: Gateways) -> None:
-    first = gateway.start()
-    os.mkfifo(durable.staged_for(gateway.state / ESTOP_FILE))
-    with first.client() as client:
+def test_no_stop_waits_for_a_disk_that_hangs_while_it_runs(tmp_path: Path) -> None:
+    with start(tmp_path) as first, first.client() as client:
+        os.mkfifo(durable.staged_for(tmp_path / "state" / ESTOP_FILE))
         heard = events(client)
         for number in (1, 2, 3):
             assert press(client) == number
@@ -125,5 +104,5 @@ def test_no_stop_waits_for_a_disk_that_hangs_while_it_runs(gateway: Gateways) ->
         event = heard.wait(lambda each: each.kind == Kind.ESTOP_NOT_KEPT, timeout_s=SLOW_S + LATE_S)
         assert "has not answered for 5 s" in event.detail
         assert client.ask(keys.RESET, {"estop": 3}).accepted
-    first.child.send_signal(signal.SIGTERM)
-    assert first.child.wait(LATE_S) == 0, "the disk hangs on"
+        first.child.send_signal(signal.SIGTERM)
+        assert first.child.wait(LATE_S) == 0, "the disk hangs on"

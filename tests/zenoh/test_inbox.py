@@ -14,7 +14,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, frames
+from tests.support.heard import events, frames, servos_on
 
 START = leg_payload("start", (90, 45, 120))
 
@@ -33,10 +33,6 @@ def frame_of(record: FrameRecord) -> OneLeg | OneServo:
     return decode(bytes.fromhex(record.bytes))
 
 
-def running(client: Client) -> set[int]:
-    return {servo.id for leg in client.state().legs for servo in leg.servos if servo.running}
-
-
 def servos_of(records: list[FrameRecord], *, stop: bool) -> set[int]:
     """The servos that commands have stopped, or started and set."""
     found = [frame_of(record) for record in records if record.cause == Cause.COMMAND]
@@ -49,34 +45,24 @@ def servos_of(records: list[FrameRecord], *, stop: bool) -> set[int]:
         (keys.leg_command(3), START, {31, 32, 33}),
         (keys.servo_command(62), servo_payload("start", 90), {62}),
         (keys.LEGS_COMMAND, {"legs": {"2": START, "5": START}}, {21, 22, 23, 51, 52, 53}),
+        ("hexapod/leg/*/cmd", START, {*SERVO_IDS}),
+        ("hexapod/servo/*/cmd", servo_payload("start", 5), {*SERVO_IDS}),
     ],
 )
-def test_each_kind_of_key_takes_put_get_and_delete(
+def test_each_kind_of_key_takes_put_get_and_delete_and_a_wildcard_means_all_that_it_matches(
     client: Client, key: str, payload: dict[str, object], servos: set[int]
 ) -> None:
+    """Other wildcards: tests/unit/robot/test_intake.py."""
     heard = frames(client)
     client.publish(key, payload)
     heard.wait_for_all(lambda records: servos_of(records, stop=False) >= servos)
-    assert running(client) == servos
+    assert servos_on(client.state()) == servos
     client.session.delete(key)
     heard.wait_for_all(lambda records: servos_of(records, stop=True) >= servos)
-    assert running(client) == set()
-    assert client.ask(key, payload).accepted
-    assert running(client) == servos
-
-
-@pytest.mark.parametrize(
-    ("expression", "payload"), [("hexapod/leg/*/cmd", START), ("hexapod/servo/*/cmd", servo_payload("start", 5))]
-)
-def test_a_wildcard_means_all_that_it_matches(client: Client, expression: str, payload: dict[str, object]) -> None:
-    """Other wildcards: tests/unit/robot/test_intake.py."""
-    heard = frames(client)
-    client.session.put(expression, json.dumps(payload))
-    heard.wait_for_all(lambda records: servos_of(records, stop=False) >= set(SERVO_IDS))
-    assert running(client) == set(SERVO_IDS)
-    client.session.delete(expression)
-    heard.wait_for_all(lambda records: servos_of(records, stop=True) >= set(SERVO_IDS))
-    assert running(client) == set()
+    assert servos_on(client.state()) == set()
+    if "*" not in key:
+        assert client.ask(key, payload).accepted
+        assert servos_on(client.state()) == servos
 
 
 @pytest.mark.parametrize("payload", [b"", b"{}", b"\xff\x00 no JSON", b"x" * 60_000])
@@ -99,7 +85,7 @@ def test_any_request_on_the_emergency_stops_key_engages_it(client: Client, paylo
             client.session.put("hexapod/e$*/cmd", payload)
     heard.wait(lambda record: record.cause == "estop" and frame_of(record) == stop_leg(6))
     assert client.state().mode == Mode.ESTOPPED
-    assert running(client) == set()
+    assert servos_on(client.state()) == set()
 
 
 def test_a_flood_beside_the_keys_is_told_ten_times_a_second_and_a_command_goes_through(client: Client) -> None:

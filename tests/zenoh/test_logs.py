@@ -1,7 +1,6 @@
 """What the log looks like on a terminal, and to a machine."""
 
-import os
-import pty
+import shlex
 import subprocess
 import sys
 from datetime import datetime, timedelta
@@ -36,27 +35,6 @@ def spoken(*options: str, program: str = SPEAKER) -> list[str]:
     return ran.stderr.removesuffix("\n").split("\n")
 
 
-def spoken_on_a_terminal() -> str:
-    """What SPEAKER writes to a terminal."""
-    ours, theirs = pty.openpty()
-    with subprocess.Popen([sys.executable, "-c", SPEAKER], stderr=theirs) as speaker:
-        os.close(theirs)
-        written = b""
-        while chunk := read(ours):
-            written += chunk
-        assert speaker.wait(30) == 0
-    os.close(ours)
-    return written.decode()
-
-
-def read(terminal: int) -> bytes:
-    """The next bytes, none at the end (which Linux reports as an error)."""
-    try:
-        return os.read(terminal, 65536)
-    except OSError:
-        return b""
-
-
 def test_each_line_has_its_time_and_level_and_none_is_anyones_words() -> None:
     lines = spoken("-X", "dev")
     assert [line.partition(" ")[2] for line in lines if line.startswith("20")] == [
@@ -73,7 +51,8 @@ def test_each_line_has_its_time_and_level_and_none_is_anyones_words() -> None:
 
 
 def test_a_terminal_gets_lines_for_people_and_what_others_wrote_does_not_steer_it() -> None:
-    written = spoken_on_a_terminal()
+    command = ["script", "--quiet", "--return", "--command", shlex.join([sys.executable, "-c", SPEAKER]), "/dev/null"]
+    written = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout
     assert "hexapod-gateway 1 takes commands" in written
     assert "ValueError: broken" in written
     assert not set(HOSTILE) & set(written)

@@ -1,5 +1,6 @@
 """A plug-in's wire (`gateway.wire`), installed as somebody else's package: what it is called with, and when."""
 
+import json
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ from tests.support.heard import events, states
 
 NAME: Final = "to-file"
 WIRE: Final = """
+import json
 import os
 import time
 
@@ -45,7 +47,7 @@ class ToFile(ServoWire):
         while os.path.exists(self._path + ".hangs"):
             open(self._path + ".hung", "w").close()
             time.sleep(0.01)
-        self._file.write(f"{time.monotonic_ns()} {os.getpid()} {list(changes)}\\n")
+        self._file.write(json.dumps([os.getpid(), list(changes)]) + "\\n")
         self._file.flush()
 
     def close(self):
@@ -56,7 +58,6 @@ class ToFile(ServoWire):
 class Call(NamedTuple):
     """One call of `apply`."""
 
-    monotonic_ns: int
     process: int
     changes: dict[int, float | None]
 
@@ -93,13 +94,7 @@ class Installed:
     def calls(self, since: int = 0) -> list[Call]:
         """What it was called with, from the first or that one on."""
         lines = self.path.read_text().splitlines() if self.path.exists() else []
-        found = (line.split(" ", 2) for line in lines[since:])
-        return [Call(int(ns), int(process), dict(_changes(text))) for ns, process, text in found]
-
-
-def _changes(text: str) -> list[tuple[int, float | None]]:
-    pairs = (each.split(", ") for each in text[2:-2].split("), ("))
-    return [(int(servo), None if angle == "None" else float(angle)) for servo, angle in pairs]
+        return [Call(process, dict(changes)) for process, changes in map(json.loads, lines[since:])]
 
 
 LEG_3 = {31: 90.0, 32: 45.0, 33: 120.0}

@@ -16,15 +16,15 @@ from tests.support.gateway_process import Gateway
 root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root, or a service that may, gets priority")
 
 
-def run(program: str, *prefix: str, stderr: int | None = None) -> str:
+def run(program: str, *prefix: str) -> str:
     """What a program prints that has imported our module in a process of its own."""
     command = [
         *prefix,
         sys.executable,
         "-c",
-        f"from gateway.host.realtime import *\nimport gc, os, sys, threading\n{program}",
+        f"from gateway.host.realtime import *\nimport os, threading\n{program}",
     ]
-    return subprocess.run(command, stdout=subprocess.PIPE, stderr=stderr, text=True, check=True).stdout.strip()
+    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
 
 
 def test_timers_are_on_time_in_every_thread() -> None:

@@ -52,11 +52,13 @@ class Deliveries:
     due: deque[tuple[int, Message]]
     flood: Callable[[str, str], Message | None] = lambda _key, _verb: None
     """What arrives in a ring each time that it was found empty."""
+    depth: int = LEAST_PUT_DEPTH
+    """Of a ring of puts."""
     reads: int = 0
     rings: dict[tuple[str, str], deque[Message]] = field(default_factory=dict)
 
     def receiver(self, key: str, verb: str) -> Callable[[], Message | None]:
-        ring = self.rings.setdefault((key, verb), deque(maxlen=LEAST_PUT_DEPTH if verb == "put" else RING_DEPTH))
+        ring = self.rings.setdefault((key, verb), deque(maxlen=self.depth if verb == "put" else RING_DEPTH))
 
         def receive() -> Message | None:
             while self.due and self.due[0][0] <= self.reads:
@@ -80,6 +82,7 @@ class ReadRings:
             {key: (deliveries.receiver(key, "put"), deliveries.receiver(key, "get")) for key in keys},
             lambda _, item: item,
             lambda item: item.words_of_stop,
+            deliveries.depth,
         )
         self.supervisor = Supervisor(Rules(repeats=0, period_ns=1))
         self.supervisor.step(BusOpened(), 0)
@@ -213,40 +216,30 @@ def test_only_floods_of_stops_on_keys_that_share_servos_keep_an_instant_open(
     assert not robot.rings.instant_open
 
 
-def thinned(waiting: list[tuple[ServoOp, int]], verb: str = "put") -> list[Message | None]:
+def thinned(
+    waiting: list[tuple[ServoOp, int]], verb: str = "put", depth: int = LEAST_PUT_DEPTH
+) -> list[Message | None]:
     """What is taken of one ring in which these operations wait, each of a servo."""
-    deliveries = Deliveries(deque((0, Message(LEG, verb, op, (servo_id,))) for op, servo_id in waiting))
-    return [item for _, item in ReadRings(deliveries).rings.read([LEG])]
+    due = deque((0, Message(LEG, verb, op, (servo_id,))) for op, servo_id in waiting)
+    return [item for _, item in ReadRings(Deliveries(due, depth=depth)).rings.read([LEG])]
 
 
-@pytest.mark.parametrize("before", [0, 1, LEAST_PUT_DEPTH - RING_DEPTH - 3])
-def test_of_older_messages_the_stops_are_taken_before_the_newest(before: int) -> None:
+@pytest.mark.parametrize(
+    ("before", "depth"), [(0, LEAST_PUT_DEPTH), (LEAST_PUT_DEPTH - RING_DEPTH - 3, LEAST_PUT_DEPTH), (47, 58)]
+)
+def test_of_older_messages_the_stops_are_taken_before_the_newest(before: int, depth: int) -> None:
+    """Until a ring is full, however deep it is."""
     older = [(START, 12)] * before + [(STOP, 11)] + [(START, 13)]
     newest = [(START, number) for number in range(RING_DEPTH)]
-    taken = [(item.op, *item.servos) for item in thinned(older + newest) if item is not None]
+    taken = [(item.op, *item.servos) for item in thinned(older + newest, depth=depth) if item is not None]
     assert taken == [(STOP, 11), *newest]
 
 
-@pytest.mark.parametrize("lost", [0, 1, 100])
-def test_a_full_ring_may_have_lost_a_stop(lost: int) -> None:
-    messages = thinned([(STOP, 11)] * lost + [(START, 13)] * LEAST_PUT_DEPTH)
+@pytest.mark.parametrize(("lost", "depth"), [(0, LEAST_PUT_DEPTH), (100, LEAST_PUT_DEPTH), (1, 58)])
+def test_a_full_ring_may_have_lost_a_stop(lost: int, depth: int) -> None:
+    messages = thinned([(STOP, 11)] * lost + [(START, 13)] * depth, depth=depth)
     assert messages[0] is None
     assert len(messages) == 1 + RING_DEPTH
-
-
-def test_a_deeper_ring_is_searched_for_stops_until_it_is_full() -> None:
-    waiting: deque[Message] = deque(maxlen=58)
-    rings = Rings[Message, Message](
-        {LEG: (lambda: waiting.popleft() if waiting else None, lambda: None)},
-        lambda _, item: item,
-        lambda item: item.words_of_stop,
-        58,
-    )
-    setpoints = [Message(LEG, "put", START, (11,))] * 60
-    waiting.extend([*setpoints[:20], Message(LEG, "put", STOP, (12,)), *setpoints[:36]])
-    assert [item and item.op for _, item in rings.read([LEG])] == [STOP] + [START] * RING_DEPTH
-    waiting.extend(setpoints)
-    assert [item and item.op for _, item in rings.read([LEG])] == [None] + [START] * RING_DEPTH
 
 
 def test_a_get_that_is_lost_is_not_answered_and_stops_nothing() -> None:
