@@ -128,8 +128,6 @@ class Visitor(Closing):
     """What all pages of this test have said."""
     faults: ClassVar[list[str]] = []
     """What they complained of; a connection that ends is no complaint."""
-    _idle: ClassVar[dict[str, list["Opened"]]] = {}
-    """Pages that tests before have left, by their console: one that is loaded again begins in half the time."""
 
     def __init__(self, browser: Browser, url: str, session: SignedIn, gateway: Gateway | None = None) -> None:
         self._browser = browser
@@ -138,59 +136,25 @@ class Visitor(Closing):
         self._name, _, self._value = session.cookie.partition("=")
         self._keep_key = KEEP_KEY % (url, session.key)
         self._stack = ExitStack()
-        for other in self._idle.keys() - {url}:
-            for page in self._idle.pop(other):
-                page.context.close()
 
     def open(self, *, webgl: bool = False, script: str = "", **options: Any) -> "Opened":
         """A page that shows the robot. Without WebGL unless it is wanted: a browser that draws, for this page alone."""
+        browser = self._browser
         if webgl:
-            browser = self._browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
+            browser = browser.browser_type.launch(executable_path=CHROMIUM, args=DRAWS)
             self._stack.callback(browser.close)
-            opened = self._page(self._prepared(browser.new_context(**options)), script)
-        elif options:
-            context = self._prepared(self._browser.new_context(**options), WITHOUT_WEBGL)
-            self._stack.callback(context.close)
-            opened = self._page(context, script)
-        else:
-            opened = self._used_again()
-            if script:
-                opened = self._page(opened.context, script)
-                self._stack.callback(opened.close)
+        context = browser.new_context(**options)
+        self._stack.callback(context.close)
+        context.set_default_timeout(LATE_MS)
+        context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
+        for each in (self._keep_key, LINES, "" if webgl else WITHOUT_WEBGL, script):
+            context.add_init_script(each)
+        opened = Opened(context, context.new_page())
+        opened.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        opened.page.on("console", self._heard)
         opened.page.goto(self._url)
         opened.expect_live()
         return opened
-
-    def _used_again(self) -> "Opened":
-        """One that a test before has left, or that another may have after this one."""
-        if self._idle.get(self._url):
-            opened = self._idle[self._url].pop()
-        else:
-            opened = self._page(self._prepared(self._browser.new_context(), WITHOUT_WEBGL))
-        self._stack.callback(self._keep, opened)
-        return opened
-
-    def _prepared(self, context: BrowserContext, *scripts: str) -> BrowserContext:
-        """Signed in."""
-        context.set_default_timeout(LATE_MS)
-        context.add_cookies([{"name": self._name, "value": self._value, "url": self._url}])
-        for script in (self._keep_key, LINES, *scripts):
-            context.add_init_script(script)
-        return context
-
-    def _page(self, context: BrowserContext, script: str = "") -> "Opened":
-        page = context.new_page()
-        if script:
-            page.add_init_script(script)
-        page.on("pageerror", lambda error: self.faults.append(str(error)))
-        page.on("console", self._heard)
-        return Opened(context, page)
-
-    def _keep(self, opened: "Opened") -> None:
-        if opened.leave():
-            self._idle.setdefault(self._url, []).append(opened)
-        else:
-            opened.context.close()
 
     def renderers(self) -> set[int]:
         """The process ids of those that run pages."""
@@ -226,28 +190,9 @@ class Opened:
     def __init__(self, context: BrowserContext, page: Page) -> None:
         self.context = context
         self.page = page
-        self._has_focus = True
-
-    def leave(self) -> bool:
-        """Let go of all and leave the console; whether another test may have this page."""
-        if self.page.is_closed() or not self._has_focus:
-            return False
-        self.page.mouse.up()
-        for key in "hweq":
-            self.page.keyboard.up(key)
-        self._forget()
-        self.page.goto("about:blank")
-        return True
 
     def close(self) -> None:
-        """And keep nothing."""
-        if not self.page.is_closed():
-            self._forget()
-            self.page.close()
-
-    def _forget(self) -> None:
-        if self.page.url != "about:blank":
-            self.page.evaluate("localStorage.clear(); sessionStorage.clear()")  # the key comes again with the page
+        self.page.close()
 
     def __getitem__(self, name: str) -> Locator:
         """The element with this id."""
@@ -326,7 +271,6 @@ class Opened:
 
     def lose_focus(self) -> None:
         """Another window comes to the front."""
-        self._has_focus = False
         self.devtools().send("Emulation.setFocusEmulationEnabled", {"enabled": False})
         other = self.context.new_page()
         self.context.new_cdp_session(other).send("Emulation.setFocusEmulationEnabled", {"enabled": False})
