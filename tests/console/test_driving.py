@@ -102,22 +102,6 @@ def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(visitor:
     expect(page.said).to_have_text("Let go: legs 3 and 5 stopped.")
 
 
-@pytest.mark.parametrize(
-    "let_go",
-    [lambda page: page.let_go_as("˙", "h"), lambda page: page.page.keyboard.press("Meta")],
-    ids=["with another letter", "with Command"],
-)
-def test_the_key_is_let_go_whatever_else_is_pressed(
-    visitor: Visitor, watcher: Client, let_go: Callable[[Opened], None]
-) -> None:
-    """See test_walk.py."""
-    page = visitor.open()
-    written = hold(page, watcher, 1, 4)
-    let_go(page)
-    expect_stopped(written, 1, 4)
-    expect(page.said).to_have_text("Let go: legs 1 and 4 stopped.")
-
-
 def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(visitor: Visitor, watcher: Client) -> None:
     page = visitor.open()
     page.drive(1)
@@ -136,11 +120,10 @@ def test_a_button_that_is_held_runs_its_leg_and_a_stop_ends_it_for_this_hold(vis
 @pytest.mark.parametrize(
     ("lose", "words"),
     [
-        (lambda page, _: page.hide(), "this page is hidden"),
         (lambda page, _: page.lose_focus(), "this window has lost the focus"),
         (lambda _, watcher: watcher.stop(1), "servo 11 does not run"),
     ],
-    ids=["hidden", "without focus", "stopped by another"],
+    ids=["without focus", "stopped by another"],
 )
 def test_what_is_lost_stops_the_legs_and_the_page_says_why(
     visitor: Visitor, watcher: Client, lose: Callable[[Opened, Client], object], words: str

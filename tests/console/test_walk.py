@@ -74,7 +74,7 @@ def test_keys_walk_and_turn_and_letting_go_stands(visitor: Visitor, robot: Clien
     ids=["with another letter", "with Command"],
 )
 def test_a_key_is_let_go_whatever_else_is_pressed(visitor: Visitor, let_go: Callable[[Opened], None]) -> None:
-    """macOS reports no release of a key that is let go while Command is held."""
+    """Also the key H (keys.js). macOS reports no release of a key that is let go while Command is held."""
     page = visitor.open()
     page.get_lease()
     walks(page, partial(press, "e"))

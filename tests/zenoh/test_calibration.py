@@ -156,7 +156,7 @@ def until_it_is_being_kept(client: Client) -> Ack:
 
 
 def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
-    """A pipe that nobody reads holds the write for as long as the test wants."""
+    """More: tests/unit/robot/test_calibration_conductor.py. A pipe that nobody reads holds the write."""
     path = tmp_path / "calibration.toml"
     os.mkfifo(durable.staged_for(path))
     answers: list[Ack] = []
@@ -165,19 +165,13 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
         gateway.client() as client,
         Client(gateway.endpoint, timeout_s=60) as patient,
     ):
-        told = events(client)
         asking = threading.Thread(target=lambda: answers.append(patient.calibrate(TRIM, check=False)))
         asking.start()
         rejected = until_it_is_being_kept(client)
         assert rejected.reason == Reason.SERVO_STOPPED
         assert client.start_leg(1, 90, 90, 90).accepted
-        told.wait(lambda event: event.kind == "watchdog_expired" and event.legs == (1,))
-        assert client.start_leg(1, 90, 90, 90).accepted
         assert client.estop().stop_frames == 6
         assert client.reset().accepted
-        assert client.calibrate({61: ServoChange(trim_deg=1)}, check=False).reason == Reason.STALE, (
-            "one after the other"
-        )
         assert asking.is_alive()
         assert not answers
         with durable.staged_for(path).open("rb") as reader:  # the write goes on, and a pipe cannot be synced

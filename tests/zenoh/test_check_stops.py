@@ -15,12 +15,10 @@ import pytest
 
 from gateway.onboard.check import stops
 from gateway.onboard.check.stops import STEPS
-from schemas import keys
-from schemas.telemetry import GatewayState
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
-from tests.support.heard import Heard, frames
+from tests.support.heard import frames, states
 from tests.support.planted_gateway import MISTAKES
 from tests.support.recorded_board import RecordedBoard
 from tests.support.secured import Secured
@@ -192,84 +190,76 @@ def test_a_stop_servos_that_did_not_stop_after_the_end_fails(
 # ---- the steps for a power board: what it confirms, and one of its two ways unplugged
 
 
-class Robot:
-    """A gateway with a power board, and a person who plugs and unplugs."""
-
-    def __init__(self, folder: Path, board: RecordedBoard) -> None:
-        self.board = board
-        power = {**board.settings, "confirm_ms": 500}
-        self.gateway = Gateway(folder, patient(1000, telemetry={"frames": True}, power=power))
-
-    @property
-    def fed(self) -> int:
-        """The mask of what the board feeds."""
-        return next((each.mask for each in reversed(self.board.noted) if each.what == "fed"), 0)
-
-    def check(self, step: str) -> Ended:
-        return self.gateway.run("check", "--stops", "--unplug", "--late", str(LATE_MS), "--only", step)
+Check = Callable[..., Ended]
 
 
 @pytest.fixture
-def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
+def board(tmp_path: Path) -> Iterator[RecordedBoard]:
+    with RecordedBoard(tmp_path) as running:
+        yield running
+
+
+@pytest.fixture
+def check(tmp_path: Path, board: RecordedBoard, monkeypatch: pytest.MonkeyPatch) -> Iterator[Check]:
+    """Check one step on a robot with this board; `answer` is what somebody beside it does when asked."""
     monkeypatch.setattr(stops, "_ANSWER_MS", LATE_MS)
-    with RecordedBoard(tmp_path) as board:
-        made = Robot(tmp_path, board)
-        with made.gateway, made.gateway.client() as client:
-            Heard(client, keys.STATE, GatewayState).wait(lambda _: stops.is_at_rest(client))
-            yield made
+    power = {**board.settings, "confirm_ms": 500}
+
+    def run(step: str, answer: Callable[[str], str] | None = None, *options: str) -> Ended:
+        if answer is not None:
+            monkeypatch.setattr(stops, "by_hand", stops.board)
+            for name in ("ask", "hint"):
+                monkeypatch.setattr(stops, name, answer)
+        return gateway.run("check", "--stops", *options, "--late", str(LATE_MS), "--only", step)
+
+    with (
+        Gateway(tmp_path, patient(1000, telemetry={"frames": True}, power=power)) as gateway,
+        gateway.client() as client,
+    ):
+        states(client).wait(lambda _: stops.is_at_rest(client))
+        yield run
 
 
-@pytest.fixture
-def person(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str], str]], None]:
-    """Somebody is at the simulated robot, and does this when asked."""
-
-    def does(answer: Callable[[str], str]) -> None:
-        monkeypatch.setattr(stops, "by_hand", stops.board)
-        for name in ("ask", "hint"):
-            monkeypatch.setattr(stops, name, answer)
-
-    return does
-
-
-def test_the_board_confirms_an_emergency_stop(robot: Robot) -> None:
-    done = robot.check("power")
+def test_the_board_confirms_an_emergency_stop(check: Check) -> None:
+    done = check("power", None, "--unplug")
     assert done.returncode == 0, str(done)
     assert "PASS     power          confirmed_after_ms " in done.stdout
 
 
-def test_without_a_board_and_without_a_person_there_is_nothing_to_show(robot: Robot) -> None:
-    for step in ("spi-unplugged", "can-unplugged"):
-        assert "SKIPPED" in robot.check(step).stdout
-    assert "SKIPPED" in robot.gateway.run("check", "--stops", "--only", "can-unplugged").stdout
+def test_without_a_board_and_without_a_person_there_is_nothing_to_show(check: Check) -> None:
+    for step, *options in (("spi-unplugged", "--unplug"), ("can-unplugged", "--unplug"), ("can-unplugged",)):
+        assert "SKIPPED" in check(step, None, *options).stdout
 
 
 @pytest.mark.parametrize(("loose", "code"), [("yes", 0), ("no", 1)])
-def test_spi_unplugged(robot: Robot, person: Callable[[Callable[[str], str]], None], loose: str, code: int) -> None:
+def test_spi_unplugged(board: RecordedBoard, check: Check, loose: str, code: int) -> None:
     """The supply comes back only once the controller has its Stops."""
     fed_when: dict[str, int] = {}
+
+    def fed() -> int:
+        """The mask of what the board feeds."""
+        return next((each.mask for each in reversed(board.noted) if each.what == "fed"), 0)
 
     def answer(question: str) -> str:
         word = question.split(maxsplit=1)[0]
         end_s = time.monotonic() + 20
-        while word == "Unplug" and not robot.fed and time.monotonic() < end_s:
+        while word == "Unplug" and not fed() and time.monotonic() < end_s:
             time.sleep(0.01)  # the board's process writes it down a moment later
-        fed_when[word] = robot.fed
+        fed_when[word] = fed()
         return loose
 
-    person(answer)
-    done = robot.check("spi-unplugged")
+    done = check("spi-unplugged", answer, "--unplug")
     assert done.returncode == code, str(done)
     assert fed_when["Unplug"]
     assert fed_when["Turn"] == fed_when["Plug"] == 0
 
 
-def test_can_unplugged(robot: Robot, person: Callable[[Callable[[str], str]], None]) -> None:
+def test_can_unplugged(board: RecordedBoard, check: Check) -> None:
 
     def answer(question: str) -> str:
-        robot.board.disturb(silent=question.startswith("Unplug"))
+        board.disturb(silent=question.startswith("Unplug"))
         return ""
 
-    person(answer)
-    done = robot.check("can-unplugged")
+    done = check("can-unplugged", answer, "--unplug")
     assert done.returncode == 0, str(done)
     assert "silent_when_reported_ms" in done.stdout

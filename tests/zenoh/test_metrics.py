@@ -18,6 +18,12 @@ from tests.support.metrics_page import described, documented
 from tests.support.secured import Secured
 
 
+def read(address: str) -> list[Sample]:
+    with urllib.request.urlopen(f"http://{address}/metrics", timeout=10) as answer:
+        text = answer.read().decode()
+    return [sample for family in text_string_to_metric_families(text) for sample in family.samples]
+
+
 def value(samples: list[Sample], name: str, **labels: str) -> float:
     (found,) = [sample.value for sample in samples if sample.name == name and labels.items() <= sample.labels.items()]
     return float(found)
@@ -32,7 +38,7 @@ def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_
         assert client.estop().accepted
         with urllib.request.urlopen(f"http://{here}/metrics", timeout=10) as answer:
             page = answer.read().decode()
-        samples = [each for family in text_string_to_metric_families(page) for each in family.samples]
+        samples = read(here)
         assert value(samples, "hexapod_sessions") == 1
         assert value(samples, "hexapod_incidents_total") == 1
         assert value(samples, "hexapod_build_info", version=__version__, protocol=PROTOCOL_VERSION) == 1
