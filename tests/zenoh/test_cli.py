@@ -104,19 +104,22 @@ def test_a_user_whose_name_is_no_utf_8_stops_and_resets(gateway: Gateway, monkey
         assert end.returncode == 0, end
 
 
-def test_a_stop_needs_no_room_in_dev_shm(gateway: Gateway) -> None:
-    """A limit for files is one for shared memory, too; as is a full or read-only /dev/shm."""
-    command = ["sh", "-c", 'ulimit -f 0; exec "$@"', "sh", *COMMAND, "estop", "--connect", gateway.endpoint]
-    end = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert end.returncode == 0, end
-
-
-def test_a_terminal_without_the_characters_gets_their_escapes(gateway: Gateway) -> None:
-    command, ascii_only = [*COMMAND, "estop", "--connect", gateway.endpoint], {"PYTHONIOENCODING": "ascii"}
-    end = subprocess.run(command, env=os.environ | ascii_only, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(
+    ("prefix", "environment", "said"),
+    [
+        # A limit for files is one for shared memory, too; as is a full or read-only /dev/shm.
+        pytest.param(["sh", "-c", 'ulimit -f 0; exec "$@"', "sh"], {}, "µs of", id="without room in /dev/shm"),
+        pytest.param([], {"PYTHONIOENCODING": "ascii"}, "\\xb5s of", id="a terminal without the characters"),
+    ],
+)
+def test_a_stop_needs_no_room_and_no_characters(
+    gateway: Gateway, prefix: list[str], environment: dict[str, str], said: str
+) -> None:
+    command = [*prefix, *COMMAND, "estop", "--connect", gateway.endpoint]
+    end = subprocess.run(command, env=os.environ | environment, capture_output=True, text=True, check=False)
     assert end.returncode == 0, end
     assert "stopped: 6 Stop frames written within" in end.stdout
-    assert "\\xb5s" in end.stdout
+    assert said in end.stdout
 
 
 START_EXAMPLE = "for example: hexapod-gateway send leg 3 start 90 45 120"

@@ -169,10 +169,7 @@ STARTS_AND_SETS: Final[list[Callable[[Client, bool], Ack]]] = [
     lambda client, check: client.set_legs({3: (90, 45, 120)}, check=check),
     lambda client, check: client.servo(32, "set", 90, check=check),
     lambda client, check: client.start_leg(1, 90, 45, 200, check=check),
-    lambda client, check: client.start_leg(7, 90, 45, 120, check=check),
-    lambda client, check: client.start_leg(1, 90, 45, check=check),
     lambda client, check: client.start_legs([(90, 45, 4)] * 6, unit="rad", check=check),
-    lambda client, check: client.servo(19, "start", 90, check=check),
     lambda client, check: client.calibrate({}, {31: 181}, check=check),
 ]
 

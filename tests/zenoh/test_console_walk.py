@@ -1,7 +1,6 @@
 """A page walks: its wishes come to a real gateway 20 times a second; whatever silences it makes the robot stand."""
 
 import itertools
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -14,40 +13,33 @@ from tests.support.console_process import TRIES, Console, Page, SignedIn
 from tests.support.fixtures import console_fixture, gateway_fixture, patient, session_fixture
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
+from tests.support.meanwhile import meanwhile
 
 FORWARD: Final = {"forward_m_s": 0.06}
 STEP_S: Final = 0.05
 
 
-class Pad(threading.Thread):
-    """What a page does while its pad is held: it sends what `wish` is, 20 times a second, until it is closed."""
+class Pad:
+    """What a page has while its pad is held."""
 
     def __init__(self, page: Page) -> None:
-        super().__init__(daemon=True)
         self._page = page
         self._ids = itertools.count(1)
-        self._presses = itertools.count(1)
-        self._ended = threading.Event()
         self.press = 0
         self.delay_ms = 0.0
         """What a wish takes to come."""
         self.wish: dict[str, Any] = {}
-        self.start()
 
     def hold(self, **wish: Any) -> None:
         """A new press, and what it wants from now on."""
-        self.press = next(self._presses)
         self.wish = wish
+        self.press += 1
 
-    def run(self) -> None:
-        while not self._ended.wait(STEP_S):
-            if self.press:
-                sent_ms = self._page.now_ms() - self.delay_ms
-                self._page.send(type="walk", id=next(self._ids), press=self.press, sent_ms=sent_ms, **self.wish)
-
-    def close(self) -> None:
-        self._ended.set()
-        self.join()
+    def send(self) -> None:
+        """To be called 20 times a second."""
+        if self.press:
+            sent_ms = self._page.now_ms() - self.delay_ms
+            self._page.send(type="walk", id=next(self._ids), press=self.press, sent_ms=sent_ms, **self.wish)
 
 
 gateway = gateway_fixture(patient())
@@ -75,8 +67,8 @@ def page(console: Console, session: SignedIn) -> Iterator[Page]:
 @pytest.fixture
 def pad(page: Page) -> Iterator[Pad]:
     held = Pad(page)
-    yield held
-    held.close()
+    with meanwhile(held.send, STEP_S):
+        yield held
 
 
 def acquire(page: Page) -> None:
@@ -124,19 +116,19 @@ def test_a_page_that_falls_silent_stands_and_goes_on_with_a_new_press_only_and_o
         is_free(page)
         acquire(page)
         pad = Pad(page)
-        walks(page, pad)
-        assert robot.state().legs[0].source == f"{page.hello['source']} walks"
-        pad.delay_ms = 300
-        still = walk(page, lambda message: message["commanded"] == [0, 0, 0])
-        assert still["waits"]
-        standing = posture(page, "standing")
-        assert standing["id"] >= still["id"]
-        pad.delay_ms = 0
-        last = standing["id"] + 20  # a second: it is received, and so does not sit down, and does not walk
-        later = walk(page, lambda now: not (stands(now) and now["waits"]) or (now["id"] or 0) > last)
-        assert (stands(later), later["waits"]) == (True, True)
-        walks(page, pad)
-        pad.close()
+        with meanwhile(pad.send, STEP_S):
+            walks(page, pad)
+            assert robot.state().legs[0].source == f"{page.hello['source']} walks"
+            pad.delay_ms = 300
+            still = walk(page, lambda message: message["commanded"] == [0, 0, 0])
+            assert still["waits"]
+            standing = posture(page, "standing")
+            assert standing["id"] >= still["id"]
+            pad.delay_ms = 0
+            last = standing["id"] + 20  # a second: it is received, and so does not sit down, and does not walk
+            later = walk(page, lambda now: not (stands(now) and now["waits"]) or (now["id"] or 0) > last)
+            assert (stands(later), later["waits"]) == (True, True)
+            walks(page, pad)
         page.socket.close()
         is_free(other)
 
@@ -146,10 +138,8 @@ def test_who_gives_the_lease_up_sits_down_first_and_meanwhile_joints_wait(
 ) -> None:
     with console.page(session) as other:
         other.state()
-        second = Pad(other)
-        second.hold(**FORWARD)
+        other.send(type="walk", id=1, press=1, sent_ms=other.now_ms(), **FORWARD)
         assert "does not have the lease" in walk(other, lambda _: True)["detail"]
-        second.close()
     pad.hold(height_m=0.9)
     assert "it cannot stand" in walk(page, lambda message: message["detail"] != "")["detail"]
     found = gets(
@@ -172,10 +162,10 @@ def test_the_robot_sits_down_before_a_console_that_is_stopped_ends(
         page = own.page(own.sign_in())
         acquire(page)
         pad = Pad(page)
-        walks(page, pad)
-        own.child.terminate()
-        own.child.wait()
-        pad.close()
+        with meanwhile(pad.send, STEP_S):
+            walks(page, pad)
+            own.child.terminate()
+            own.child.wait()
         page.close()
     assert robot.state().mode == "idle"
     heard.wait(lambda event: event.kind in (Kind.LEASE_RELEASED, Kind.LEASE_EXPIRED))

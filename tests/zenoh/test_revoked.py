@@ -84,12 +84,13 @@ class Robot:
         certs.folder.init(self.folder, [HOST], port=self.port)
         for name in ("anna", "bert"):
             certs.folder.issue(self.folder, name, "operator")
-        self.copy()
-
-    def copy(self) -> None:
-        """To the robot: what docs/certificates.md names, and no list."""
-        self.own.mkdir(exist_ok=True)
-        for name in ("ca.pem", "gateway.pem", "gateway.key", "gateway.json5"):
+        self.own.mkdir()
+        for name in (
+            "ca.pem",
+            "gateway.pem",
+            "gateway.key",
+            "gateway.json5",
+        ):  # what docs/certificates.md names, and no list
             shutil.copy(self.folder / name, self.own)
 
     def start(self, **environment: str) -> Gateway:
