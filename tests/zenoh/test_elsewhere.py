@@ -68,29 +68,22 @@ def test_a_command(gateway: Gateway, arguments: tuple[str, ...], code: int, said
 @pytest.mark.parametrize(
     ("arguments", "begun"),
     [
-        (("status", "--follow"), "No servo runs"),
-        (("record", "FILE"), "recording into"),
-        (("console", "--listen", "ADDRESS"), "The console is at http://"),
+        ("status --follow", "No servo runs"),
+        ("record {folder}/ride.mcap", "recording into"),
+        ("console --listen 127.0.0.1:{port}", "The console is at http://"),
     ],
-    ids=lambda each: each[0] if isinstance(each, tuple) else "",
+    ids=["status", "record", "console"],
 )
-def test_a_command_that_goes_on_until_ctrl_c(
-    gateway: Gateway, tmp_path: Path, arguments: tuple[str, ...], begun: str
-) -> None:
-    file = tmp_path / "ride.mcap"
-    given = [str(file) if each == "FILE" else each for each in arguments]
-    if arguments[0] == "console":
-        given[-1] = f"127.0.0.1:{free_port()}"
+def test_a_command_that_goes_on_until_ctrl_c(gateway: Gateway, tmp_path: Path, arguments: str, begun: str) -> None:
+    name, *given = arguments.format(folder=tmp_path, port=free_port()).split()
     state = {"XDG_STATE_HOME": str(tmp_path)}
-    child = elsewhere(*given, "--connect", gateway.endpoint, **state)
-    child.wait_for_output(begun, timeout_s=60)
-    if arguments[0] == "console":
-        link = elsewhere("console", "--link", "--listen", given[-1], **state)
-        assert link.wait(60) == 0, link.stderr
-        link.close()
-        assert re.search(r"The console is at http://127\.0\.0\.1:\d+/\?token=", link.stdout)
-    child.send_signal(signal.SIGINT)
-    assert child.wait(60) == 0, child.stderr
-    child.close()
+    with elsewhere(name, *given, "--connect", gateway.endpoint, **state) as child:
+        child.wait_for_output(begun, timeout_s=60)
+        if name == "console":
+            with elsewhere(name, "--link", *given, **state) as link:
+                assert link.wait(60) == 0, link.stderr
+            assert re.search(r"The console is at http://127\.0\.0\.1:\d+/\?token=", link.stdout)
+        child.send_signal(signal.SIGINT)
+        assert child.wait(60) == 0, child.stderr
     assert "Traceback" not in child.stderr
-    assert file.exists() == (arguments[0] == "record")
+    assert (tmp_path / "ride.mcap").exists() == (name == "record")

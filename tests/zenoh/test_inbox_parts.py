@@ -107,17 +107,6 @@ async def test_an_emergency_stop_comes_before_all_that_was_taken_and_not_yet_dea
     assert [each.payload for each in held.estops] == [b"again"], "the other was taken, and once is enough"
 
 
-async def test_an_emergency_stop_that_waits_for_the_state_is_taken_without_any_command(
-    session: zenoh.Session, held: Held
-) -> None:
-    with held.owner:
-        session.put(ESTOP, b"")
-        await held.until(lambda: bool(held.inbox.estops))
-        assert [each.key for each in held.inbox.take()] == []
-        assert held.inbox.estops.popleft().key == ESTOP
-    assert not held.estops
-
-
 @pytest.mark.parametrize("ask", [False, True], ids=["put", "get"])
 async def test_the_second_way_to_stop_does_not_wait_for_the_state(
     session: zenoh.Session, held: Held, ask: bool
@@ -184,21 +173,14 @@ async def test_an_instant_that_a_flood_left_open_is_closed_though_nothing_else_c
 # ---- no message stays in its ring because its wakeup was lost, or because the state was owned meanwhile
 
 
-@pytest.fixture
-async def taker(session: zenoh.Session) -> AsyncIterator[Held]:
-    taker = Held(session, takes=True)
-    yield taker
-    await taker.close()
-
-
-async def test_a_message_whose_wakeup_was_lost_while_the_state_was_owned_is_taken(
-    session: zenoh.Session, taker: Held
-) -> None:
+async def test_a_message_whose_wakeup_was_lost_while_the_state_was_owned_is_taken(session: zenoh.Session) -> None:
     """A leg's, among those of a servo of another one: for that servo nobody would look into the leg's ring."""
+    taker = Held(session, takes=True)
     with taker.owner:  # the thread that hears of the first waits with it
         for key in (servo_command(63), leg_command(1), *[servo_command(61)] * (OTHER_DEPTH + 2)):
             session.put(key, b"{}")
     await taker.until(lambda: leg_command(1) in taker.taken)
+    await taker.close()
 
 
 class LateRing:

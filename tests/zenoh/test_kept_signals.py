@@ -3,10 +3,10 @@
 import logging
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 
 import pytest
 import zenoh
@@ -14,10 +14,6 @@ import zenoh
 from tests.support.gateway_process import Gateway
 
 WAIT_S = 20.0
-
-
-def leave(_number: int, _frame: FrameType | None) -> None:
-    raise SystemExit(0)
 
 
 def ask_and_wait(session: zenoh.Session, ended: Callable[..., None]) -> None:
@@ -42,7 +38,7 @@ def test_it_ends_what_waits(
         threads.append(threading.current_thread())
         os.kill(os.getpid(), number)
 
-    before = signal.signal(number, leave if raised is SystemExit else signal.default_int_handler)
+    before = signal.signal(number, (lambda *_: sys.exit()) if raised is SystemExit else signal.default_int_handler)
     try:
         with Gateway(tmp_path, {}) as gateway, gateway.client(), zenoh.open(config) as alone, pytest.raises(raised):
             ask_and_wait(alone, ended)
