@@ -170,12 +170,7 @@ class Visitor(Closing):
     def _heard(self, message: ConsoleMessage) -> None:
         if message.type == "debug":
             self.lines.append(message.text)
-        elif (
-            message.type == "error"
-            and "ERR_CONNECTION" not in message.text
-            and "WebSocket" not in message.text
-            and "403" not in message.text
-        ):
+        elif message.type == "error" and not re.search("ERR_CONNECTION|WebSocket|403", message.text):
             self.faults.append(message.text)
 
     def __exit__(self, *error: object) -> None:

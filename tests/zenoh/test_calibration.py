@@ -27,18 +27,14 @@ MIRRORED = {31: ServoChange(trim_deg=7.5), 32: ServoChange(trim_deg=-10, inverte
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("state") / "calibration.toml"
-
-
-@pytest.fixture(scope="module")
-def gateway(path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+def gateway(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Gateway]:
+    folder = tmp_path_factory.mktemp("gateway")
     settings: dict[str, dict[str, Any]] = {
         "telemetry": {"frames": True},
         "watchdog": {"timeout_ms": 10_000},
-        "state": {"path": str(path.parent)},
+        "state": {"path": str(folder)},
     }
-    with Gateway(tmp_path_factory.mktemp("gateway"), settings) as running:
+    with Gateway(folder, settings) as running:
         yield running
 
 
@@ -46,12 +42,12 @@ client = client_fixture("anna", rests=True)
 
 
 def test_the_wire_has_the_servos_angles_the_state_the_users_and_the_disk_the_calibration(
-    client: Client, path: Path
+    gateway: Gateway, client: Client
 ) -> None:
     heard, told, news = frames(client), events(client), Heard(client, keys.CALIBRATION, Calibration)
     revision = client.calibration().revision
     assert client.calibrate(MIRRORED, {11: 45}, revision=revision).accepted
-    kept = calibration_file.read(path)
+    kept = calibration_file.read(gateway.config.with_name("calibration.toml"))
     assert kept is not None
     assert (kept.revision, kept.landing_cdeg) == (revision + 1, {11: 45_00})
     assert kept.of(32) == ServoMapping(-10_00, inverted=True)
@@ -96,10 +92,9 @@ def test_on_a_file_system_that_a_boot_empties_it_does_not_count_as_kept(tmp_path
 
 
 @pytest.fixture(autouse=True)
-def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def _runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A login of its own: what a shell's lease leaves behind."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
 
 
 def test_the_landing_pose_is_where_the_running_servos_stand(gateway: Gateway, client: Client) -> None:

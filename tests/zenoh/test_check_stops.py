@@ -205,18 +205,19 @@ def check(tmp_path: Path, board: RecordedBoard, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(stops, "_ANSWER_MS", LATE_MS)
     power = {**board.settings, "confirm_ms": 500}
 
-    def run(step: str, answer: Callable[[str], str] | None = None, *options: str) -> Ended:
-        if answer is not None:
-            monkeypatch.setattr(stops, "by_hand", stops.board)
-            for name in ("ask", "hint"):
-                monkeypatch.setattr(stops, name, answer)
-        return gateway.run("check", "--stops", *options, "--late", str(LATE_MS), "--only", step)
-
     with (
         Gateway(tmp_path, patient(1000, telemetry={"frames": True}, power=power)) as gateway,
         gateway.client() as client,
     ):
         states(client).wait(lambda _: stops.is_at_rest(client))
+
+        def run(step: str, answer: Callable[[str], str] | None = None, *options: str) -> Ended:
+            if answer is not None:
+                monkeypatch.setattr(stops, "by_hand", stops.board)
+                for name in ("ask", "hint"):
+                    monkeypatch.setattr(stops, name, answer)
+            return gateway.run("check", "--stops", *options, "--late", str(LATE_MS), "--only", step)
+
         yield run
 
 

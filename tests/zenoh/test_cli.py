@@ -54,15 +54,14 @@ def test_what_is_sent_is_written(gateway: Gateway, arguments: str, said: str, fr
         end = gateway.run(*arguments.split())
         assert (end.returncode, end.stdout) == (0, f"{said}\n"), end
         heard.wait_for_all(
-            lambda records: _begin([each.bytes for each in records if each.cause is Cause.COMMAND], frames_written)
+            lambda records: all(
+                sum(each.cause is Cause.COMMAND and each.bytes.startswith(begins) for each in records)
+                >= frames_written.count(begins)
+                for begins in frames_written
+            )
         )
     hint = "The watchdog stops it 250 ms after a command; --hold S repeats it"
     assert (hint in end.stderr) is (" start " in arguments)
-
-
-def _begin(written: list[str], beginnings: list[str]) -> bool:
-    """Whether there are as many frames with each of these beginnings."""
-    return all(sum(frame.startswith(each) for frame in written) >= beginnings.count(each) for each in beginnings)
 
 
 def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import pytest
 
@@ -71,8 +71,10 @@ class Installed:
     """The plug-in, installed in a folder of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
         self.path = folder / "written"
+        self.settings = patient(wire={"name": NAME, "path": str(self.path)})
+        self.env = {**os.environ, "PYTHONPATH": str(folder), "RUNTIME_DIRECTORY": str(folder)}
+        """Of a program that finds it."""
         names = ("unplugged", "mistake", "hangs", "hung")
         self.unplugged, self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in names)
         (folder / "to_file.py").write_text(WIRE)
@@ -80,16 +82,6 @@ class Installed:
         described.mkdir()
         (described / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {NAME}\nVersion: 1.0\n")
         (described / "entry_points.txt").write_text(f"[hexapod_gateway.wires]\n{NAME} = to_file:ToFile\n")
-
-    @property
-    def section(self) -> dict[str, Any]:
-        """[wire] of gateway.toml."""
-        return {"name": NAME, "path": str(self.path)}
-
-    @property
-    def env(self) -> Mapping[str, str]:
-        """The variables of a program that finds it."""
-        return {**os.environ, "PYTHONPATH": str(self._folder)}
 
     def calls(self, since: int = 0) -> list[Call]:
         """What it was called with, from the first or that one on."""
@@ -107,15 +99,14 @@ def plugin(tmp_path: Path) -> Installed:
 
 @pytest.fixture
 def gateway(plugin: Installed, tmp_path: Path) -> Iterator[Gateway]:
-    env = {**plugin.env, "RUNTIME_DIRECTORY": str(tmp_path)}
-    with Gateway(tmp_path, patient(wire=plugin.section), options=(), env=env) as running:
+    with Gateway(tmp_path, plugin.settings, options=(), env=plugin.env) as running:
         yield running
 
 
 def stop_servos(gateway: Gateway, plugin: Installed) -> Child:
     """The command in a process of its own, to its end."""
     command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(gateway.config)]
-    with Child(command, {**plugin.env, "RUNTIME_DIRECTORY": str(gateway.config.parent)}) as child:
+    with Child(command, plugin.env) as child:
         child.wait()
     return child
 
@@ -183,8 +174,8 @@ def test_a_mistake_in_it_ends_the_gateway_with_stops_tried(plugin: Installed, ga
 
 
 def test_a_call_that_hangs_ends_the_gateway_as_a_hanging_driver_does(plugin: Installed, tmp_path: Path) -> None:
-    env = {**plugin.env, "RUNTIME_DIRECTORY": str(tmp_path), "NOTIFY_SOCKET": "/nowhere", "WATCHDOG_USEC": "1000000"}
-    with Gateway(tmp_path, patient(wire=plugin.section), options=(), env=env) as gateway:
+    env = {**plugin.env, "NOTIFY_SOCKET": "/nowhere", "WATCHDOG_USEC": "1000000"}
+    with Gateway(tmp_path, plugin.settings, options=(), env=env) as gateway:
         plugin.hangs.touch()  # one of the Stops that follow the start
         assert gateway.child.wait() == -signal.SIGALRM
         assert plugin.hung.exists()
