@@ -26,13 +26,10 @@ def test_eighteen_servos_are_seen_in_three_dimensions_and_in_words(visitor: Visi
     page = visitor.open(webgl=True)
     page.insist_on_three_dimensions()
     command = [*COMMAND, "send", "leg", "3", "start", "91", "46", "121", "--hold", "60", "--connect", gateway.endpoint]
-    sender = Child(command, os.environ)
-    try:
+    with Child(command, os.environ):
         page.expect_status(3, "runs")
         expect(page["leg-row-3"]).to_contain_text("91.0°46.0°121.0°")
         expect(page.page.locator(".label", has_text="3 ▶")).to_have_attribute("data-status", "runs")
-    finally:
-        sender.close()
     page.expect_status(3, "stopped by the watchdog")
     page.expect_status(2, "rests")
     for number in ("number-lag", "number-latency"):

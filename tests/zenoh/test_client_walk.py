@@ -195,8 +195,7 @@ def test_the_first_sits_and_the_second_stops(
 ) -> None:
     seated = seat()
     written = frames(watcher)
-    child = Child([sys.executable, "-c", program.format(endpoint=gateway.endpoint)], os.environ)
-    try:
+    with Child([sys.executable, "-c", program.format(endpoint=gateway.endpoint)], os.environ) as child:
         child.wait_for_output("it stands", 60)
         stood = last_angles(written.all)
         child.send_signal(number)
@@ -204,8 +203,6 @@ def test_the_first_sits_and_the_second_stops(
             next(_ for _ in written.each() if _sits_down(written.all, stood, seated))  # not before: two may be one
             child.send_signal(number)
         code = child.wait(60)
-    finally:
-        child.close()
     assert code == {signal.SIGINT: -signal.SIGINT, signal.SIGTERM: 128 + signal.SIGTERM}[number], str(child)
     state = watcher.state()
     assert (state.mode, state.lease.holder) == ("idle", None)

@@ -7,10 +7,9 @@ import pytest
 
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO
-from gateway.robot.core.events import Announce, Transmit
-from gateway.robot.core.rejections import MAX_KEY
+from gateway.robot.core.events import Transmit
 from schemas import keys
-from schemas.telemetry import Cause, Kind, Reason
+from schemas.telemetry import Cause, Reason
 from tests.support.robot import LEG_1, LEG_3, MS, START, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
@@ -50,17 +49,6 @@ async def test_frames_are_counted_by_their_cause_and_commands_by_what_became_of_
     assert metrics.frames[Cause.COMMAND] - before.get(Cause.COMMAND, 0) == 2
     assert (metrics.accepted, metrics.coalesced) == (4, 2)
     assert metrics.rejected[Reason.SERVO_STOPPED] == 1
-
-
-async def test_an_event_repeats_little_of_a_key_of_the_senders_own_making() -> None:
-    robot = await started_and_quiet()
-    robot.put("hexapod/x/cmd", expression="hexapod/" + "x" * 4000 + "/cmd", target=None)
-    (event,) = robot.events(Kind.COMMAND_REJECTED)
-    assert event.key is not None
-    assert len(event.key) == MAX_KEY == 100
-    robot.conductor.events.announce(Announce(Kind.REVOKED, "bert", key=keys.REVOCATION))
-    (event,) = robot.events(Kind.REVOKED)
-    assert (event.detail, event.key) == ("bert", keys.REVOCATION)
 
 
 # ---- failed transfers

@@ -50,10 +50,9 @@ def _at_rest(gateway: Gateway) -> None:
 
 def run(name: str, gateway: Gateway, *arguments: str) -> str:
     """What an example printed; it must end well."""
-    child = Child([sys.executable, str(EXAMPLES / name), "--connect", gateway.endpoint, *arguments], os.environ)
-    code = child.wait()
-    child.close()
-    assert code == 0, child.stderr
+    command = [sys.executable, str(EXAMPLES / name), "--connect", gateway.endpoint, *arguments]
+    with Child(command, os.environ) as child:
+        assert child.wait() == 0, child.stderr
     return child.stdout
 
 
@@ -213,8 +212,7 @@ def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -
         "HEXAPOD_STATE__PATH": str(tmp_path),
         "HEXAPOD_WATCHDOG__TIMEOUT_MS": "1000",  # outlasts a moment in which this machine is busy
     }
-    gateway = Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD)], env)
-    try:
+    with Child([*COMMAND, "run", "--sim", "--config", str(ELKAPOD)], env) as gateway:
         gateway.wait_for_output(READY, timeout_s=20)
         with Client(endpoint, source="test") as client:
             written, told = frames(client), events(client)
@@ -228,14 +226,11 @@ def test_the_elkapod_whose_gait_is_killed_lands_and_is_stopped(tmp_path: Path) -
             landing = tomllib.loads(ELKAPOD.read_text())["watchdog"]["landing"]
             pose = {int(servo): 180 - deg if servo in MIRRORED else deg for servo, deg in landing.items()}
             written.wait_for_all(lambda records: last_angles(records) == pytest.approx(pose, abs=0.01))
-        shown = Child([*COMMAND, "incidents", "show", "last", "--config", str(ELKAPOD)], env)
-        assert shown.wait() == 0, shown.stderr
-        shown.close()
+        with Child([*COMMAND, "incidents", "show", "last", "--config", str(ELKAPOD)], env) as shown:
+            assert shown.wait() == 0, shown.stderr
         assert "Before it, elkapod gait sent" in shown.stdout
         assert "the robot went to its landing pose" in shown.stdout
         assert "Stop written to all legs" in shown.stdout
-    finally:
-        gateway.close()
 
 
 def moves(record: FrameRecord) -> bool:
