@@ -34,13 +34,6 @@ from tests.support.heard import frames, is_stop
 MOST_LOOKS = 500
 """In 1.5 s: asked again every 50 ms, and each time a few calls. Without pauses they are many thousands."""
 
-FORGETFUL = """
-from gateway.client import Client
-robot = Client({endpoint!r})
-heard = [robot.on_state(lambda state: None), robot.on_event(repr)]
-print(robot.start_leg(3, 90, 45, 120).accepted)
-"""
-
 gateway = gateway_fixture()
 patient_gateway = gateway_fixture(patient(4000, telemetry={"frames": True}))
 robot = client_fixture("test", rests=True)
@@ -105,8 +98,12 @@ def test_a_closed_client_says_so(gateway: Gateway) -> None:
 
 
 def test_what_a_thread_still_does_comes_before_that_end(gateway: Gateway) -> None:
-    later = """
+    program = f"""
 import threading
+from gateway.client import Client
+robot = Client({gateway.endpoint!r})
+heard = [robot.on_state(lambda state: None), robot.on_event(repr)]
+print(robot.start_leg(3, 90, 45, 120).accepted)
 def on():
     threading.main_thread().join()
     for _ in range(50):
@@ -114,9 +111,8 @@ def on():
     print("at last", answer.accepted)
 threading.Thread(target=on).start()
 """
-    child = Child([sys.executable, "-c", FORGETFUL.format(endpoint=gateway.endpoint) + later], os.environ)
-    assert child.wait(20) == 0, child.stderr
-    child.close()
+    with Child([sys.executable, "-c", program], os.environ) as child:
+        assert child.wait(20) == 0, child.stderr
     assert "at last" in child.stdout, "also where this machine was too slow for the watchdog"
 
 

@@ -1,7 +1,6 @@
 """What an import loads: nothing slow before a Stop, only pydantic for a payload, and no extra's package unasked."""
 
 import json
-import re
 import subprocess
 import sys
 import tomllib
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Final
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 PROJECT: Final = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 NEED_AN_EXTRA: Final = {
@@ -104,12 +105,6 @@ def test_a_payload_needs_nothing_but_pydantic(tmp_path: Path) -> None:
     assert {name for name in roots if not name.startswith("_sysconfigdata_")} <= ours
 
 
-def _name(requirement: str) -> str:
-    found = re.match(r"[A-Za-z0-9._-]+", requirement)
-    assert found is not None, requirement
-    return re.sub(r"[._-]+", "-", found[0]).lower()
-
-
 def _with_theirs(names: set[str]) -> set[str]:
     """These distributions and all that they need."""
     found: set[str] = set()
@@ -120,16 +115,16 @@ def _with_theirs(names: set[str]) -> set[str]:
             needed = requires(name) or []
         except PackageNotFoundError:
             continue
-        pending |= {_name(each) for each in needed if "extra ==" not in each} - found
+        pending |= {canonicalize_name(Requirement(each).name) for each in needed if "extra ==" not in each} - found
     return found
 
 
 def test_a_plain_installation_imports_all_but_what_an_extra_is_for() -> None:
-    plain = _with_theirs({_name(each) for each in PROJECT["dependencies"]})
+    plain = _with_theirs({canonicalize_name(Requirement(each).name) for each in PROJECT["dependencies"]})
     blocked = [
         module
         for module, distributions in packages_distributions().items()
-        if not {re.sub(r"[._-]+", "-", each).lower() for each in distributions} & (plain | {_name(PROJECT["name"])})
+        if not {*map(canonicalize_name, distributions)} & (plain | {PROJECT["name"]})
         and module not in sys.stdlib_module_names
     ]
     ran = subprocess.run(

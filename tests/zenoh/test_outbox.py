@@ -1,7 +1,8 @@
-"""The right edge knows whether anybody listens."""
+"""The right edge knows whether anybody listens, and what a robot measures is published then."""
 
 import time
 from contextlib import closing
+from queue import SimpleQueue
 
 from zenoh.handlers import RingChannel
 
@@ -10,8 +11,12 @@ from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.session import service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.zenoh_config import client_config, open_session
-from schemas.keys import STATE
-from tests.support.gateway_process import free_port
+from schemas.keys import STATE, TELEMETRY
+from schemas.telemetry import Telemetry
+from tests.support.fixtures import gateway_fixture
+from tests.support.gateway_process import Gateway, free_port
+
+gateway = gateway_fixture({"wire": {"name": "elkapod-2025"}})
 
 
 def test_it_knows_whether_anyone_listens() -> None:
@@ -38,3 +43,20 @@ def comes_to_say(outbox: ZenohOutbox, *, listened_to: bool) -> bool:
     while outbox.anyone_listens(STATE) is not listened_to and time.monotonic() < give_up_s:
         time.sleep(0.001)
     return outbox.anyone_listens(STATE) is listened_to
+
+
+def test_what_is_measured_is_published_while_somebody_listens_and_answered(gateway: Gateway) -> None:
+    """And rubbish is left out."""
+    received: SimpleQueue[Telemetry] = SimpleQueue()
+    with gateway.client() as client, gateway.client() as stranger:
+        subscriber = client.on_telemetry(received.put)
+        stranger.publish(TELEMETRY, {"battery": "full"})
+        stranger.state()  # on the same link, behind it
+        while (published := received.get(timeout=30)).battery is None:
+            pass
+        assert (published.tilt_deg, published.feet) == (0.0, (0.0,) * 6)
+        subscriber.undeclare()
+        answered = client.telemetry()
+        assert answered is not None
+        assert answered.time >= published.time
+        assert answered.imu is not None
