@@ -14,7 +14,6 @@ from gateway.errors import ConfigError
 HOSTS = ["robot.local", "192.0.2.7"]
 NOW = dt.datetime.now(dt.UTC).replace(microsecond=0)
 DAY = dt.timedelta(days=1)
-MADE_BY_INIT = {"ca.key", "ca.pem", "gateway.key", "gateway.pem", "gateway.json5"}
 
 
 @pytest.fixture(name="folder")

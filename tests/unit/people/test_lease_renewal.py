@@ -5,19 +5,20 @@ import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway import certs
+from gateway.certs import authority
 from gateway.errors import ConfigError, DisconnectedError, LeaseError, LeaseLostError
 from gateway.people.client.lease import TRY_AGAIN_S, Lease
 from gateway.people.client.renewal import RENEWALS, Holds, Renewal
@@ -43,41 +44,37 @@ def granted() -> Renewal:
     return renewal
 
 
-def renew(renewal: Renewal, answers: Iterable[LeaseAck | None]) -> list[float]:
-    """As the thread does, with these answers (None: silence); when each renewal left, since the lease began."""
-    left_s = []
-    now_s = BEGUN_S
+@pytest.mark.parametrize(
+    ("answers", "reason", "holder", "sentence"),
+    [
+        ([None] * 10, Reason.NO_LEASE, None, "has not answered for 900 ms"),
+        ([DONE, DONE, TAKEN, DONE], Reason.NOT_HOLDER, "bert", "bert holds it now"),
+        ([DONE, DONE, FREE, DONE], Reason.NO_LEASE, None, "nobody holds it now"),
+    ],
+)
+def test_it_is_lost_at_once_by_the_gateways_word_and_by_a_silence_for_as_long_as_it_lives(
+    answers: list[LeaseAck | None], reason: Reason, holder: str | None, sentence: str
+) -> None:
+    """With these answers to what the thread sends (None: silence)."""
+    renewal, now_s, left = granted(), BEGUN_S, 0
     for answer in answers:
         if renewal.holds is not Holds.YES:
             break
         now_s = max(now_s, renewal.due_s)
-        left_s.append(now_s - BEGUN_S)
+        left += now_s - BEGUN_S <= TTL_S + 1e-6
         renewal.asked(now_s)
         if answer is None:
             now_s += renewal.answer_s
             renewal.unanswered(now_s)
         else:
             renewal.answered(answer, now_s)
-    return left_s
-
-
-def test_a_gateway_that_is_silent_for_as_long_as_it_lives_has_lost_it() -> None:
-    renewal = granted()
-    left_s = renew(renewal, [None] * 10)
-    assert len([each for each in left_s if each <= TTL_S + 1e-6]) == RENEWALS
+    assert left == RENEWALS
     assert renewal.lost is not None
-    assert (renewal.holds, renewal.lost.reason, renewal.lost.holder) == (Holds.LOST, Reason.NO_LEASE, None)
-    assert "has not answered for 900 ms" in str(renewal.lost)
-    assert not renewal.elsewhere, "the legs may still be ours, and are stopped at a stream's end"
-
-
-@pytest.mark.parametrize(("answer", "holder", "elsewhere"), [(TAKEN, "bert", True), (FREE, None, False)])
-def test_what_the_gateway_rejects_is_lost_at_once(answer: LeaseAck, holder: str | None, elsewhere: bool) -> None:
-    renewal = granted()
-    assert len(renew(renewal, [DONE, answer, DONE])) == 2
-    assert renewal.lost is not None
-    assert (renewal.lost.holder, renewal.lost.reason, renewal.elsewhere) == (holder, answer.reason, elsewhere)
-    assert f"{holder or 'nobody'} holds it now" in str(renewal.lost)
+    assert (renewal.holds, renewal.lost.reason, renewal.lost.holder) == (Holds.LOST, reason, holder)
+    assert sentence in str(renewal.lost)
+    assert renewal.elsewhere is (holder is not None), (
+        "else the legs may still be ours, and are stopped at a stream's end"
+    )
 
 
 STEPS = st.sampled_from(["confirmed", "taken", "silent", "gives", "keeps", "handed over", "released"])
@@ -117,6 +114,7 @@ def test_it_ends_once_whatever_crosses(steps: list[tuple[str, float]]) -> None:
 TOKEN = "0123456789abcdef" * 2
 LATE_S = 10
 GRANTED = LeaseAck(accepted=True, lease=TOKEN, holder="anna", ttl_ms=60.0, verified=True)
+LASTING = GRANTED.model_copy(update={"ttl_ms": 60_000})
 HELD = LeaseAck(accepted=False, reason=Reason.LEASE_HELD, detail="bert drives", holder="bert")
 SILENCE = None
 
@@ -134,6 +132,9 @@ class Robot:
         self.carried_lease: Lease | None = None
         self.requests: Any = self
         self.hears: Callable[[Event], None] | None = None
+        self.lost: list[LeaseLostError] = []
+        self.answer: Callable[[str], None] = lambda _: None
+        """What the holder does when somebody asks."""
 
     def note(self, what: str) -> None:
         with self.changed:
@@ -155,6 +156,14 @@ class Robot:
 
     def carry(self, lease: Lease) -> None:
         self.carried_lease = lease
+
+    def on_lost(self, error: LeaseLostError) -> None:
+        self.lost.append(error)
+        self.note("lost")
+
+    def on_asked(self, who: str) -> None:
+        self.answer(who)
+        self.note(f"asked by {who}")
 
     # ---- the gateway's
 
@@ -179,29 +188,8 @@ class Robot:
         return self.released
 
 
-class Told:
-    """What is called back."""
-
-    def __init__(self) -> None:
-        self.lost: list[LeaseLostError] = []
-        self.asked: list[str] = []
-        self.once = threading.Event()
-        self.answer: Callable[[str], None] = lambda _: None
-        """What the holder does about it."""
-
-    def on_lost(self, error: LeaseLostError) -> None:
-        self.lost.append(error)
-        self.once.set()
-
-    def on_asked(self, who: str) -> None:
-        self.answer(who)
-        self.asked.append(who)
-        self.once.set()
-
-
-def lease_of(robot: Any, told: Told | None = None, *, wait_s: float = 0.0) -> Lease:
-    told = told or Told()
-    return Lease(robot, take=False, wait_s=wait_s, source=None, on_lost=told.on_lost, on_asked=told.on_asked)
+def lease_of(robot: Any, *, wait_s: float = 0.0) -> Lease:
+    return Lease(robot, take=False, wait_s=wait_s, source=None, on_lost=robot.on_lost, on_asked=robot.on_asked)
 
 
 def test_it_renews_by_itself_and_releases_at_the_end() -> None:
@@ -216,7 +204,7 @@ def test_it_renews_by_itself_and_releases_at_the_end() -> None:
 
 @pytest.mark.parametrize("kind", [Kind.LEASE_TAKEN, Kind.LEASE_EXPIRED, Kind.LEASE_RELEASED])
 def test_an_event_only_raises_a_doubt_and_the_gateways_answer_decides(kind: Kind) -> None:
-    robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
+    robot = Robot(LASTING)
     with lease_of(robot) as lease:
         assert robot.hears is not None
         robot.hears(event(kind, "forged"))
@@ -225,7 +213,7 @@ def test_an_event_only_raises_a_doubt_and_the_gateways_answer_decides(kind: Kind
 
 
 def test_a_rejected_command_asks_the_gateway_and_raises_what_is_lost() -> None:
-    robot = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000}))
+    robot = Robot(LASTING)
     with lease_of(robot) as lease:
         lease.judge(Ack(accepted=False, reason=Reason.NOT_HOLDER, detail="forged"))
         assert lease.held
@@ -237,18 +225,17 @@ def test_a_rejected_command_asks_the_gateway_and_raises_what_is_lost() -> None:
 
 
 def test_who_asks_is_told_and_may_be_handed_it_from_the_callback() -> None:
-    robot, told = Robot(GRANTED.model_copy(update={"ttl_ms": 60_000})), Told()
-    with lease_of(robot, told) as lease:
-        told.answer = lease.hand_over
+    robot = Robot(LASTING)
+    with lease_of(robot) as lease:
+        robot.answer = lease.hand_over
         assert robot.hears is not None
         robot.hears(event(Kind.LEASE_ASKED, "bert asks", "bert"))
-        assert told.once.wait(LATE_S)
-        assert told.asked == ["bert"]
+        robot.wait_for("asked by bert")
         assert (lease.held, lease.token, lease.elsewhere) == (False, None, True)
         with pytest.raises(LeaseError, match="not held"):
             lease.hand_over("bert")
-    assert robot.asked[-1] == "release to bert"
-    assert told.lost == []
+    assert robot.asked[-2:] == ["release to bert", "asked by bert"], "what is handed over is not released"
+    assert robot.lost == []
 
 
 def test_a_hand_over_that_is_rejected_changes_nothing() -> None:
@@ -258,15 +245,6 @@ def test_a_hand_over_that_is_rejected_changes_nothing() -> None:
         with pytest.raises(LeaseError, match="carl has not asked"):
             lease.hand_over("carl")
         assert lease.held
-
-
-def test_while_somebody_else_drives_it_says_who() -> None:
-    robot = Robot(HELD)
-    with pytest.raises(LeaseError, match="lease_held: bert drives") as caught, lease_of(robot):
-        raise AssertionError
-    assert caught.value.holder == "bert"
-    assert robot.asked == ["acquire"]
-    assert robot.hears is None
 
 
 @pytest.mark.lengthy
@@ -280,13 +258,25 @@ def test_it_asks_waits_and_is_handed_it() -> None:
         assert [each for each in robot.asked if each != "renew"] == again
 
 
-@pytest.mark.parametrize("token", [None, "", TOKEN[1:], TOKEN.upper(), TOKEN + "\n"])
-def test_what_is_no_token_is_carried_by_no_command(token: str | None) -> None:
+NO_TOKENS = (None, "", TOKEN[1:], TOKEN.upper(), TOKEN + "\n")
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (HELD, "lease_held: bert drives"),
+        *((GRANTED.model_copy(update={"lease": each}), "has no token") for each in NO_TOKENS),
+    ],
+)
+def test_while_somebody_else_drives_it_says_who_and_what_is_no_token_is_carried_by_no_command(
+    answer: LeaseAck, sentence: str
+) -> None:
     """Without access control anybody may answer, and a gateway rejects a command that carries something else."""
-    robot = Robot(GRANTED.model_copy(update={"lease": token}))
-    with pytest.raises(LeaseError, match="has no token"):
+    robot = Robot(answer)
+    with pytest.raises(LeaseError, match=sentence) as caught:
         lease_of(robot).acquire()
-    assert (robot.carried_lease, robot.hears) == (None, None)
+    assert (caught.value.holder, robot.carried_lease, robot.hears) == (answer.holder, None, None)
+    assert robot.asked == ["acquire"]
 
 
 def test_a_client_holds_one_at_a_time() -> None:
@@ -301,12 +291,13 @@ def test_a_client_holds_one_at_a_time() -> None:
 def test_nothing_that_can_be_printed_of_a_lease_that_is_lost_has_the_token(
     renewed: LeaseAck | None, reason: Reason
 ) -> None:
-    robot, told = Robot(), Told()
-    with lease_of(robot, told) as lease:
+    robot = Robot()
+    with lease_of(robot) as lease:
         robot.renewed = renewed
-        assert told.once.wait(LATE_S)
-        assert told.lost[0].reason == reason
-        assert TOKEN not in f"{lease} {lease!r} {told.lost[0]!r} {told.lost[0]} {GRANTED!r} {GRANTED}"
+        robot.wait_for("lost")
+        (lost,) = robot.lost
+        assert lost.reason == reason
+        assert TOKEN not in f"{lease} {lease!r} {lost!r} {lost} {GRANTED!r} {GRANTED}"
 
 
 # ---- who it is: its certificate, and a nonce signed with the key of it
@@ -320,46 +311,33 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def anna(folder: Path) -> Identity:
-    return Identity(folder / "anna.pem", folder / "anna.key")
-
-
 def test_it_is_the_person_of_the_certificate_that_the_zenoh_file_names(folder: Path) -> None:
     config = zenoh.Config()
     assert not Identity.of(config).proves
     for name, file in (("connect_certificate", "anna.pem"), ("connect_private_key", "anna.key")):
         config.insert_json5(f"transport/link/tls/{name}", json.dumps(str(folder / file)))
     found = Identity.of(config)
-    assert (found, found.proves) == (anna(folder), True)
+    assert (found, found.proves) == (Identity(folder / "anna.pem", folder / "anna.key"), True)
     assert found.person() == "anna"
+    request = {"do": "acquire", "source": "a" * 64, "proof": found.prove("acquire", "a" * 64, TOKEN)}
+    assert len(json.dumps(request)) < 2048, "it fits into a payload"
 
 
-def test_it_fits_into_a_payload(folder: Path) -> None:
-    request = {"do": "acquire", "source": "a" * 64, "proof": anna(folder).prove("acquire", "a" * 64, TOKEN)}
-    assert len(json.dumps(request)) < 2048
-
-
-def test_a_key_that_cannot_sign_is_one_sentence(folder: Path, tmp_path: Path) -> None:
-    key = ec.generate_private_key(ec.SECP256R1())
-    pem = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8
-    locked = serialization.BestAvailableEncryption(b"secret")
-    for name, content, said in (
-        ("locked.key", key.private_bytes(*pem, locked), "no unencrypted key"),
-        ("rubbish.key", b"rubbish", "no unencrypted key"),
-    ):
-        (tmp_path / name).write_bytes(content)
-        with pytest.raises(ConfigError, match=said):
-            Identity(folder / "anna.pem", tmp_path / name).prove("ask", "anna", TOKEN)
+def test_a_key_that_cannot_sign_and_a_certificate_without_a_person_are_one_sentence(
+    folder: Path, tmp_path: Path
+) -> None:
+    key = tmp_path / "some.key"
     with pytest.raises(ConfigError, match="cannot read the key"):
-        Identity(folder / "anna.pem", tmp_path / "absent.key").prove("ask", "anna", TOKEN)
-
-
-def test_a_certificate_without_a_person_is_one_sentence(tmp_path: Path) -> None:
-    key = ec.generate_private_key(ec.SECP256R1())
+        Identity(folder / "anna.pem", key).prove("ask", "anna", TOKEN)
+    locked = serialization.BestAvailableEncryption(b"secret")
+    made = ec.generate_private_key(ec.SECP256R1())
+    pem = made.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, locked)
+    for content in (pem, b"rubbish"):
+        key.write_bytes(content)
+        with pytest.raises(ConfigError, match="no unencrypted key"):
+            Identity(folder / "anna.pem", key).prove("ask", "anna", TOKEN)
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "operator")])
-    made = x509.CertificateBuilder().subject_name(name).issuer_name(name).public_key(key.public_key())
-    now = dt.datetime.now(dt.UTC)
-    made = made.serial_number(1).not_valid_before(now).not_valid_after(now + dt.timedelta(days=1))
-    (tmp_path / "nobody.pem").write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
+    nobody = authority.sign(certs.folder.load_ca(folder), name, made.public_key(), (), 1, dt.datetime.now(dt.UTC))
+    (tmp_path / "nobody.pem").write_bytes(nobody.public_bytes(serialization.Encoding.PEM))
     with pytest.raises(ConfigError, match="names no person"):
-        Identity(tmp_path / "nobody.pem", tmp_path / "nobody.key").person()
+        Identity(tmp_path / "nobody.pem", key).person()
