@@ -36,16 +36,11 @@ class SignIn(NamedTuple):
 class Visitor:
     """A browser's requests at the door of a console, in virtual time."""
 
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, sessions: Sessions, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_ns = 100_000_000_000
         monkeypatch.setattr("gateway.people.console.server.auth.time.monotonic_ns", lambda: self.now_ns)
-        self.sessions = Sessions(folder, 8080)
-        self.sessions.begin(START, "operator")
         self._site = site("127.0.0.1:8080", None, None)
-        self._auth = Auth(self._site, self.sessions)
-
-    def sign_in(self) -> SignIn:
-        return new_session(self.sessions)
+        self._auth = Auth(self._site, sessions)
 
     def get(self, path: str, session: SignIn, **headers: str) -> web.Response | Entry:
         cookie = f"{self._site.cookie}={session.cookie}"
@@ -78,8 +73,8 @@ class Visitor:
 
 
 @pytest.fixture
-def visitor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Visitor:
-    return Visitor(tmp_path, monkeypatch)
+def visitor(sessions: Sessions, monkeypatch: pytest.MonkeyPatch) -> Visitor:
+    return Visitor(sessions, monkeypatch)
 
 
 def hashed(key: str) -> str:
@@ -90,15 +85,15 @@ def hashed(key: str) -> str:
     ("card", "behind"),
     [("cal", "?cal"), ("", ""), ("x%0d%0aSet-Cookie:%20a", ""), ("%C3%A4", ""), ("/evil.example", "")],
 )
-def test_a_link_leads_to_a_card_and_nowhere_else(visitor: Visitor, card: str, behind: str) -> None:
-    link = visitor.sessions.new_link().removeprefix(HERE)
+def test_a_link_leads_to_a_card_and_nowhere_else(visitor: Visitor, sessions: Sessions, card: str, behind: str) -> None:
+    link = sessions.new_link().removeprefix(HERE)
     answer = visitor.ask(URL(f"{link},{card}", encoded=True))
     assert isinstance(answer, web.Response)
     assert re.fullmatch(rf"/enter.html{re.escape(behind)}#[\w-]+", answer.headers["Location"])
 
 
-def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
-    session = visitor.sign_in()
+def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor, sessions: Sessions) -> None:
+    session = new_session(sessions)
     nonce, shown = visitor.nonce(session)
     assert shown == proof(hashed(session.key), f"console mine {nonce}")
     made = visitor.proved(session)
@@ -106,21 +101,10 @@ def test_each_shows_the_other_that_it_knows_the_key(visitor: Visitor) -> None:
     assert not visitor.comes_in(session, made), "a nonce serves once"
 
 
-@pytest.mark.parametrize(
-    "origin",
-    [
-        "",
-        "null",
-        "http://localhost:8080",
-        "https://127.0.0.1:8080",
-        "http://127.0.0.1:8080/",
-        "http://127.0.0.1:80801",
-        "http://evil.example",
-    ],
-)
-def test_foreign_origins(visitor: Visitor, origin: str) -> None:
+@pytest.mark.parametrize("origin", ["", "https://127.0.0.1:8080", "http://127.0.0.1:80801", "http://localhost:8080"])
+def test_foreign_origins(visitor: Visitor, sessions: Sessions, origin: str) -> None:
     """Another page on this machine is as foreign as any: its origin has another port, scheme or name."""
-    session = visitor.sign_in()
+    session = new_session(sessions)
     made = visitor.proved(session)
     assert not visitor.comes_in(session, made, Origin=origin)
     assert visitor.status("/", session, Origin=origin) == 403
@@ -129,8 +113,8 @@ def test_foreign_origins(visitor: Visitor, origin: str) -> None:
     assert visitor.comes_in(session, made), "the nonce is not used up"
 
 
-def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:
-    session, other = visitor.sign_in(), visitor.sign_in()
+def test_what_is_no_proof_lets_nobody_in(visitor: Visitor, sessions: Sessions) -> None:
+    session, other = new_session(sessions), new_session(sessions)
     made = proof(hashed(session.key), "page ")
     empty = ("", "nonce=", "nonce=&proof=", f"nonce=&proof={made}")
     for shown in (*empty, f"key={session.key}", f"nonce=\u00e4&proof={made}"):
@@ -138,22 +122,15 @@ def test_what_is_no_proof_lets_nobody_in(visitor: Visitor) -> None:
     for shown in ("\u00e4", "", session.key):
         nonce, _ = visitor.nonce(session)
         assert not visitor.comes_in(session, f"nonce={nonce}&proof={shown}")
-    for key, text in (
-        (other.key, "page {}"),
-        (session.key, "console mine {}"),
-        (session.cookie, "page {}"),
-        ("", "page {}"),
-    ):
+    for key in (other.key, session.cookie, ""):
         nonce, _ = visitor.nonce(session)
-        assert not visitor.comes_in(session, f"nonce={nonce}&proof={proof(hashed(key), text.format(nonce))}")
+        assert not visitor.comes_in(session, f"nonce={nonce}&proof={proof(hashed(key), f'page {nonce}')}")
     nonce, shown = visitor.nonce(session, "page")
-    assert not visitor.comes_in(session, f"nonce={nonce}&proof={shown}"), (
-        "the console's own proof is none of the page's"
-    )
+    assert not visitor.comes_in(session, f"nonce={nonce}&proof={shown}"), "the console's own proof is not the page's"
 
 
-def test_a_nonce_serves_for_a_short_time(visitor: Visitor) -> None:
-    session = visitor.sign_in()
+def test_a_nonce_serves_for_a_short_time(visitor: Visitor, sessions: Sessions) -> None:
+    session = new_session(sessions)
     late, early = visitor.proved(session), visitor.proved(session)
     visitor.now_ns += NONCE_NS - 1
     assert visitor.comes_in(session, early)
@@ -177,9 +154,6 @@ class Clock:
         self.boot_s += seconds
         self.wall_s += seconds
 
-    def reboots(self, wall_s: float) -> None:
-        self.boot, self.boot_s, self.wall_s = "second", 5.0, wall_s
-
 
 @pytest.fixture
 def clock() -> Clock:
@@ -200,12 +174,8 @@ def new_token(sessions: Sessions) -> str:
     return link.partition("token=")[2]
 
 
-def new_session(sessions: Sessions) -> SignIn:
-    return signed_in(sessions, new_token(sessions))
-
-
-def signed_in(sessions: Sessions, token: str) -> SignIn:
-    found = sessions.exchange(token)
+def new_session(sessions: Sessions, token: str | None = None) -> SignIn:
+    found = sessions.exchange(token or new_token(sessions))
     assert found is not None
     cookie, key = found
     entry = sessions.cookie(cookie)
@@ -216,7 +186,7 @@ def signed_in(sessions: Sessions, token: str) -> SignIn:
 def test_a_link_works_once_and_for_a_time(sessions: Sessions, clock: Clock) -> None:
     sessions.begin(START, "observer")
     token = new_token(sessions)
-    found = signed_in(sessions, token)
+    found = new_session(sessions, token)
     assert found.entry.role == "observer"
     assert sessions.exchange(token) is None
     assert sessions.cookie(token) is None, "a link is no session"
@@ -257,7 +227,7 @@ def test_across_a_reboot_an_age_is_by_the_wall_clock_unless_that_went_back(
     sessions: Sessions, clock: Clock, wall_s: float, lasts_s: float
 ) -> None:
     cookie, token = new_session(sessions).cookie, new_token(sessions)
-    clock.reboots(clock.wall_s + wall_s)
+    clock.boot, clock.boot_s, clock.wall_s = "second", 5.0, clock.wall_s + wall_s
     assert sessions.exchange(token) is None, "how old a link is, nobody knows now"
     sessions.begin(START, "operator")
     entry = sessions.cookie(cookie)

@@ -275,11 +275,23 @@ def test_a_program_that_goes_on_after_each_error_keeps_its_ticks_and_asks_twice_
     assert not robot.running
 
 
-@pytest.mark.parametrize("happens", [estopped, vanished])
-def test_recover_waits_for_the_end_of_the_cause_and_the_next_set_starts(
-    robot: Robot, stream: Stream, happens: Callable[[Robot], None]
+@pytest.mark.parametrize(
+    ("happens", "sentence"),
+    [
+        (estopped, f"emergency stop: nothing moves until a person runs `{Robot.reset_command}`; the emergency stop was "
+         "engaged by bert"),
+        (vanished, "no gateway answered"),
+    ],
+)  # fmt: skip
+def test_recover_raises_what_is_still_so_after_its_time_or_waits_for_its_end_and_the_next_set_starts(
+    robot: Robot, stream: Stream, happens: Callable[[Robot], None], sentence: str
 ) -> None:
-    assert ends(robot, stream, happens).__notes__ == [AGAIN]
+    first, begun_s = ends(robot, stream, happens), robot.now_s
+    assert first.__notes__ == [AGAIN]
+    with pytest.raises(GatewayError) as error:
+        stream.recover(timeout_s=3)
+    assert (str(error.value), error.value.__cause__, stream.is_over) == (sentence, first, True)
+    assert robot.now_s - begun_s == pytest.approx(3, abs=PERIOD_S)
     robot.requests_s.clear()
     begun_s = robot.now_s
     monotonic = robot.monotonic
@@ -302,26 +314,6 @@ def test_recover_waits_for_the_end_of_the_cause_and_the_next_set_starts(
     asked = robot.questions
     stream.set({1: POSE, 2: POSE})
     assert robot.questions == asked, "one answer was enough"
-
-
-@pytest.mark.parametrize(
-    ("happens", "sentence"),
-    [
-        (estopped, f"emergency stop: nothing moves until a person runs `{Robot.reset_command}`; the emergency stop was "
-         "engaged by bert"),
-        (vanished, "no gateway answered"),
-    ],
-)  # fmt: skip
-def test_recover_raises_what_is_still_so_after_its_time(
-    robot: Robot, stream: Stream, happens: Callable[[Robot], None], sentence: str
-) -> None:
-    first, begun_s = ends(robot, stream, happens), robot.now_s
-    with pytest.raises(GatewayError) as error:
-        stream.recover(timeout_s=3)
-    assert str(error.value) == sentence
-    assert error.value.__cause__ is first
-    assert robot.now_s - begun_s == pytest.approx(3, abs=PERIOD_S)
-    assert stream.is_over
 
 
 def test_a_start_that_an_emergency_stop_rejects_is_recovered_from_and_one_out_of_limits_is_not(robot: Any) -> None:
