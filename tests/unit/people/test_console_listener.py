@@ -1,30 +1,23 @@
 """What one connection of somebody who is not signed in may cost, and who makes room for whom."""
 
 import asyncio
-import hashlib
-import json
 import socket
 from collections.abc import AsyncIterator
-from contextlib import suppress
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
-from aiohttp import web
 
 from gateway import durable
 from gateway.people.console.server import listener
-from gateway.people.console.server.auth import Auth, proof
-from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener, WebSocket
-from gateway.people.console.server.sessions import Entry, Sessions
+from gateway.people.console.server.auth import Auth
+from gateway.people.console.server.listener import MAX_CONNECTIONS, HttpListener
+from gateway.people.console.server.sessions import Sessions
 from gateway.people.console.server.site import Site
 
 pytestmark = pytest.mark.full
 
 URL = "http://127.0.0.1:8080"
-UPGRADE = (
-    "Host: 127.0.0.1:8080\r\nOrigin: http://127.0.0.1:8080\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-)
 
 
 class Stand:
@@ -35,31 +28,10 @@ class Stand:
         sessions.begin(f"{URL}/?token=", "operator")
         found = sessions.exchange(sessions.new_link().partition("token=")[2])
         assert found is not None
-        cookie, self.key = found
-        self.entry = sessions.cookie(cookie)
-        self.cookie = f"Cookie: hexapod-console-8080={cookie}\r\n"
-        self.admitted: asyncio.Queue[Entry] = asyncio.Queue()
+        self.cookie = f"Cookie: hexapod-console-8080={found[0]}\r\n"
         self.address = listening.getsockname()
         auth = Auth(Site("127.0.0.1", 8080, ("127.0.0.1",)), sessions)
-        self.listener = HttpListener(None, auth.answer, self.serve_page)
-
-    async def serve_page(self, request: web.BaseRequest, session: Entry) -> web.StreamResponse:
-        """As the console does."""
-        websocket = WebSocket()
-        await websocket.prepare(request)
-        self.admitted.put_nowait(session)
-        with suppress(ConnectionError):
-            await websocket.take()
-        return websocket
-
-    async def proved(self, key: str) -> str:
-        """What a page with that key offers for its WebSocket."""
-        answer = await self.ask(
-            f"GET /session?nonce=mine HTTP/1.1\r\nHost: 127.0.0.1:8080\r\nConnection: close\r\n{self.cookie}\r\n"
-        )
-        nonce = json.loads(answer.partition(b"\r\n\r\n")[2])["nonce"]
-        made = proof(hashlib.sha256(key.encode()).hexdigest(), f"page {nonce}")
-        return f"nonce={nonce}&proof={made}"
+        self.listener = HttpListener(None, auth.answer, cast(Any, None))
 
     async def ask(self, request: str) -> bytes:
         """The whole answer, until the connection ends."""
@@ -137,13 +109,3 @@ async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None
         assert not opened or await opened[0][0].read() == b"", "the oldest stranger makes room for the newest"
     for each in (writer, *strangers):
         each.close()
-
-
-async def test_a_session_is_admitted_with_its_connection(stand: Stand) -> None:
-    shown = await stand.proved(stand.key)
-    reader, writer = await asyncio.open_connection(*stand.address[:2])
-    writer.write(f"GET /ws?{shown} HTTP/1.1\r\n{UPGRADE}{stand.cookie}\r\n".encode())
-    async with asyncio.timeout(10):
-        assert await stand.admitted.get() == stand.entry
-        assert b"101 Switching" in await reader.readuntil(b"\r\n\r\n")
-    writer.close()

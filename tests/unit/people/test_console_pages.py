@@ -200,14 +200,6 @@ class StoppedRobot:
         self.requests.append(request)
         return await request
 
-    async def answer(self, number: int) -> None:
-        self.requests[number].set_result(ACK)
-        await turns()
-
-    async def fail(self, number: int) -> None:
-        self.requests[number].set_exception(DisconnectedError("no answer"))
-        await turns()
-
 
 def heard(page: Kept) -> list[Message]:
     """All that it is sent of how far its stops have come."""
@@ -229,35 +221,27 @@ async def robot() -> AsyncIterator[StoppedRobot]:
     await turns()
 
 
-async def test_a_press_is_asked_at_once_and_again_until_it_is_answered(robot: StoppedRobot) -> None:
+@pytest.mark.parametrize("leaves", [False, True])
+async def test_a_press_is_asked_at_once_and_again_until_it_is_answered_and_outlives_its_page(
+    robot: StoppedRobot, leaves: bool
+) -> None:
     stops, page = Stops(robot.estop, send_stopping), Kept()
     stops.press(page, 7, "anna (page 1)")
     assert [(message["answered"], message["attempts"]) for message in heard(page)] == [(False, 0)]
+    if leaves:
+        stops.leave(page)
     for number in range(5):
         await turns()
         assert len(robot.requests) == number + 1
-        await robot.fail(number)
+        robot.requests[number].set_exception(DisconnectedError("no answer"))
+        await turns()
         newest = heard(page)[-1]
-        assert (newest["answered"], newest["attempts"], newest["error"]) == (False, number + 1, "no answer")
+        assert leaves or (newest["attempts"], newest["error"]) == (number + 1, "no answer")
         assert stops.unconfirmed
         await asyncio.sleep(AGAIN_S)
     await turns()
-    await robot.answer(5)
-    assert [(each["id"], each["stop_frames"], each["attempts"]) for each in heard(page) if each["answered"]] == [
-        (7, 6, 6)
-    ]
+    robot.requests[5].set_result(ACK)
+    await turns()
+    confirmed = [(each["id"], each["stop_frames"], each["attempts"]) for each in heard(page) if each["answered"]]
+    assert confirmed == ([] if leaves else [(7, 6, 6)])
     assert (len(robot.requests), stops.unconfirmed) == (6, False), "nobody waits any more"
-
-
-async def test_a_press_outlives_its_page(robot: StoppedRobot) -> None:
-    stops, page = Stops(robot.estop, send_stopping), Kept()
-    stops.press(page, 1, "anna (page 1)")
-    stops.leave(page)
-    await turns()
-    await robot.fail(0)
-    assert stops.unconfirmed
-    await asyncio.sleep(AGAIN_S)
-    await turns()
-    await robot.answer(1)
-    assert not stops.unconfirmed
-    assert not any(each["answered"] for each in heard(page))

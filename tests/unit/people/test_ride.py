@@ -52,13 +52,6 @@ def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: 
     assert (ridden.ride.phase, ridden.posture) == (Phase.RESTS, Posture.SITTING)
 
 
-def test_a_way_to_a_posture_is_no_silence_however_long_it_takes() -> None:
-    ridden = standing(Silences(rest_s=1.0))
-    assert ridden.now_s - 100.0 > 1.5, "it stood up for longer than it may rest"
-    ridden.run(0.9)
-    assert ridden.posture is Posture.STANDING
-
-
 def test_legs_that_another_left_standing_are_held_at_once_and_sit_in_silence() -> None:
     """Their watchdog does not wait for a word. Those that were stopped meanwhile are not started."""
     pose = dict(standing().running)
@@ -201,11 +194,6 @@ def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
     assert pad.ridden.now_s - silent_s == pytest.approx(5.25, abs=0.1)
     pad.ridden.tick()
     assert not pad.ridden.running
-
-
-def test_a_ride_that_cannot_stand_is_not_made() -> None:
-    with pytest.raises(ValueError, match="there is no gait"):
-        Ride(ROBOT, "gallop")
 
 
 # ---- a robot that cannot sit

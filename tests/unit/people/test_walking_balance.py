@@ -168,6 +168,8 @@ def test_a_ride_adapts_only_where_it_is_asked_to() -> None:
         assert (state.corrected_deg != 0.0) == (terrain == "adapt")
     with pytest.raises(WalkError, match="there is no terrain 'moon'; there are level, adapt"):
         Ride(ROBOT, terrain="moon")
+    with pytest.raises(ValueError, match="there is no gait"):
+        Ride(ROBOT, "gallop")
 
 
 def test_telemetry_counts_while_it_is_fresh() -> None:

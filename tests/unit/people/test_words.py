@@ -46,8 +46,6 @@ def walk(posture: Posture, *lost: int) -> WalkState:
         (ALL, walk(Posture.HALTED), "All six legs run"),
         # limp, whatever was lost first, and whatever was wanted
         ((), walk(Posture.HALTED, 3), LIMP),
-        ((), walk(Posture.HALTED, *LEGS), LIMP),
-        ((), walk(Posture.STANDING), LIMP),
         ((), walk(Posture.WALKING), LIMP),
     ],
 )
