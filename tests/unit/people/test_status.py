@@ -139,14 +139,12 @@ def test_a_gateway_that_falls_silent_and_comes_back(followed: Followed, how: str
     assert followed.state() == []
 
 
-def test_a_gateway_that_was_started_again(followed: Followed) -> None:
+def test_a_gateway_that_was_started_again_is_a_line_and_an_answer_that_was_overtaken_is_none(
+    followed: Followed,
+) -> None:
     followed.state(state(100.0))
+    assert followed.state(state(99.9, Mode.ACTIVE, running={3})) == []
     assert followed.state(state(0.1, started_s=100.0)) == ["The gateway was started again."]
-
-
-def test_an_answer_that_was_overtaken_changes_nothing(followed: Followed) -> None:
-    followed.state(state(10.0))
-    assert followed.state(state(9.9, Mode.ACTIVE, running={3})) == []
 
 
 def test_why_nothing_comes_is_said_once_until_something_does(followed: Followed) -> None:
