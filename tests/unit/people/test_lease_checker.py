@@ -18,13 +18,12 @@ from gateway.certs import authority
 from gateway.certs.proof import WATCHING, ProofChecker
 from gateway.nonces import Nonces
 from gateway.people.client.requests import Identity
-from gateway.robot.core.events import ButtonRequest, LeaseRequest
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io.proofs import CHECKS_PER_S, NONCE_NS, Proofs
-from schemas.lease import LeaseAck, Proof, signed_text
+from schemas.lease import Proof, signed_text
 from schemas.telemetry import Reason
 from tests.support.certs_folder import with_one_bit_changed
 
@@ -194,16 +193,17 @@ def test_few_nonces_are_remembered_the_newest() -> None:
 # ---- the desk
 
 
-class Desk(LeaseAnswers):
+class Desk:
     """Wants proofs, in a time of the test's; keeps what it would ask the conductor, and what it rejects."""
 
-    def __init__(self) -> None:
-        super().__init__(cast(Conductor, None), Proofs(CHECKER, lambda: NOW))
+    def __init__(self, answers: LeaseAnswers | ButtonAnswers | None = None) -> None:
+        self._answers = cast(Any, answers or LeaseAnswers(cast(Conductor, None), Proofs(CHECKER, lambda: NOW)))
+        self._answers.ask, self._answers.reject = self.ask, self.reject
         self.now_ns = 1_000_000_000_000
-        self.requests: list[LeaseRequest] = []
+        self.requests: list[Any] = []
         self.rejected: list[tuple[str | None, Reason, str]] = []
 
-    def ask(self, request: LeaseRequest, reply: Reply) -> None:
+    def ask(self, request: object, reply: Reply) -> None:
         self.requests.append(request)
         reply(b"{}")
 
@@ -211,16 +211,14 @@ class Desk(LeaseAnswers):
         self.rejected.append((source, reason, detail))
         reply(b"{}")
 
-    def answer_to(self, request: dict[str, Any]) -> bytes:
+    def answer_to(self, request: dict[str, Any]) -> Any:
         answers: list[bytes] = []
-        self.read(json.dumps(request).encode(), self.now_ns, answers.append)()
+        self._answers.read(json.dumps(request).encode(), self.now_ns, answers.append)()
         (answer,) = answers
-        return answer
+        return json.loads(answer)
 
     def nonce(self) -> str:
-        nonce = LeaseAck.model_validate_json(self.answer_to({"do": "challenge"})).nonce
-        assert nonce is not None
-        return nonce
+        return str(self.answer_to({"do": "challenge"})["nonce"])
 
     def claim(self, do: str, made: Proof | None, source: str = "anna") -> None:
         self.answer_to({"do": do, "source": source, **({} if made is None else {"proof": made.model_dump()})})
@@ -230,24 +228,15 @@ class Desk(LeaseAnswers):
     ("names", "counts"),
     [((), True), (("bert", "anna"), True), (("operator",), True), (("button",), False), (("anna/phone",), False)],
 )
-def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(
-    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], counts: bool
-) -> None:
-    asked: list[ButtonRequest] = []
-    rejected: list[tuple[object, ...]] = []
+def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(names: tuple[str, ...], counts: bool) -> None:
     conductor = SimpleNamespace(settings=Settings.of({"buttons": {"names": names}}))
-    buttons = ButtonAnswers(cast(Conductor, conductor), Proofs(CHECKER, lambda: NOW, watching=True))
-    monkeypatch.setattr(buttons, "ask", lambda request, _reply: asked.append(request))
-    monkeypatch.setattr(buttons, "reject", lambda *why: rejected.append(why[:2]))
-    answers: list[bytes] = []
-    buttons.read(b'{"do": "challenge"}', 0, answers.append)()
-    request = {"do": "register", "source": "anna/phone"}
-    nonce = json.loads(answers[0])["nonce"]
-    made = proof(nonce=nonce, watching="anna/phone").model_dump()
-    for each in (request, {**request, "proof": made}, {**request, "proof": made}):
-        buttons.read(json.dumps(each).encode(), 0, answers.append)()
-    assert [(each.source, each.holder, each.counts) for each in asked] == [("anna/phone", "operator anna", counts)]
-    assert rejected == [("anna/phone", Reason.BUTTON_DENIED)] * 2
+    desk = Desk(ButtonAnswers(cast(Conductor, conductor), Proofs(CHECKER, lambda: NOW, watching=True)))
+    made = proof(nonce=desk.nonce(), watching="anna/phone")
+    for each in (None, made, made):
+        desk.claim("register", each, "anna/phone")
+    found = [(each.source, each.holder, each.counts) for each in desk.requests]
+    assert found == [("anna/phone", "operator anna", counts)]
+    assert [why[:2] for why in desk.rejected] == [("anna/phone", Reason.BUTTON_DENIED)] * 2
 
 
 @pytest.mark.parametrize(

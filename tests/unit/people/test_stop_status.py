@@ -84,13 +84,6 @@ def test_an_answer_to_an_earlier_press_leaves_the_later_one_to_its_own() -> None
     assert text(stop, 7 * MS).endswith("confirmed 3 ms after the key")
 
 
-def test_a_reset_takes_the_stop_back() -> None:
-    stop = pressed()
-    stop.unanswered()
-    stop.reset()
-    assert (stop.wanted_ns, text(stop, MS)) == (None, "")
-
-
 # ---- a terminal that is too small
 
 
