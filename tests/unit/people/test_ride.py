@@ -52,6 +52,13 @@ def test_a_program_that_falls_silent_stands_then_sits_then_is_stopped(silences: 
     assert (ridden.ride.phase, ridden.posture) == (Phase.RESTS, Posture.SITTING)
 
 
+def test_a_way_to_a_posture_is_no_silence_however_long_it_takes() -> None:
+    ridden = standing(Silences(rest_s=1.0))
+    assert ridden.now_s - 100.0 > 1.5, "it stood up for longer than it may rest"
+    ridden.run(0.9)
+    assert ridden.posture is Posture.STANDING
+
+
 def test_legs_that_another_left_standing_are_held_at_once_and_sit_in_silence() -> None:
     """Their watchdog does not wait for a word. Those that were stopped meanwhile are not started."""
     pose = dict(standing().running)
@@ -81,13 +88,10 @@ class Pad:
         self.press += 1
         self.wanted = Wish(self.press, velocity)
 
-    def wish(self) -> None:
-        self.ridden.ride.wish(self.wanted, self.ridden.now_s)
-
     def run(self, seconds: float, *, wishes: bool = True) -> None:
         for tick in range(round(seconds / TICK_S)):
             if wishes and tick % 2 == 0:
-                self.wish()
+                self.ridden.ride.wish(self.wanted, self.ridden.now_s)
             self.ridden.tick()
 
     def until(self, posture: Posture, at_most_s: float = 6.0) -> None:
@@ -189,9 +193,7 @@ def test_a_lost_leg_and_a_page_that_is_gone_are_stopped_as_they_stand() -> None:
     pad = held()
     pad.ridden.stop([3])
     pad.ridden.tick()
-    silent_s = pad.ridden.now_s
-    pad.ridden.until(lambda: pad.ridden.ride.over)
-    assert pad.ridden.now_s - silent_s == pytest.approx(5.25, abs=0.1)
+    assert pad.ridden.until(lambda: pad.ridden.ride.over) == pytest.approx(5.25, abs=0.1)
     pad.ridden.tick()
     assert not pad.ridden.running
 
@@ -466,12 +468,10 @@ def test_words_during_an_error_raise_it_and_start_nothing() -> None:
     ridden.estop()
     ridden.tick()
     ridden.estopped = False
-    with pytest.raises(StoppedError):
-        ridden.ride.go(FASTER, ridden.now_s)
-    with pytest.raises(StoppedError):
-        ridden.ride.stand(None, ridden.now_s)
-    with pytest.raises(StoppedError):
-        ridden.ride.sit(ridden.now_s)
+    ride, now_s = ridden.ride, ridden.now_s
+    for word in (lambda: ride.go(FASTER, now_s), lambda: ride.stand(None, now_s), lambda: ride.sit(now_s)):
+        with pytest.raises(StoppedError):
+            word()
     ridden.run(0.2)
     assert not ridden.running
 
@@ -491,13 +491,10 @@ class AnyOrder(RuleBasedStateMachine):
     def walk(self, ticks: int) -> None:
         self._try(lambda: walks(self.ridden, ticks * TICK_S))
 
-    @rule()
-    def stand(self) -> None:
-        self._try(lambda: self.ridden.ride.stand(None, self.ridden.now_s))
-
-    @rule()
-    def sit(self) -> None:
-        self._try(lambda: self.ridden.ride.sit(self.ridden.now_s))
+    @rule(sits=st.booleans())
+    def stand_or_sit(self, sits: bool) -> None:
+        ride, now_s = self.ridden.ride, self.ridden.now_s
+        self._try(lambda: ride.sit(now_s) if sits else ride.stand(None, now_s))
 
     @rule(legs=legs, hides=legs)
     def somebody_stops(self, legs: set[int], hides: set[int]) -> None:

@@ -146,8 +146,9 @@ def test_it_ends_within_half_a_millimetre_or_a_seventh_of_a_degree(
     assert fastest <= (0.25 if turns else 0.08)
 
 
-def test_nothing_is_far_and_then_it_stands() -> None:
-    assert cover(Ridden(), 0.0, turns=False, late=0) == (0.0, 0.0)
+def test_less_than_half_a_millimetre_is_nothing_and_then_it_stands() -> None:
+    assert cover(Ridden(), 0.0004, turns=False, late=0) == (0.0, 0.0)
+    assert Distance(0.0005, turns=False).next(at(0.0), 0.0) is not None
 
 
 @pytest.mark.parametrize(
@@ -191,8 +192,3 @@ def test_ahead_is_where_it_looks_and_it_slows_down_gently_before_the_end() -> No
     assert velocity is not None
     assert velocity.forward_m_s == pytest.approx(math.sqrt(SLEW_M_S2 * 0.002)), "half of what the engine can"
     assert distance.next(at(1.0 + 0.1 * math.cos(1.0), 2.0 + 0.1 * math.sin(1.0), 1.0), 2.0) is None
-
-
-def test_half_a_millimetre_is_a_distance_and_less_is_none() -> None:
-    assert Distance(0.0005, turns=False).next(at(0.0), 0.0) is not None
-    assert Distance(0.0004, turns=False).next(at(0.0), 0.0) is None
