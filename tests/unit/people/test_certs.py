@@ -88,6 +88,8 @@ def test_a_consoles_certificate_only_serves(folder: Path) -> None:
     for days in (None, 3000):
         if days is not None:
             certs.folder.renew(folder, "web", days=days)
+        for ca, trusts in (("web-ca.pem", True), ("ca.pem", False)):
+            assert trusted(folder / ca, folder / "web.pem", folder / "web.key", "robot.local") is trusts
         certificate = certs.files.read_certificate(folder / "web.pem")
         assert certificate.not_valid_after_utc - certificate.not_valid_before_utc <= 825 * DAY
         assert authority.describe(certificate)[:3] == ("web", "console", "console")
@@ -101,6 +103,7 @@ def test_a_consoles_certificate_only_serves(folder: Path) -> None:
         ("gateway", ["robot.local"], "cannot be a name here"),
     ):
         assert sentence in fault(partial(certs.folder.issue, folder, name, "console", hosts=given))
+    assert "keeps its own" in fault(lambda: certs.folder.renew(folder, "web", hosts=["192.0.2.8"]))
 
 
 def test_a_further_robot_has_a_folder_that_is_installed_like_the_first_ones(folder: Path) -> None:
@@ -180,14 +183,6 @@ def test_what_people_import_into_a_browser_is_good_for_the_console_only(
     (folder / "stolen.pem").write_bytes(stolen.certificate_pem())
     (folder / "stolen.key").write_bytes(stolen.key_pem())
     assert trusted(folder / "web-ca.pem", folder / "stolen.pem", folder / "stolen.key", other) == (other in hosts)
-
-
-def test_a_console_is_renewed_by_its_own_ca_and_for_its_own_hosts(folder: Path) -> None:
-    certs.folder.issue(folder, "web", "console", hosts=WEB_HOSTS)
-    certs.folder.renew(folder, "web")
-    assert trusted(folder / "web-ca.pem", folder / "web.pem", folder / "web.key", "robot.local")
-    assert not trusted(folder / "ca.pem", folder / "web.pem", folder / "web.key", "robot.local")
-    assert "keeps its own" in fault(lambda: certs.folder.renew(folder, "web", hosts=["192.0.2.8"]))
 
 
 def trusted(authority_file: Path, certificate: Path, key: Path, host: str) -> bool:

@@ -33,7 +33,6 @@ CASES: dict[str, tuple[list[Callable[[OwnStop], None]], int, float, bool]] = {
     "a second early": ([ros(5)], 5, -1.0, True),
     "later": ([ros(5)], 5, 1.25, False),
     "earlier": ([ros(5)], 5, -1.25, False),
-    "of a gateway that was started again": ([ros(5)], 5, 900, False),
 }
 """What happened, the latest emergency stop, how late a state comes by its uptime, and whether ROS may leave it."""
 
