@@ -41,9 +41,8 @@ class Robot:
         self.connected = True
         self.answers = True
         self.published: list[tuple[float, list[str]]] = []
-        self.asked: list[str] = []
-        self.asked_legs: list[list[int]] = []
-        """Of each request."""
+        self.asked: list[tuple[str, list[int]]] = []
+        """A start or a Stop, and the legs of each."""
         self.questions = 0
         self.running: set[int] = set()
         self.changed: dict[str, object] = {}
@@ -87,8 +86,7 @@ class Robot:
 
     def ask(self, _key: str, payload: Mapping[str, Any], *, again: bool = False) -> Ack:
         legs = {int(leg) for leg in payload["legs"]}
-        self.asked.append("stop" if again else "start")
-        self.asked_legs.append(sorted(legs))
+        self.asked.append(("stop" if again else "start", sorted(legs)))
         self.requests_s.append(self.now_s)
         if not again and not self.answers:
             raise UnansweredError("no gateway answered")
@@ -189,7 +187,7 @@ def test_a_start_that_nobody_answered_is_stopped(robot: Any) -> None:
         robot.answers = False
         with pytest.raises(UnansweredError):
             stream.set({5: POSE})
-    assert robot.asked == ["start", "stop"]
+    assert robot.asked == [("start", [5]), ("stop", [5])]
 
 
 def test_the_end_of_a_stream_whose_lease_is_elsewhere_stops_nothing(robot: Any) -> None:
@@ -303,7 +301,7 @@ def test_recover_raises_what_is_still_so_after_its_time_or_waits_for_its_end_and
     stream.recover(timeout_s=10)
     assert 4 <= robot.now_s - begun_s <= 4.5
     assert len(robot.requests_s) <= 2 * 4.5 + 1
-    assert robot.asked == ["start"], "it neither resets nor starts"
+    assert robot.asked == [("start", [1, 2])], "it neither resets nor starts"
     assert not robot.running
     stream.set({1: POSE, 2: POSE})
     assert robot.running == {1, 2}
@@ -454,10 +452,9 @@ def test_joint_commands_start_all_legs_at_once_and_a_message_with_fewer_starts_n
     with pytest.raises(JointsError, match=STARTS_WHOLE):
         motion.command(ONE_LEG_RAD)
     motion.command(ALL_RAD)
-    assert whole.asked_legs == [list(LEGS)]
     motion.command(ONE_LEG_RAD)  # what runs is not started again
     motion.end(sits=False)
-    assert whole.asked_legs[1:] == [list(LEGS)], "its Stop"
+    assert whole.asked == [("start", list(LEGS)), ("stop", list(LEGS))]
 
 
 def test_a_trajectory_without_all_joints_starts_nothing_and_leaves_the_robot_to_others(whole: Any) -> None:
@@ -466,4 +463,4 @@ def test_a_trajectory_without_all_joints_starts_nothing_and_leaves_the_robot_to_
         motion.follow(Trajectory((Waypoint(1.0, ONE_LEG_RAD),), time.monotonic()), lambda: True)
     assert not motion.check(time.monotonic())
     motion.end(sits=True)
-    assert whole.asked_legs == []
+    assert whole.asked == []
