@@ -226,8 +226,6 @@ A, B, C = b"a", b"b", b"c"
         (C, {A, B}, {A, B}, True),
         (C, {A, B}, {B}, False),
         (C, set(), {A}, False),
-        (b"", {A}, {A, B}, True),
-        (b"", {A}, {B}, False),
     ],
 )
 def test_a_sender_that_is_not_seen_is_there_while_all_others_are(
