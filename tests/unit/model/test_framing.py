@@ -2,7 +2,8 @@
 
 import pytest
 
-from gateway.model.framing import Framing, avoided_by
+from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing, avoided_by
+from tests.support.transfers import preamble_of
 
 
 def test_the_names_of_the_configuration() -> None:
@@ -10,6 +11,10 @@ def test_the_names_of_the_configuration() -> None:
     assert Framing("plain") is Framing.PLAIN
     with pytest.raises(ValueError, match="prefixed"):
         Framing("prefixed")
+
+
+def test_zeros_for_the_longest_body_and_two_more() -> None:
+    assert preamble_of(Framing.LENGTH_PREFIXED) == [ZERO] * PREAMBLE_ZEROS
 
 
 def test_angles_of_which_the_published_firmware_can_die() -> None:

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from gateway.model.power_board import (
     ALL,
+    ASK_CURRENTS,
+    ASK_RAILS,
     CONVERTER_OVERCURRENT,
     OVERTEMPERATURE,
     SERVO_OVERCURRENT,
@@ -100,7 +102,9 @@ def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
     [
         (BoardError(SERVO_OVERCURRENT, 0b101), "overcurrent: the power board has switched these servos off", (1, 3)),
         (BoardError(CONVERTER_OVERCURRENT, 0b1), "overcurrent: … its converter 1", range(1, 7)),
+        (BoardError(CONVERTER_OVERCURRENT, 0b10), "overcurrent: … its converter 2", range(7, 13)),
         (BoardError(CONVERTER_OVERCURRENT, 0b100), "overcurrent: … its converter 3", range(13, 19)),
+        (BoardError(CONVERTER_OVERCURRENT, 0b1000), "overcurrent: … its converter 4", ()),
         (BoardError(CONVERTER_OVERCURRENT, 0b10000), "overcurrent: … its converter 5", ()),
         (BoardError(CONVERTER_OVERCURRENT, 0b11), "overcurrent: … its converter 1 and 2", range(1, 13)),
         (BoardError(OVERTEMPERATURE, 0b111), "overtemperature: … its converter 1 and 2 and 3", range(1, 19)),
@@ -118,3 +122,8 @@ def test_an_error_is_explained_and_says_which_outputs_are_off(
     assert sentence.startswith(begin.strip())
     assert sentence.endswith(end)
     assert {number for number in range(1, 32) if mask >> (number - 1) & 1} == set(outputs)
+
+
+def test_each_question_is_named_once() -> None:
+    questions = [question.id for question in (*ASK_CURRENTS, *ASK_RAILS)]
+    assert questions == list(range(0x70, 0x88, 2))
