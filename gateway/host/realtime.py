@@ -2,7 +2,7 @@
 
 Each is optional, and changes nothing without its permission (RLIMIT_RTPRIO, RLIMIT_NICE or root). Measured on two cores
 with fifty clients, a flood, 100 queries a second and a spinning process on each core: worst lateness of 25 watchdog
-Stops, two runs each (tests/hil/load.py):
+Stops, two runs each (tests/hil/test_load.py):
 
 | variant                                                                     | ms           |
 |-----------------------------------------------------------------------------|--------------|
