@@ -19,6 +19,12 @@ _SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
 """Text that may be a lease's token in the wrong field."""
 
 
+_OPS: Final = ("start", "set", "stop")
+_VERBS: Final = ("challenge", "acquire", "ask", "take", "renew", "release", "register", "alive", "leave")
+"""The kinds of commands and requests, which pydantic puts before the fields of one."""
+_WORDS: Final = {"Tuple": "Array", "Dictionary": "Object", " after validation": ""}
+
+
 @final
 @value
 class Rejection:
@@ -87,7 +93,11 @@ def explain(error: ValidationError) -> Rejection:
     if "discriminator" in ctx:  # pydantic's own sentence repeats the value
         where = (*where, ctx["discriminator"].strip("'"))
         must = f"Input should be one of {ctx['expected_tags']}" if "expected_tags" in ctx else "Field required"
-    path = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in where).removeprefix(".")
+    fields = [part for part in where[:-1] if part not in (*_OPS, *_VERBS)]
+    fields += [part for part in where[-1:] if part != "[key]"]
+    path = "".join(f"[{part}]" if isinstance(part, int) else f".{_name(part)}" for part in fields).removeprefix(".")
+    for word, of_json in _WORDS.items():
+        must = must.replace(word, of_json)
     more = f" (and {len(others)} more)" if others else ""
     return Rejection(Reason.INVALID, f"{path or 'the payload'}: {must}{more}")
 
