@@ -8,6 +8,7 @@ from gateway.model.power_board import (
     ASK_RAILS,
     GOING_OFF,
     OFF_PRESSED,
+    SET_SUPPLY,
     SUPPLIED,
     CanFrame,
     set_supply,
@@ -37,6 +38,15 @@ def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, 
     assert link.events(Kind.POWER_UNCONFIRMED) == []
     link.run(1100)
     assert link.fed() == ALL_SERVOS - {61, 62, 63}
+
+
+def test_outputs_go_on_six_at_a_time_in_their_order() -> None:
+    link = at_rest()
+    at_ns = link.now_ns
+    link.want(ALL_SERVOS)
+    link.run(700)
+    masks = dict.fromkeys(frame for when_ns, frame in link.sent if when_ns >= at_ns and frame.id == SET_SUPPLY)
+    assert list(masks) == [set_supply((1 << on) - 1) for on in (6, 12, 18)]
 
 
 # ---- silence
