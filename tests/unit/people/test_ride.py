@@ -1,6 +1,7 @@
 """A ride in virtual time: its silences, presses and starts, each by the clock alone. None goes on by itself."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 import pytest
@@ -469,7 +470,7 @@ def test_words_during_an_error_raise_it_and_start_nothing() -> None:
     ridden.tick()
     ridden.estopped = False
     ride, now_s = ridden.ride, ridden.now_s
-    for word in (lambda: ride.go(FASTER, now_s), lambda: ride.stand(None, now_s), lambda: ride.sit(now_s)):
+    for word in (partial(ride.go, FASTER, now_s), partial(ride.stand, None, now_s), partial(ride.sit, now_s)):
         with pytest.raises(StoppedError):
             word()
     ridden.run(0.2)
