@@ -75,7 +75,8 @@ async def test_what_no_page_sends_ends_the_connection(stand: Stand, request_text
 
 async def test_a_deadline_for_all_of_it(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listener, "UNKNOWN_S", 0.1)
-    assert await stand.ask("GET / HTTP/1.1\r\n") == b""
+    async with asyncio.timeout(10):
+        assert await stand.ask("GET / HTTP/1.1\r\n") == b""
 
 
 async def test_a_sign_in_that_waits_for_the_disk_delays_nobody(stand: Stand) -> None:

@@ -520,7 +520,7 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     place_of_ring = paths.prepare(folder)
     ring = RecordRing(place_of_ring, 100)
     no_times = ("20260931-141320-123-watchdog", "20260921-246060-123-watchdog", "00000101-000000-000-crash")
-    for name in ("20260921-141320-123-watchdog", *no_times, "../../etc/passwd"):
+    for name in ("20260921-141320-123-watchdog", *no_times, "20260921-141320/../../passwd"):
         ring.append(form.INCIDENT, 5 * SECOND, form.at_wall_time(WALL_NS, name))
     ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
     ring.append(form.DECISION, 5 * SECOND, form.decision(3, "made up", "no key", None))
