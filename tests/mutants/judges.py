@@ -53,7 +53,7 @@ JUDGES: Final = {
     "gateway/model/frames.py": (*_model("frames"), *_tests("unit", "decode")),
     "gateway/model/framing.py": _model("framing"),
     "gateway/model/elkapod.py": (*_model("elkapod_bytes"), *_robot("elkapod_wire")),
-    "gateway/robot/protocol/elkapod.py": _robot("elkapod_wire"),
+    "gateway/robot/protocol/elkapod.py": _CYCLIC,
     "gateway/robot/spi/cyclic.py": _CYCLIC,
     "gateway/robot/spi/guard.py": _robot("guard bus_device"),
     "gateway/robot/spi/awaited.py": _BUS,

@@ -8,7 +8,7 @@ import pytest
 from gateway.errors import SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START, Measured
-from gateway.model.frames import SETS, STARTS, Frame, OneLeg, OneServo, stop_leg
+from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo, stop_leg
 from gateway.robot.protocol import BatchReport
 from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
 from gateway.robot.spi import DuplexDevice
@@ -516,6 +516,12 @@ def test_a_servo_that_is_to_be_fed_is_prepared_and_one_that_is_not_any_more_begi
     assert commanded.prepare({11: 60_00}) == frozenset()
     assert [cycle(commanded), cycle(commanded)] == [None, START], "two frames with its new angle"
     assert commanded.prepare({11: 60_00}) == {11}
+
+
+def test_a_servo_that_does_not_run_keeps_its_angle_in_a_frame_about_others(commanded: Commanded) -> None:
+    commanded.take([one(13, 70_00)])
+    commanded.take([OneLeg(1, (STARTS[80_00], STARTS[80_00], STOP))])
+    assert elkapod.angles_of(commanded.frame())[13] == 70.0
 
 
 def test_the_board_stops_one_leg_and_the_others_go_on() -> None:

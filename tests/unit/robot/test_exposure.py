@@ -181,13 +181,24 @@ def test_defaults_listen_on_this_machine_only_and_find_nobody() -> None:
     assert json.loads(made.get_json("scouting/gossip/enabled")) is False
 
 
-def test_scouting_is_what_the_zenoh_file_says(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(
+    ("stated", "warns"),
+    [
+        ({"scouting": {"multicast": {"enabled": True}}}, True),
+        ({"scouting": {"gossip": {"enabled": True}}}, True),
+        ({"scouting": {"multicast": {"enabled": True}}, "transport": {"link": {"protocols": ["tls"]}}}, False),
+        ({"transport": {"link": {"protocols": ["tcp"]}}}, False),
+    ],
+)
+def test_scouting_is_what_the_zenoh_file_says(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, stated: dict[str, Any], warns: bool
+) -> None:
     path = tmp_path / "zenoh.json5"
-    path.write_text("{ scouting: { multicast: { enabled: true } } }")
-    made = service_config(ZenohSettings(config=str(path)))
-    assert json.loads(made.get_json("scouting/multicast/enabled")) is True
-    assert json.loads(made.get_json("scouting/gossip/enabled")) is False
-    assert "dials every Zenoh program" in caplog.text
+    path.write_text(json.dumps(stated))
+    made = service_config(ZenohSettings(listen=("unixsock-stream//run/x",), config=str(path), allow_insecure=True))
+    for way in ("multicast", "gossip"):
+        assert json.loads(made.get_json(f"scouting/{way}/enabled")) is (way in stated.get("scouting", {}))
+    assert ("dials every Zenoh program" in caplog.text) is warns
 
 
 def test_rules_without_the_robots_namespace_are_rejected() -> None:
