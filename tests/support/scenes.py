@@ -1,4 +1,6 @@
-"""Scenes for a supervisor as text: a line is an instant, what comes then, and what the step says.
+"""A supervisor to talk to in short words, with milliseconds for time; every step is also judged by the oracle.
+
+A scene is text: a line is an instant, what comes then, and what the step says.
 
     100 leg 1 start 90 → command 1 start 90; completed 1
     120 servo 12 set 45 (lease anna) → nothing
@@ -7,28 +9,130 @@
 
 `…` stands for anything, `estop 1-6 stop` for a Stop to each leg. A line without an instant is a fact (FACTS). A long
 line continues in the next one, from its arrow on. A first line `rules repeats=2, start_pause_ms=50` states the rules
-(otherwise those of Steps), and `unopened` that the bus is not open yet.
+(otherwise those of Scenes), and `unopened` that the bus is not open yet.
 """
 
 import ast
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar, cast
 
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import Announce, Command, RequestAnswer
+from gateway.model.calibration import RobotCalibration
+from gateway.model.frames import STOP, OneServo, Op, ServoOp, servo_ids_of
+from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
 from schemas.calibration import CalibrationCommand, ServoChange
-from schemas.robot import SERVO_IDS
+from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
+from tests.support.history import is_coalesced, spelled_out
 from tests.support.model_check import pending
-from tests.support.steps import Steps, Targets, all_stopped, leg_to, legs_to, servo_to
+from tests.support.oracle import Oracle
+from tests.support.small_robots import Targets
+
+T = TypeVar("T", bound=events.Effect)
+Options = dict[str, str]
 
 
-class Scenes(Steps):
-    """A supervisor that scenes are played with."""
+def servo_to(servo_id: int, word: str) -> Targets:
+    """One servo's target: `start 90`, `set 45.5` or `stop`."""
+    name, _, angle = word.partition(" ")
+    return ((servo_id, STOP if name == "stop" else ServoOp(Op[name.upper()], round(float(angle) * 100))),)
+
+
+def leg_to(number: int, *words: str) -> Targets:
+    """A leg's three targets; a single word is for all three."""
+    each = zip(servo_ids_of(number), words * (3 // len(words)), strict=True)
+    return tuple(target for servo_id, word in each for target in servo_to(servo_id, word))
+
+
+def said(effect: events.Effect) -> str:
+    """An effect in words: `command 11 start 90`, `watchdog 1 stop`, `completed 3 coalesced`, `rejected 4 stale`."""
+    match effect:
+        case events.Transmit(frame=frame):
+            ops = (op for _, op in frame.servos)
+            words = ["stop" if op.op is Op.STOP else f"{op.op.name.lower()} {op.angle_cdeg / 100:g}" for op in ops]
+            number = frame.servo_id if isinstance(frame, OneServo) else frame.leg
+            return f"{effect.cause} {number} {words[0] if len(set(words)) == 1 else ' | '.join(words)}"
+        case events.Completed():
+            return f"completed {effect.request.number}{' coalesced' if is_coalesced(effect.request) else ''}"
+        case events.Rejected():
+            return f"rejected {effect.request.number} {effect.reason}{' stopped' if effect.request.stopped else ''}"
+        case events.Announce():
+            return f"announce {effect.kind}"
+        case events.RequestAnswer():
+            return effect.reason or "granted"
+        case events.SaveCalibration():
+            return f"keep {effect.number}"
+
+
+def all_stopped(cause: str) -> list[str]:
+    """Stops to all six legs."""
+    return [f"{cause} {number} stop" for number in LEGS]
+
+
+def _ns(at_ms: float) -> int:
+    return round((60_000 + at_ms) * NS_PER_MS)
+
+
+class Scenes:
+    """A supervisor whose bus was opened at 0 ms, a minute after the clock began.
+
+    By default Stops are not repeated, and no further runs of them follow at rest.
+    """
+
+    def __init__(
+        self,
+        rules: Rules | None = None,
+        *,
+        opened: bool = True,
+        calibration: RobotCalibration | None = None,
+        fault: str | None = None,
+    ) -> None:
+        rules = rules or Rules(repeats=0, rest_runs=0)
+        self.supervisor = Supervisor(rules)
+        if calibration is not None or fault is not None:
+            self.supervisor.calibrating.load(calibration or RobotCalibration(), fault)
+        self.oracle = Oracle(rules, calibration=calibration, fault=fault)
+        self.effects: list[events.Effect] = []
+        self.instant_ms: float | None = None
+        self._number = 0
+        if opened:
+            self.take(0, events.BusOpened())
+
+    def take(self, at_ms: float, event: events.Event) -> list[str]:
+        """One step; in the instant that began at `instant_ms`, or in one of its own.
+
+        The words leave out the Stops that join first Stops, for legs at rest: the oracle demands each of them.
+        """
+        now_ns = _ns(at_ms)
+        instant_ns = None if self.instant_ms is None else _ns(self.instant_ms)
+        self.effects = self.supervisor.step(event, now_ns, instant_ns)
+        self.oracle.judge(event, now_ns, self.effects, self.supervisor, instant_ns)
+        return [said(effect) for effect in spelled_out(self.effects) if effect not in self.joining]
+
+    def do(self, at_ms: float, words: str) -> list[str]:
+        """One step; its options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages were lost,
+        and one may have been this. `timed leg 2 start 90`: it has its time, on a key of its own."""
+        words, _, rest = words.partition(" (")
+        options = dict(option.strip().split(" ", 1) for option in rest.rstrip(") ").split(",") if option)
+        what, _, more = words.strip().partition(" ")
+        if what == "pass":
+            return self._pass(at_ms)
+        if what in ("leg", "legs", "servo"):
+            return self.command(at_ms, targets_of(words), options.pop("key", "leg"), **options)
+        if what in ("lost", "timed"):
+            lost, sent_ms = what == "lost", None if what == "lost" else 1
+            command = events.Command(targets_of(more), key=what, number=99, lost=lost, sent_ms=sent_ms)
+            return self.take(at_ms, command)
+        if what == "button":
+            verb, who, *count = more.split()
+            sent = float(options["sent"]) if "sent" in options else None
+            return self.button(at_ms, verb, who, *map(int, count), sent_ms=sent, holder=options.get("holder"))
+        return self.take(at_ms, STEPS[what](self, more, options))
 
     def play(self, scene: str) -> "Scenes":
         """Take each line of it."""
@@ -39,10 +143,86 @@ class Scenes(Steps):
                 found, wanted = FACTS[at](self, words)
                 assert found == wanted, line
                 continue
-            said = take(self, float(at), words)
+            heard = self.do(float(at), words)
             if arrow:
-                assert alike(said, spelled(expected)), f"{line}: {said}"
+                assert alike(heard, spelled(expected)), f"{line}: {heard}"
         return self
+
+    def _pass(self, until_ms: float) -> list[str]:
+        """Let time pass as the service does: whatever is due is done when it is."""
+        heard: list[str] = []
+        while self.due_ms is not None and self.due_ms <= until_ms:
+            heard += self.time(self.due_ms)
+        return heard
+
+    def time(self, at_ms: float) -> list[str]:
+        return self.take(at_ms, events.TimePassed())
+
+    def command(
+        self,
+        at_ms: float,
+        targets: Targets,
+        channel: str = "leg",
+        *,
+        lease: str | None = None,
+        source: str | None = None,
+    ) -> list[str]:
+        """A command with the next number."""
+        command = events.Command(targets, key=channel, source=source, number=self.next_number(), lease=lease)
+        return self.take(at_ms, command)
+
+    def button(
+        self,
+        at_ms: float,
+        verb: str,
+        who: str = "",
+        count: int = 0,
+        *,
+        sent_ms: float | None = None,
+        holder: str | None = None,
+        counts: bool = True,
+    ) -> list[str]:
+        """`register` by a name, whose token that then is as well (with a certificate, its holder's before it); `alive`
+        and `leave` by that token."""
+        do, token = cast(events.ButtonDo, verb), who if holder is None else f"{holder}: {who}"
+        return self.take(at_ms, events.ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
+
+    def next_number(self) -> int:
+        """Of a request that is answered by its number."""
+        self._number += 1
+        return self._number
+
+    # ---- what came of it
+
+    @property
+    def joining(self) -> list[events.Transmit]:
+        """The latest step's Stops to legs at rest that leave with its first Stops."""
+        return [effect for effect in self.effects if isinstance(effect, events.Transmit) and effect.joins]
+
+    def only(self, kind: type[T]) -> T:
+        """The only effect of this kind that the latest step has."""
+        (found,) = [effect for effect in self.effects if isinstance(effect, kind)]
+        return found
+
+    @property
+    def announced(self) -> list[events.Announce]:
+        """What the latest step says to everybody."""
+        return [effect for effect in self.effects if isinstance(effect, events.Announce)]
+
+    @property
+    def detail(self) -> str:
+        """What the only rejection of the latest step states."""
+        return self.only(events.Rejected).detail
+
+    @property
+    def due_ms(self) -> float | None:
+        """When it wants to be woken."""
+        due_ns = self.supervisor.due_ns
+        return None if due_ns is None else due_ns / NS_PER_MS - 60_000
+
+    @property
+    def running(self) -> list[int]:
+        return [servo.servo_id for servo in self.supervisor.legs.servos.values() if servo.running]
 
 
 def play(scene: str) -> Scenes:
@@ -69,7 +249,7 @@ def lines_of(scene: str) -> list[str]:
 
 
 def rules_of(words: str) -> Rules:
-    """`repeats=2, period_ms=1000`; without a word of them, Stops are not repeated, as in Steps."""
+    """`repeats=2, period_ms=1000`; without a word of them, Stops are not repeated, as in Scenes."""
     call = ast.parse(f"rules({words})", mode="eval").body
     assert isinstance(call, ast.Call)
     known: dict[str, Any] = {"repeats": 0, "rest_runs": 0}
@@ -108,54 +288,36 @@ def targets_of(words: str) -> Targets:
             case "leg":
                 found += leg_to(int(number), *(part.strip() for part in word.split("|")))
             case "legs":
-                found += legs_to(number, word)
+                found += tuple(target for leg in number for target in leg_to(int(leg), word))
             case _:
                 found += servo_to(int(number), word)
     return found
-
-
-def take(robot: Steps, at_ms: float, words: str) -> list[str]:
-    """One step; its options stand in parentheses: `(lease anna, key legs)`. `lost leg 2 stop`: messages were lost, and
-    one may have been this. `timed leg 2 start 90`: it has its time, on a key of its own."""
-    words, _, rest = words.partition(" (")
-    options = dict(option.strip().split(" ", 1) for option in rest.rstrip(") ").split(",") if option)
-    what, _, more = words.strip().partition(" ")
-    if what in ("leg", "legs", "servo"):
-        channel = options.pop("key", "leg")
-        return robot.command(at_ms, targets_of(words), channel, **options)
-    if what in ("lost", "timed"):
-        lost, sent_ms = what == "lost", None if what == "lost" else 1
-        return robot.take(at_ms, Command(targets_of(more), key=what, number=99, lost=lost, sent_ms=sent_ms))
-    return STEPS[what](robot, at_ms, more, options)
-
-
-def _board(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
-    """`board`, `board silent`, and as options `fed 31 33`, `lost 32`, `refused 12`, `doubt why`."""
-    known: dict[str, Any] = {"alive": words != "silent"}
-    known |= {name: value if name in ("doubt", "refused") else ids(value) for name, value in options.items()}
-    return robot.board(at_ms, **known)
 
 
 def ids(words: str) -> tuple[int, ...]:
     return () if words == "none" else SERVO_IDS if words == "all" else tuple(map(int, words.split()))
 
 
-def _body(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+def _board(_: Scenes, words: str, options: Options) -> events.PowerSeen:
+    """`board`, `board silent`, and as options `fed 31 33`, `lost 32`, `refused 12` (for overcurrent), `doubt why`."""
+    refused = tuple((servo_id, "overcurrent") for servo_id in ids(options.get("refused", "none")))
+    fed, lost = (frozenset(ids(options.get(name, usual))) for name, usual in (("fed", "all"), ("lost", "none")))
+    return events.PowerSeen(words != "silent", refused, fed, lost, options.get("doubt", ""))
+
+
+def _body(_: Scenes, words: str, options: Options) -> events.BodyMeasured:
     """`body 31` (its tilt in degrees), `body unknown`, `body 0 (battery 6.9)`."""
-    tilt_deg = None if words == "unknown" else float(words)
-    return robot.measure(at_ms, tilt_deg, float(options.get("battery", 7.4)))
+    tilt_cdeg = None if words == "unknown" else round(float(words) * 100)
+    return events.BodyMeasured(tilt_cdeg, round(float(options.get("battery", 7.4)) * 1000))
 
 
-def _lease(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
-    """`lease acquire anna (fresh token)`, `lease renew (token token)`."""
-    return robot.lease(at_ms, words, options.get("token"), fresh=options.get("fresh", ""))
-
-
-def _button(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
-    """`button register kitchen`, `button alive kitchen 1 (sent 55020, holder anna's)`."""
-    verb, who, *count = words.split()
-    sent_ms = float(options["sent"]) if "sent" in options else None
-    return robot.button(at_ms, verb, who, *map(int, count), sent_ms=sent_ms, holder=options.get("holder"))
+def _lease(_robot: Scenes, words: str, options: Options) -> events.LeaseRequest:
+    """`lease acquire anna (fresh token)`, `lease renew (token token)`, `lease release to bert (token token)`."""
+    verb, _, name = words.partition(" ")
+    to = name.removeprefix("to ") if name.startswith("to ") else None
+    source = name if name and to is None else None
+    token, fresh = options.get("token"), options.get("fresh", "")
+    return events.LeaseRequest(cast(events.LeaseDo, verb), source, token=token, to=to, fresh_token=fresh)
 
 
 def change_of(words: str) -> CalibrationCommand:
@@ -171,64 +333,72 @@ def change_of(words: str) -> CalibrationCommand:
     return CalibrationCommand.model_construct(servos=servos, landing=landing)
 
 
-def _calibrate(robot: Steps, at_ms: float, words: str, options: dict[str, str]) -> list[str]:
+def _calibrate(robot: Scenes, words: str, options: Options) -> events.Calibrate:
     """`calibrate 32 trim -5 (revision 1, lease anna)`, `calibrate nothing (accept default)`."""
-    revision = int(options["revision"]) if "revision" in options else None
-    default, lease = "accept" in options, options.get("lease")
-    return robot.calibrate(at_ms, change_of(words), revision=revision, accept_default=default, lease=lease)
+    event = events.Calibrate(
+        number=robot.next_number(),
+        change=change_of(words),
+        revision=int(options["revision"]) if "revision" in options else None,
+        accept_default="accept" in options,
+        lease=options.get("lease"),
+    )
+    event.source, event.key = "anna", "hexapod/calibration/cmd"
+    return event
 
 
-def _pass(robot: Steps, until_ms: float) -> list[str]:
-    """Let time pass as the service does: whatever is due is done when it is."""
-    said: list[str] = []
-    while robot.due_ms is not None and robot.due_ms <= until_ms:
-        said += robot.time(robot.due_ms)
-    return said
+def _kept(robot: Scenes, fault: str, _: Options) -> events.CalibrationSaved:
+    """The disk has answered for the latest change."""
+    way = robot.supervisor.calibrating._on_its_way
+    return events.CalibrationSaved(0 if way is None else way.event.number, fault or None)
 
 
-STEPS: Final[dict[str, Callable[[Steps, float, str, dict[str, str]], list[str]]]] = {
-    "time": lambda robot, at_ms, _, __: robot.time(at_ms),
-    "pass": lambda robot, at_ms, _, __: _pass(robot, at_ms),
-    "estop": lambda robot, at_ms, _, __: robot.estop(at_ms),
-    "reset": lambda robot, at_ms, newer, options: robot.reset(at_ms, newer=int(newer or 0), **options),
-    "unnumbered": lambda robot, at_ms, _, __: robot.reset_without_number(at_ms),
-    "fail": lambda robot, at_ms, kind, __: robot.fail(at_ms, Kind(kind or Kind.BUS_FAULT)),
-    "open": lambda robot, at_ms, _, __: robot.open(at_ms),
-    "end": lambda robot, at_ms, _, __: robot.end(at_ms),
-    "outside": lambda robot, at_ms, what, _: robot.outside(at_ms, at_work={"begins": True, "ends": False}[what]),
+def _reset(robot: Scenes, newer: str, options: Options) -> events.Reset:
+    """A reset that names the latest emergency stop, or one that is newer (or older, if negative) by so many."""
+    estop = robot.supervisor.latch.number + int(newer or 0)
+    return events.Reset(number=robot.next_number(), estop=estop, lease=options.get("lease"))
+
+
+STEPS: Final[dict[str, Callable[[Scenes, str, Options], events.Event]]] = {
+    "time": lambda *_: events.TimePassed(),
+    "estop": lambda *_: events.EmergencyStop("somebody"),
+    "reset": _reset,
+    "unnumbered": lambda robot, *_: events.Reset(number=robot.next_number()),
+    "fail": lambda _, kind, __: events.BusFailed("EIO", Kind(kind or Kind.BUS_FAULT)),
+    "open": lambda *_: events.BusOpened(),
+    "end": lambda *_: events.ShutDown(),
+    "outside": lambda _, what, __: events.StoppedOutside({"begins": True, "ends": False}[what]),
     "body": _body,
     "board": _board,
     "lease": _lease,
-    "button": _button,
     "calibrate": _calibrate,
-    "kept": lambda robot, at_ms, fault, _: robot.kept(at_ms, fault or None),
+    "kept": _kept,
 }
-"""What a step takes, by its first word."""
+"""What comes, by its first word."""
 
 
-def _instant(robot: Steps, words: str) -> tuple[object, object]:
+def _instant(robot: Scenes, words: str) -> tuple[object, object]:
     robot.instant_ms = None if words == "ends" else float(words)
     return None, None
 
 
-FACTS: Final[dict[str, Callable[[Steps, str], tuple[object, object]]]] = {
+FACTS: Final[dict[str, Callable[[Scenes, str], tuple[object, object]]]] = {
     "instant": _instant,  # what follows came in the instant that began then
     "running": lambda robot, words: (tuple(robot.running), ids(words)),
     "due": lambda robot, words: (robot.due_ms, None if words == "never" else float(words)),
     "mode": lambda robot, word: (robot.supervisor.mode, word),
     "says": lambda robot, detail: (robot.detail, detail),
-    "announces": lambda robot, detail: (robot.only(Announce).detail, detail),
+    "announces": lambda robot, detail: (robot.only(events.Announce).detail, detail),
     "mentions": lambda robot, words: (words in str(robot.effects), True),
-    "legs": lambda robot, numbers: (robot.only(Announce).legs, tuple(map(int, numbers))),
+    "legs": lambda robot, numbers: (robot.only(events.Announce).legs, tuple(map(int, numbers))),
     "joined": lambda robot, legs: (
         [effect.frame.servos[0][0] // 10 for effect in robot.joining],
         [*map(int, legs.replace("none", ""))],
     ),
     "expirations": lambda robot, count: (robot.supervisor.watchdog.expirations, int(count)),
     "pending": lambda robot, _: (pending(robot.supervisor), {}),
-    "answers": lambda robot, detail: (robot.only(RequestAnswer).detail, detail),
-    "source": lambda robot, name: (robot.only(Announce).source, name),
-    "key": lambda robot, key: (robot.only(Announce).key, key),
+    "answers": lambda robot, detail: (robot.only(events.RequestAnswer).detail, detail),
+    "source": lambda robot, name: (robot.only(events.Announce).source, name),
+    "key": lambda robot, key: (robot.only(events.Announce).key, key),
     "asked": lambda robot, name: (robot.supervisor.lease.asked_by or "nobody", name),
     "holder": lambda robot, name: (robot.supervisor.lease.holder or "nobody", name),
     "watchdogs": lambda robot, words: ([leg.watchdog for leg in robot.supervisor.legs], words.split()),

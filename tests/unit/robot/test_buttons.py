@@ -10,8 +10,7 @@ from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
-from tests.support.scenes import Scenes, play, scene_test
-from tests.support.steps import all_stopped
+from tests.support.scenes import Scenes, all_stopped, play, scene_test
 
 TIMEOUT_MS = 1000
 KITCHEN = "k" * 32

@@ -9,36 +9,36 @@ from gateway.robot.core.supervisor import IllegalEvent
 from schemas import keys
 from schemas.telemetry import Mode
 from tests.support.robot import started_and_quiet
-from tests.support.steps import Steps, leg_to
+from tests.support.scenes import Scenes, leg_to
 
 KEPT = Rules(repeats=0, rest_runs=0, estop_kept=True)
 
 
 def test_until_it_is_known_one_counts_as_engaged_and_no_reset_leaves_it() -> None:
-    robot = Steps(KEPT)
+    robot = Scenes(KEPT)
     assert robot.supervisor.mode == "estopped"
     assert robot.command(1, leg_to(1, "start 90")) == ["rejected 1 estopped"]
-    assert robot.reset(3000) == ["rejected 2 estopped"]
+    assert robot.do(3000, "reset") == ["rejected 2 estopped"]
     assert robot.take(3001, EstopKept(0, engaged=False)) == []
     assert robot.supervisor.mode == "idle"
     assert robot.command(3002, leg_to(1, "start 90")) == ["command 1 start 90", "completed 3"]
 
 
 def test_numbers_go_on_so_a_reset_of_an_earlier_run_leaves_no_emergency_stop_of_this_one() -> None:
-    robot = Steps(KEPT)
+    robot = Scenes(KEPT)
     robot.take(1, EstopKept(7, engaged=False))
-    robot.estop(2)
+    robot.do(2, "estop")
     assert robot.supervisor.latch.number == 8
-    assert robot.reset(3, newer=-1) == ["rejected 1 estopped"]
+    assert robot.do(3, "reset -1") == ["rejected 1 estopped"]
 
 
 @pytest.mark.parametrize("rules", [KEPT, Rules()])
 def test_it_is_learnt_once(rules: Rules) -> None:
-    robot = Steps(rules)
+    robot = Scenes(rules)
     if rules.estop_kept:
         robot.take(1, EstopKept(7, engaged=True))
     else:
-        robot.estop(1)
+        robot.do(1, "estop")
     before = robot.supervisor.latch.number
     with pytest.raises(IllegalEvent):
         robot.take(2, EstopKept(9, engaged=False))

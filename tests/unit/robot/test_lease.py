@@ -71,22 +71,22 @@ def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
     lease = robot.supervisor.lease
     robot.take(2, LeaseRequest("ask", "bert", verified))
     assert not lease.verified, "anna's is not"
-    robot.lease(3, "release to bert", "anna")
+    robot.do(3, "lease release to bert (token anna)")
     assert lease.verified is verified
-    robot.lease(3, "acquire carl", fresh="carl")
+    robot.do(3, "lease acquire carl (fresh carl)")
     assert (robot.only(RequestAnswer).detail, lease.verified) == ("the lease is handed over to bert", verified)
     robot.take(4, LeaseRequest("acquire", "bert", verified, fresh_token=BERT))
     assert lease.verified is verified
-    robot.lease(5, "release", "bert")
+    robot.do(5, "lease release (token bert)")
     assert not lease.verified
 
 
 def test_no_repr_shows_a_token() -> None:
     anna, bert = "a" * 32, "b" * 32
     robot = Scenes()
-    seen = [*map(repr, robot.lease(0, "acquire anna", fresh=anna)), repr(robot.effects)]
-    for words, token in (("renew", anna), ("take bert", None)):
-        robot.lease(2, words, token, fresh=bert)
+    seen = [*map(repr, robot.do(0, f"lease acquire anna (fresh {anna})")), repr(robot.effects)]
+    for words in (f"renew (token {anna})", f"take bert (fresh {bert})"):
+        robot.do(2, f"lease {words}")
         seen += [repr(robot.effects), repr(robot.only(RequestAnswer)), repr(robot.supervisor.lease)]
     assert not [each for each in seen if anna in each or bert in each]
 

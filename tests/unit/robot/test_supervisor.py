@@ -6,19 +6,18 @@ import pytest
 
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import WatchdogState
-from tests.support.scenes import play, scene_test
-from tests.support.steps import Steps, leg_to, servo_to
+from tests.support.scenes import Scenes, leg_to, play, scene_test, servo_to
 
 
 @pytest.mark.parametrize("servo_id", SERVO_IDS)
 def test_a_set_is_rejected_where_nothing_was_started(servo_id: int) -> None:
-    robot = Steps()
+    robot = Scenes()
     assert robot.command(1, servo_to(servo_id, "set 90")) == ["rejected 1 servo_stopped"]
     assert robot.running == []
 
 
 def test_a_leg_is_shown_as_expired_until_it_is_started_or_stopped_as_a_whole() -> None:
-    robot = Steps()
+    robot = Scenes()
     first = robot.supervisor.legs.by_number[1]
     for word, shown in (("stop", WatchdogState.IDLE), ("start 90", WatchdogState.ARMED)):
         robot.command(1000, leg_to(1, "start 90"))

@@ -11,8 +11,7 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import IllegalEvent
 from schemas.telemetry import Mode
 from tests.support.model_check import copied, key, pending
-from tests.support.scenes import scene_test
-from tests.support.steps import Steps, leg_to, servo_to
+from tests.support.scenes import Scenes, leg_to, scene_test, servo_to
 from tests.support.transitions import TRANSITIONS
 
 # ---- the table of transitions
@@ -29,19 +28,19 @@ EVENTS: dict[type[events.Event], events.Event] = {
 }
 
 
-def robot_in(mode: Mode) -> Steps:
+def robot_in(mode: Mode) -> Scenes:
     """A robot in this mode, with as much going on in it as there can be."""
-    robot = Steps(Rules(repeats=1), opened=mode is not Mode.STARTING)
+    robot = Scenes(Rules(repeats=1), opened=mode is not Mode.STARTING)
     if mode not in (Mode.STARTING, Mode.IDLE):
         robot.command(1, leg_to(1, "start 90"))
         robot.command(2, leg_to(1, "set 80"))
     match mode:
         case Mode.ESTOPPED:
-            robot.estop(3)
+            robot.do(3, "estop")
         case Mode.BUS_FAULT:
-            robot.fail(3)
+            robot.do(3, "fail")
         case Mode.STOPPING:
-            robot.end(3)
+            robot.do(3, "end")
     assert robot.supervisor.mode is mode
     return robot
 

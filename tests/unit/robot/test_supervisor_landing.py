@@ -7,8 +7,7 @@ import pytest
 from gateway.model.frames import Op
 from gateway.robot.core.events import Announce, Transmit
 from schemas.telemetry import Mode, WatchdogState
-from tests.support.scenes import play, scene_test
-from tests.support.steps import Steps, all_stopped, leg_to
+from tests.support.scenes import Scenes, all_stopped, leg_to, play, scene_test
 
 TIMEOUT_MS, LANDING_MS = 250, 1000
 ENDS_MS = 10 + TIMEOUT_MS + LANDING_MS
@@ -20,7 +19,7 @@ LANDS: Final = "rules landing_ms=1000, landing_cdeg={31: 3000, 42: 10000}\n 10 l
 SLOW: Final = LANDS.replace("rules", "rules max_speed_cdeg_s={31: 1000},")
 
 
-def until(steps: Steps, at_ms: float) -> dict[int, list[tuple[float, int]]]:
+def until(steps: Scenes, at_ms: float) -> dict[int, list[tuple[float, int]]]:
     """Let time pass as the service does, up to `at_ms`: which angle each servo was told, and when."""
     told: dict[int, list[tuple[float, int]]] = {}
     while steps.due_ms is not None and steps.due_ms <= at_ms:
@@ -76,9 +75,9 @@ def test_a_stop_stops_its_leg_at_once_and_the_others_go_on() -> None:
 def test_the_emergency_stop_ends_it_at_any_instant(at_ms: float) -> None:
     steps = play(LANDS)
     until(steps, at_ms - 0.5)
-    assert steps.estop(at_ms) == [*all_stopped("estop"), "announce estop_engaged"]
+    assert steps.do(at_ms, "estop") == [*all_stopped("estop"), "announce estop_engaged"]
     assert steps.due_ms is None
-    steps.reset(at_ms + 1)
+    steps.do(at_ms + 1, "reset")
     assert steps.command(at_ms + 2, leg_to(3, "start 90"))[0] == "command 3 start 90"
 
 

@@ -5,14 +5,13 @@ from typing import Final
 import pytest
 
 from gateway.robot.core.events import Rejected
-from tests.support.scenes import play, scene_test
-from tests.support.steps import Steps
+from tests.support.scenes import Scenes, play, scene_test
 
 RUNS: Final = "rules max_speed_cdeg_s={31: 10000}\n 1 leg 3 start 90\n"
 """Servo 31 runs at 90 degrees since 0 ms; leg 3 has a rate slot each 20 ms."""
 
 
-def angles(steps: Steps, until_ms: float) -> list[float]:
+def angles(steps: Scenes, until_ms: float) -> list[float]:
     """The angles sent to servo 31 as time passes."""
     said: list[float] = []
     while steps.due_ms is not None and steps.due_ms <= until_ms:

@@ -6,8 +6,7 @@ from typing import Final
 
 import pytest
 
-from tests.support.scenes import play, scene_test
-from tests.support.steps import Steps, servo_to
+from tests.support.scenes import Scenes, play, scene_test, servo_to
 
 RULES: Final = "rules takeover_cdeg_s=18000\n"
 HELD: Final = """
@@ -26,7 +25,7 @@ def angles_sent(lines: list[str]) -> list[float]:
     return [float(words[3]) for words in frames if words[1] in ("3", "31")]
 
 
-def streamed(steps: Steps, target: str, source: str, ms: range) -> list[float]:
+def streamed(steps: Scenes, target: str, source: str, ms: range) -> list[float]:
     """A program sets servo 31 every 20 ms. Return the angles sent to it."""
     return [deg for at_ms in ms for deg in angles_sent(steps.command(at_ms, servo_to(31, target), source=source))]
 
