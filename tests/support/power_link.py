@@ -1,11 +1,11 @@
 """A power board and the gateway's side of it on one CAN link that loses and alters, in virtual time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from heapq import heappop, heappush
 from itertools import count
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.power_board import OUTPUTS, SET_SUPPLY, CanFrame
+from gateway.model.power_board import SET_SUPPLY, CanFrame
 from gateway.robot.power.board import News, PowerBoard
 from gateway.robot.power.offs import Confirmed
 from gateway.simulation.board import SimulatedBoard
@@ -25,9 +25,17 @@ MOST_AT_ONCE = 1000
 class Link:
     """Carries frames both ways, and calls each side when it is due."""
 
-    def __init__(self, *, pass_ns: int = 1_500_000, confirm_ms: int = CONFIRM_MS):
+    def __init__(
+        self,
+        *,
+        outputs: Sequence[int] = SERVO_IDS,
+        pass_ns: int = 1_500_000,
+        confirm_ms: float = CONFIRM_MS,
+        flight_ns: int = FLIGHT_NS,
+        look_ns: int = LOOK_NS,
+    ) -> None:
         self.now_ns = 0
-        self.ours = PowerBoard(SERVO_IDS, confirm_ns=confirm_ms * NS_PER_MS)
+        self.ours = PowerBoard(tuple(outputs), confirm_ns=round(confirm_ms * NS_PER_MS))
         self.board = SimulatedBoard(pass_ns=pass_ns)
         self.altered: Callable[[CanFrame], CanFrame] = lambda frame: frame
         """What we receive in place of an answer."""
@@ -38,9 +46,12 @@ class Link:
         """The board answers questions, and gets no mask."""
         self.second: SimulatedBoard | None = None
         """Another one on the bus."""
+        self.hears = True
+        """Whether we hear the board; it hears us all the same."""
         self.sent: list[tuple[int, CanFrame]] = []
         """What we sent, and when."""
-        self.news: list[tuple[int, News | Confirmed]] = []
+        self.told: list[tuple[int, News | Confirmed]] = []
+        self._outputs, self._flight_ns, self._between_ns = outputs, flight_ns, look_ns
         self._flying: list[tuple[int, int, bool, CanFrame]] = []
         self._order = count()
         self._look_ns = 0
@@ -54,35 +65,49 @@ class Link:
         return [((at_ns - since_ns) / NS_PER_MS, int.from_bytes(frame.data, "big")) for at_ns, frame in found]
 
     def events(self, kind: Kind) -> list[tuple[int, News]]:
-        return [(at_ns, item) for at_ns, item in self.news if isinstance(item, News) and item.kind is kind]
+        return [(at_ns, item) for at_ns, item in self.told if isinstance(item, News) and item.kind is kind]
 
     def confirmations(self) -> Iterator[Confirmed]:
-        return (item for _, item in self.news if isinstance(item, Confirmed))
+        return (item for _, item in self.told if isinstance(item, Confirmed))
 
     def fed(self) -> frozenset[int]:
         """The servos that have supply, in truth."""
-        return frozenset(SERVO_IDS[place] for place in range(OUTPUTS) if self.board.fed >> place & 1)
+        return frozenset(servo for place, servo in enumerate(self._outputs) if self.board.fed >> place & 1)
 
     # ---- what the owner does
 
-    def want(self, servos: frozenset[int]) -> None:
-        self.ours.want(servos, 0, self.now_ns)
+    def want(self, servos: frozenset[int], number: int = 0) -> None:
+        self._do(lambda now_ns: self.ours.want(servos, number, now_ns))
 
     def want_anew(self, servos: frozenset[int]) -> None:
         self.want(frozenset())
         self.want(servos)
 
     def cut(self) -> None:
-        self.ours.cut(self.now_ns)
+        self._do(self.ours.cut)
 
-    def when_off(self, servos: frozenset[int], token: int) -> None:
-        self.ours.when_off(servos, self.now_ns, token, self.now_ns)
+    def clear_errors(self) -> None:
+        self._do(self.ours.clear_errors)
+
+    def when_off(self, servos: frozenset[int], asked_ns: int | None = None, token: int = 0) -> None:
+        self._do(lambda now_ns: self.ours.when_off(servos, now_ns if asked_ns is None else asked_ns, token, now_ns))
+
+    def _do(self, act: Callable[[int], object]) -> None:
+        self.catch_up()
+        act(self.now_ns)
+        self.catch_up()
+
+    def catch_up(self) -> None:
+        """What is due before and behind a call happens when the test runs the link."""
 
     # ---- time
 
     def run(self, ms: float) -> None:
         """Let so much time pass."""
-        end_ns = self.now_ns + round(ms * NS_PER_MS)
+        self.run_to(self.now_ns + round(ms * NS_PER_MS))
+
+    def run_to(self, end_ns: int) -> None:
+        """Let time pass until then."""
         while (at_ns := self._next_ns()) <= end_ns:
             self._go_to(at_ns)
         self.now_ns = end_ns
@@ -95,14 +120,21 @@ class Link:
             self._go_to(self._next_ns())
         return (self.now_ns - begun_ns) / NS_PER_MS
 
-    def other_node(self, mask: int) -> None:
-        """Another node on the bus sends a mask: board and we receive it."""
-        frame = CanFrame(0x6A, mask.to_bytes(3, "big"))
-        self._answered(self.board.take(frame, self.now_ns))
-        self.ours.receive(frame, self.now_ns)
+    def hear_from_another(self, frame: CanFrame) -> None:
+        """Another node on the bus sends this: boards and we receive it."""
+        self._do(lambda now_ns: self._from_another(frame, now_ns))
+
+    def _from_another(self, frame: CanFrame, now_ns: int) -> None:
+        self._taken(frame)
+        if self.cable and self.hears:
+            self.ours.receive(frame, now_ns)
+
+    @property
+    def _boards(self) -> list[SimulatedBoard]:
+        return [self.board] if self.second is None else [self.board, self.second]
 
     def _next_ns(self) -> int:
-        due_ns = [self.board.due_ns, self._look_ns]
+        due_ns = [*(board.due_ns for board in self._boards), self._look_ns]
         if not self.hangs:
             due_ns.append(self.ours.due_ns)
         if self._flying:
@@ -121,22 +153,27 @@ class Link:
             if not to_board:
                 self.ours.receive(frame, self.now_ns)
             elif not (self.deaf and frame.id == SET_SUPPLY):
-                self._answered(self.board.take(frame, self.now_ns))
-        self._answered(self.board.advance(self.now_ns))
+                self._taken(frame)
+        for board in self._boards:
+            self._answered(board.advance(self.now_ns))
         if self.now_ns >= self._look_ns:
-            self._look_ns = self.now_ns + LOOK_NS
+            self._look_ns = self.now_ns + self._between_ns
             self.ours.poll(self.now_ns)
         if not self.hangs and self.now_ns >= self.ours.due_ns:
             for frame in self.ours.next_frames(self.now_ns):
                 self.sent.append((self.now_ns, frame))
                 if self.cable:
-                    heappush(self._flying, (self.now_ns + FLIGHT_NS, next(self._order), True, frame))
-        self.news += [(self.now_ns, item) for item in self.ours.news()]
+                    heappush(self._flying, (self.now_ns + self._flight_ns, next(self._order), True, frame))
+        self.told += [(self.now_ns, item) for item in self.ours.news()]
+
+    def _taken(self, frame: CanFrame) -> None:
+        for board in self._boards:
+            self._answered(board.take(frame, self.now_ns))
 
     def _answered(self, frames: list[CanFrame]) -> None:
         for frame in frames:
-            if self.cable:
-                heappush(self._flying, (self.now_ns + FLIGHT_NS, next(self._order), False, self.altered(frame)))
+            if self.cable and self.hears:
+                heappush(self._flying, (self.now_ns + self._flight_ns, next(self._order), False, self.altered(frame)))
 
 
 def fed() -> Link:
@@ -146,5 +183,5 @@ def fed() -> Link:
     link.run(1500)
     assert link.fed() == link.ours.status.supplied == ALL_SERVOS
     assert link.ours.alive
-    link.news.clear()
+    link.told.clear()
     return link

@@ -28,7 +28,7 @@ async def ready(**sections: dict[str, object]) -> FedRobot:
     """A robot whose board answers. Nothing is fed."""
     robot = FedRobot(**sections)
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
     return robot
 
 
@@ -36,7 +36,7 @@ async def runs(**sections: dict[str, object]) -> FedRobot:
     """A robot of which leg 3 runs, and is fed."""
     robot = await ready(**sections)
     await starts(robot, within_s=0.4)
-    assert robot.line.fed == LEG_3_SERVOS
+    assert robot.line.fed() == LEG_3_SERVOS
     return robot
 
 
@@ -69,7 +69,7 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     await asyncio.sleep(0.4)
     assert [ack.accepted for ack in answers] == [True]
     assert running(robot) == sorted(LEG_3_SERVOS)
-    assert robot.line.fed == LEG_3_SERVOS
+    assert robot.line.fed() == LEG_3_SERVOS
     report = robot.conductor.reports.state().power
     assert report is not None
     assert (report.interface, report.alive, report.supplied, report.confirmed) == ("sim", True, (31, 32, 33), True)
@@ -77,7 +77,7 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     assert answered_ns is not None
     assert report.age_ms == pytest.approx((robot.now_ns() - answered_ns) / 1e6)
     answers = robot.get(LEG_3, leg("stop"))
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
     await asyncio.sleep(0.1)
     assert [(ack.accepted, ack.confirmed) for ack in answers] == [(True, True)]
 
@@ -94,7 +94,7 @@ async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins
     assert running(robot) == list(SERVO_IDS)
     await asyncio.sleep(0.1)
     assert running(robot) == []
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
 
 
 @pytest.mark.lengthy
@@ -102,7 +102,7 @@ async def test_all_eighteen_start_within_1_4_s_at_once_and_their_watchdog_begins
 async def test_a_controller_that_hears_nothing_moves_one_servo_of_those_that_are_started(how: str) -> None:
     """It holds all its servos on: whatever is fed, moves."""
     robot = await ready() if how == "at the start" else await runs()
-    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
+    robot.line.board.draws_ma = [300.0] * len(SERVO_IDS)
     if how == "reset":
         robot.put(keys.ESTOP)
         await asyncio.sleep(0.3)
@@ -113,18 +113,18 @@ async def test_a_controller_that_hears_nothing_moves_one_servo_of_those_that_are
         await asyncio.sleep(0.1)
         robot.controller.fail_where(lambda _: False)
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset(), "nobody started anything"
+    assert robot.line.fed() == frozenset(), "nobody started anything"
     answers = robot.get(keys.LEGS_COMMAND, all_legs("start", 90))
     moved: frozenset[int] = frozenset()
     for _ in range(1900):
         await asyncio.sleep(0.001)
-        moved |= robot.line.fed
+        moved |= robot.line.fed()
     assert moved == {11}
     assert [(ack.accepted, ack.reason) for ack in answers] == [(False, Reason.NO_POWER)]
     assert "does not obey" in (answers[0].detail or "")
     assert robot.events(Kind.SERVO_DRAWS)
     assert robot.ask(LEG_3, START).reason is Reason.NO_POWER, "until a reset"
-    robot.line.simulated.draws_ma = [8.0] * len(SERVO_IDS)
+    robot.line.board.draws_ma = [8.0] * len(SERVO_IDS)
     robot.put(keys.RESET, {})
     await asyncio.sleep(0.2)
     await starts(robot)
@@ -133,7 +133,7 @@ async def test_a_controller_that_hears_nothing_moves_one_servo_of_those_that_are
 async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_boards() -> None:
     robot = await runs()
     answers = robot.get(keys.ESTOP)
-    assert robot.line.fed == frozenset(), "at once, in the board's interrupt"
+    assert robot.line.fed() == frozenset(), "at once, in the board's interrupt"
     assert answers == []
     await asyncio.sleep(0.15)
     (ack,) = answers
@@ -143,7 +143,7 @@ async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_b
     assert [event.legs for event in robot.events(Kind.POWER_CUT)] == [tuple(LEGS)]
     robot.put(keys.RESET, {"estop": 1})
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset(), "a start is needed"
+    assert robot.line.fed() == frozenset(), "a start is needed"
     assert robot.conductor.reports.state().mode is Mode.IDLE
     robot.put(LEG_3, START)
     await asyncio.sleep(0.6)
@@ -153,7 +153,7 @@ async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_b
 async def test_the_end_takes_the_supply() -> None:
     robot = await runs()
     robot.conductor.shut_down()
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
 
 
 @pytest.mark.parametrize("whole", [False, True])
@@ -162,38 +162,38 @@ async def test_a_bus_at_fault_takes_the_supply(whole: bool) -> None:
     robot = FedElkapod(watchdog=patient) if whole else FedRobot(watchdog=patient)
     await asyncio.sleep(UP_S)
     await starts(robot, keys.LEGS_COMMAND, all_legs("start", 90), within_s=1.4)
-    assert robot.line.fed == set(SERVO_IDS)
+    assert robot.line.fed() == set(SERVO_IDS)
     if isinstance(robot, FedElkapod):
         robot.elkapod.spi_fails = True
     else:
         robot.controller.fail_where(lambda _: True)
         robot.put(LEG_3, leg("set", 91, 91, 91))
     await asyncio.sleep(0.021)
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
 
 
 async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_published() -> None:
     robot = await runs()
     robot.line.deaf = True
-    robot.line.simulated.take(set_supply(0), robot.line.now_ns())
+    robot.line.board.take(set_supply(0), robot.now_ns())
     answers = robot.get(keys.leg_command(4), leg("start", 90, 90, 90))
     for _ in range(19):
         await keep(robot, 0.1, LEG_3, leg("set", 90, 90, 90))
     assert [ack.reason for ack in answers] == [Reason.NO_POWER]
     assert [event.reason for event in robot.events(Kind.COMMAND_REJECTED)][:1] == [Reason.NO_POWER]
-    assert not robot.line.board._wanted & {41, 42, 43}, "it is not to be fed any more"
+    assert not robot.line.ours._wanted & {41, 42, 43}, "it is not to be fed any more"
 
 
 def _cleared(robot: FedRobot) -> None:
-    robot.line.simulated.temperatures_c[0] = 40
-    robot.line.simulated.clear_by_hand()
+    robot.line.board.temperatures_c[0] = 40
+    robot.line.board.clear_by_hand()
 
 
 TAKEN: Final[dict[str, tuple[Callable[[FedRobot], object], Callable[[FedRobot], object], int]]] = {
     # what takes the supply, what somebody does at the board behind it, and how many faults are published
-    "a blocked servo": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), lambda _: None, 1),
-    "its block is cleared": (lambda robot: robot.line.simulated.fail(SERVO_OVERCURRENT, SERVO_31), _cleared, 1),
-    "70 degrees, and its button": (lambda robot: setitem(robot.line.simulated.temperatures_c, 0, 70), _cleared, 1),
+    "a blocked servo": (lambda robot: robot.line.board.fail(SERVO_OVERCURRENT, SERVO_31), lambda _: None, 1),
+    "its block is cleared": (lambda robot: robot.line.board.fail(SERVO_OVERCURRENT, SERVO_31), _cleared, 1),
+    "70 degrees, and its button": (lambda robot: setitem(robot.line.board.temperatures_c, 0, 70), _cleared, 1),
     "another node's mask": (lambda robot: robot.line.hear_from_another(set_supply(0)), lambda _: None, 1),
     # On slcan it shares the terminal, so its masks are never seen, and the board seems silent now and then.
     "stop-servos": (
@@ -212,16 +212,16 @@ async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_bef
     takes(robot)
     await keep(robot, 0.2, LEG_3, leg("set", 91, 91, 91))
     assert running(robot) == []
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
     assert len(robot.events(Kind.POWER_FAULT)) == faults
     undone(robot)
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset(), "nothing comes on by itself"
+    assert robot.line.fed() == frozenset(), "nothing comes on by itself"
     ack = robot.ask(LEG_3, START)
     assert (ack.reason, "31" in (ack.detail or "")) == (Reason.NO_POWER, True)
     robot.put(keys.RESET, {})
     await asyncio.sleep(UP_S)
-    assert robot.line.fed == frozenset(), "a start is needed"
+    assert robot.line.fed() == frozenset(), "a start is needed"
     await starts(robot)
 
 
@@ -229,14 +229,14 @@ async def test_what_takes_the_supply_stops_all_of_the_leg_and_nothing_starts_bef
 async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
     robot = await runs()
     if how == "button":
-        robot.line.simulated.press_button(robot.line.now_ns())
+        robot.line.board.press_button(robot.now_ns())
     else:
         robot.line.hear_from_another(CanFrame(0x66))
     await asyncio.sleep(0.05)
     state = robot.conductor.reports.state()
     assert (state.mode, state.estop, state.estop_source) == (Mode.ESTOPPED, 1, "the power board's off button")
     assert Kind.OFF_BUTTON in [event.kind for event in robot.events()]
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
 
 
 # ---- elkapod-2025: a servo's supply is its start and its Stop
@@ -247,22 +247,22 @@ async def test_a_stop_of_one_servo_takes_its_supply_at_once_and_is_confirmed() -
     await asyncio.sleep(0.5)
     robot.put(LEG_3, START)
     await keep(robot, 0.4, LEG_3, leg("set", 90, 90, 90))
-    assert robot.line.fed == {31, 32, 33}
+    assert robot.line.fed() == {31, 32, 33}
     answers = robot.get(keys.servo_command(32), servo("stop"))
-    assert robot.line.fed == {31, 33}
+    assert robot.line.fed() == {31, 33}
     before = shutdowns(robot)
     await asyncio.sleep(0.1)
     (ack,) = answers
     assert (ack.accepted, ack.confirmed) == (True, True)
     assert shutdowns(robot) == before, "the others run"
     robot.put(LEG_3, leg("stop"))
-    assert robot.line.fed == frozenset()
+    assert robot.line.fed() == frozenset()
     assert shutdowns(robot) > before, "with the last, the UART's too"
 
 
 async def test_a_servo_that_its_supply_started_may_draw_current_while_others_wait_for_theirs() -> None:
     robot = FedElkapod()
-    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
+    robot.line.board.draws_ma = [300.0] * len(SERVO_IDS)
     await asyncio.sleep(0.5)
     for _ in range(2):
         await starts(robot, keys.LEGS_COMMAND, all_legs("start", 90), within_s=1.3)
@@ -276,8 +276,8 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     await asyncio.sleep(0.5)
     robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
     await keep(robot, 1.0, keys.LEGS_COMMAND, all_legs("set", 90))
-    robot.line.simulated.draws_ma = [300.0] * len(SERVO_IDS)
-    robot.line.simulated.stuck = SERVO_31
+    robot.line.board.draws_ma = [300.0] * len(SERVO_IDS)
+    robot.line.board.stuck = SERVO_31
     robot.put(keys.servo_command(31), servo("stop"))
     await keep(robot, 0.7, keys.leg_command(1), leg("set", 90, 90, 90))
     assert robot.events(Kind.SERVO_DRAWS)
@@ -287,7 +287,7 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
 
 async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_nothing_itself() -> None:
     robot = await runs(watchdog={"timeout_ms": 10_000})
-    robot.line.simulated.draws_ma = [100.0] * len(SERVO_IDS)
+    robot.line.board.draws_ma = [100.0] * len(SERVO_IDS)
     await asyncio.sleep(0.505)
     robot.conductor.telemetry.publish()
     (report,) = [each for key, each in robot.reports if key == keys.TELEMETRY and isinstance(each, Telemetry)]

@@ -87,7 +87,7 @@ class Judge:
         self.angles: dict[int, set[float]] = {servo_id: set() for servo_id in SERVO_IDS}
         """Since its start."""
         self.faulty_ns = -LINK_NS
-        self.real = robot.line.simulated = Judged(self.changed)
+        self.real = robot.line.board = Judged(self.changed)
         self.second_ns: int | None = None
         """Since when a second board is on the bus."""
 
@@ -107,7 +107,7 @@ class Judge:
     def changed(self, before: int, after: int) -> None:
         now_ns = self.robot.now_ns()
         line = self.robot.line
-        if line.unplugged or line.deaf or not line.hears:
+        if not line.cable or line.deaf or not line.hears:
             self.faulty_ns = now_ns
         for place, servo_id in enumerate(SERVO_IDS):
             bit = 1 << place
@@ -145,8 +145,8 @@ class Judge:
     def nothing_stopped_is_fed(self) -> None:
         """Right behind a Stop, on a line that works."""
         line = self.robot.line
-        if line.simulated is self.real and not (line.unplugged or line.deaf):
-            fed = [servo_id for servo_id in line.fed if not self.runs(servo_id)]
+        if line.board is self.real and line.cable and not line.deaf:
+            fed = [servo_id for servo_id in line.fed() if not self.runs(servo_id)]
             assert not fed or self.robot.now_ns() - self.faulty_ns < LINK_NS, f"{fed} are stopped and fed"
 
 
@@ -185,9 +185,9 @@ def exchange(judge: Judge, what: str) -> None:
     if what == "second board" and line.second is None:
         line.second, judge.second_ns = SimulatedBoard(now_ns), now_ns
     elif what == "real board goes" and judge.second_ns is not None and now_ns - judge.second_ns > SEEN_NS:
-        if line.second is not None and not (line.unplugged or line.deaf) and line.hears:
-            line.simulated, line.second = line.second, None
-    elif what == "one board again" and line.simulated is judge.real:
+        if line.second is not None and line.cable and not line.deaf and line.hears:
+            line.board, line.second = line.second, None
+    elif what == "one board again" and line.board is judge.real:
         line.second = judge.second_ns = None
 
 
@@ -196,26 +196,26 @@ def disturb(judge: Judge, what: str, mask: int) -> None:
     line, now_ns = judge.robot.line, judge.robot.now_ns()
     match what:
         case "unplug" | "plug":
-            line.unplugged = what == "unplug"
+            line.cable = what != "unplug"
         case "deaf" | "obeys":
             line.deaf = what == "deaf"
         case "mute" | "speaks":
             line.hears = what == "speaks"
         case "restart":
-            line.simulated.restart()
-            line.simulated.press_button(now_ns)
+            line.board.restart()
+            line.board.press_button(now_ns)
         case "press":
-            line.simulated.press_button(now_ns)
+            line.board.press_button(now_ns)
         case "another asks":
             for question in ASK_RAILS:
                 line.hear_from_another(question)
         case "block":
-            line.simulated.fail(SERVO_OVERCURRENT, mask)
+            line.board.fail(SERVO_OVERCURRENT, mask)
         case "by hand":
-            line.simulated.clear_by_hand()
+            line.board.clear_by_hand()
         case "unseen none":
             judge.faulty_ns = now_ns
-            line.simulated.take(set_supply(0), now_ns)
+            line.board.take(set_supply(0), now_ns)
         case _:
             masks = {"another all": ALL, "another none": 0, "another some": mask}
             line.hear_from_another(set_supply(masks[what]))
@@ -272,15 +272,15 @@ async def play(make: Callable[..., AnyRobot], steps: list[tuple[str, int, float]
 async def an_emergency_stop_ends_it(judge: Judge) -> None:
     """Whatever was: with a link that works it takes all, is confirmed, and all comes back."""
     robot, line = judge.robot, judge.robot.line
-    line.unplugged, line.deaf, line.hears = False, False, True
-    line.simulated, line.second = judge.real, None
+    line.cable, line.deaf, line.hears = True, False, True
+    line.board, line.second = judge.real, None
     fail(robot, fails=False)
     await asyncio.sleep(0.5)  # a reset is rejected while the bus is at fault
     robot.put(keys.ESTOP)
     robot.put(keys.RESET, {"estop": robot.conductor.reports.state().estop})
     await asyncio.sleep(0.5)
     answers = robot.get(keys.ESTOP)
-    assert line.fed == frozenset()
+    assert line.fed() == frozenset()
     await asyncio.sleep(1.5)
     (ack,) = answers
     assert ack.confirmed or ack.confirmed_ms is None

@@ -38,9 +38,6 @@ def _alter(link: Link, shown: int | None) -> None:
 def _second(link: Link) -> None:
     """A second board on the bus answers what the first one does."""
     link.second = SimulatedBoard(link.now_ns)
-    take, advance, second = link.board.take, link.board.advance, link.second
-    link.board.take = lambda frame, now_ns: [*take(frame, now_ns), *second.take(frame, now_ns)]  # type: ignore[method-assign]
-    link.board.advance = lambda now_ns: [*advance(now_ns), *second.advance(now_ns)]  # type: ignore[method-assign]
 
 
 def _repeat(link: Link, words: str) -> None:
@@ -60,7 +57,7 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "anew": lambda link, who: link.want_anew(servos(who)),
     "cut": lambda link, _: link.cut(),
     "ask": lambda link, who: link.when_off(servos(who), token=1),
-    "reset": lambda link, _: link.ours.clear_errors(link.now_ns),
+    "reset": lambda link, _: link.clear_errors(),
     "opened": lambda link, _: link.ours.opened(link.now_ns),
     "gone": lambda link, why: link.ours.closed(why, link.now_ns),
     "hangs": lambda link, _: setattr(link, "hangs", True),
@@ -70,14 +67,14 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "hears": lambda link, frame: link.ours.receive(CanFrame(int(frame[:2], 16), bytes.fromhex(frame[2:])), link.now_ns),
     "shows": lambda link, who: _alter(link, None if who == "nothing" else mask(who)),
     # another node; the board may receive it, and we do not
-    "other": lambda link, who: link.other_node(mask(who)),
+    "other": lambda link, who: link.hear_from_another(set_supply(mask(who))),
     "unheard": lambda link, who: link.board.take(set_supply(mask(who)), link.now_ns),
     # the board
     "blocks": lambda link, who: link.board.fail(2, mask(who)),
     "low": lambda link, _: link.board.fail(SUPPLY_LOW),
     "draws": lambda link, ma: link.board.draws_ma.__setitem__(0, float(ma)),
     "second": lambda link, _: _second(link),
-    "first-goes": lambda link, _: setattr(link, "board", link.second),
+    "first-goes": lambda link, _: vars(link).update(board=link.second, second=None),
     "by-hand": lambda link, _: link.board.clear_by_hand(),
     "press": lambda link, _: link.board.press_button(link.now_ns),
     "restart": lambda link, _: link.board.restart(),
@@ -108,13 +105,13 @@ SO: Final[dict[str, Callable[[Link, str, int], tuple[object, object]]]] = {
     "masks": lambda link, words, at_ns: ([each for _, each in link.masks(at_ns)], list(map(mask, words.split()))),
     "first": lambda link, who, at_ns: (link.masks(at_ns)[0], (0, mask(who))),
     "repeats": lambda link, count, at_ns: (link.masks(at_ns), [(20 * n, 0) for n in range(int(count))]),
-    "news": lambda link, count, _: (len(link.news), int(count)),
+    "news": lambda link, count, _: (len(link.told), int(count)),
     "faults": _counted(Kind.POWER_FAULT),
     "unconfirmed": _counted(Kind.POWER_UNCONFIRMED),
     "presses": _counted(Kind.OFF_BUTTON),
     "fault-of": lambda link, who, _: (link.events(Kind.POWER_FAULT)[0][1].servos, servos(who)),
     "doubt-of": lambda link, who, _: (link.events(Kind.POWER_UNCONFIRMED)[0][1].servos, servos(who)),
-    "told": lambda link, word, _: (word in str(link.news), True),
+    "told": lambda link, word, _: (word in str(link.told), True),
 }
 
 
