@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.events import ButtonRequest, Effect, RequestAnswer
+from gateway.robot.core.events import ButtonRequest, Effect
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Reason
-from tests.support.history import announced, cloned, demand
+from tests.support.history import announced, cloned, demand, judge_answer
 
 MOST_OF_ONE = 4
 MOST_UNPROVED = 16
@@ -109,15 +109,9 @@ class ButtonsHistory:
     def judge(self, request: ButtonRequest, now_ns: int, effects: Sequence[Effect], *, ended: bool) -> None:
         """Judge the answer to a request, and the event announced about it."""
         reason, event = (Reason.STOPPING, None) if ended else self._outcome(request, now_ns)
-        answers = [effect for effect in effects if isinstance(effect, RequestAnswer)]
-        demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
+        judge_answer(request, effects, reason, request.fresh_token if request.do == "register" else None)
         kinds = [(each.kind, each.source) for each in announced(effects, _KINDS) if each.kind is not Kind.BUTTON_SILENT]
         demand(kinds == ([] if event is None else [event]), f"{request.do}: {event} is announced, not {kinds}")
-        (answer,) = answers
-        gives = reason is None and request.do == "register"
-        demand(
-            answer.token == (request.fresh_token if gives else None), "who registers gets the token, and nobody else"
-        )
 
     def _outcome(self, request: ButtonRequest, now_ns: int) -> tuple[Reason | None, tuple[Kind, str] | None]:
         if request.do == "register":

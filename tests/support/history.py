@@ -87,6 +87,19 @@ def judge_results(effects: Sequence[events.Effect]) -> None:
             demand(bool(why) == isinstance(verdict, Reason), "a rejection has its sentence, and nothing else has one")
 
 
+def judge_answer(
+    request: events.LeaseRequest | events.ButtonRequest,
+    effects: Iterable[events.Effect],
+    reason: Reason | None,
+    token: str | None,
+) -> None:
+    """Demand the only answer to a request: why it is rejected, or None; and who is granted something gets its token."""
+    answers = [effect for effect in effects if isinstance(effect, events.RequestAnswer)]
+    demand([each.reason for each in answers] == [reason], f"{request.do} is answered with {reason}, not {answers}")
+    token = token if reason is None else None
+    demand(answers[0].token == token, "only who acquires the lease or registers receives the token")
+
+
 def cloned(thing: T, **changed: object) -> T:
     """A copy with the same attributes, but these; copy.copy takes four times as long."""
     other = object.__new__(type(thing))

@@ -1,7 +1,6 @@
 """A walking engine under test: after each of its ticks, what must hold on every one is checked."""
 
 import math
-from collections.abc import Mapping
 from copy import copy
 from functools import cache
 from itertools import pairwise
@@ -9,7 +8,6 @@ from typing import Final
 
 import pytest
 
-from gateway.geometry.kinematics import Vector
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.motion import STILL, Posture, Velocity
 from gateway.people.walking.planning import MARGIN_M, centre_of_mass, margin_m
@@ -22,16 +20,6 @@ TICK_S: Final = 0.02
 _ROUNDING: Final = 1e-6
 _LOW_M: Final = 0.010
 """Servos give way under load, so a foot may touch the ground from here on."""
-
-
-def feet_of(engine: Engine) -> Mapping[int, Vector]:
-    """The positions of its feet, in the ground frame."""
-    return engine.state.feet
-
-
-def velocity_of(engine: Engine) -> Velocity:
-    """Its present velocity over the ground."""
-    return engine.state.velocity
 
 
 def legs_that_carry(engine: Engine) -> frozenset[int]:
@@ -56,7 +44,7 @@ class Walked:
 
     def tick(self, velocity: Velocity = STILL) -> None:
         """One tick, and the checks."""
-        before_feet, stood = dict(feet_of(self.engine)), legs_that_carry(self.engine)
+        before_feet, stood = dict(self.engine.state.feet), legs_that_carry(self.engine)
         before_ground = {leg: self._on_the_floor(leg) for leg in before_feet}
         walked = self.engine.posture in (Posture.STANDING, Posture.WALKING)
         after = self.engine.step(velocity, TICK_S)
@@ -64,13 +52,13 @@ class Walked:
         if walked and self.engine.posture in (Posture.STANDING, Posture.WALKING):
             self._check_stance(before_feet, stood)
             for leg, (_, _, height_m) in before_feet.items():
-                if feet_of(self.engine)[leg][2] < height_m < _LOW_M:
+                if self.engine.state.feet[leg][2] < height_m < _LOW_M:
                     moved_m = math.dist(before_ground[leg], self._on_the_floor(leg))
                     assert moved_m < 1e-9, "a foot that comes down moves over the ground"
             self._check_velocity()
         if self.checks_balance and self.engine.state.body.height_m > self.robot.lying_m + 0.001:
             self._check_balance()
-        self.pose, self.velocity = after, velocity_of(self.engine)
+        self.pose, self.velocity = after, self.engine.state.velocity
 
     def run(self, seconds: float, velocity: Velocity = STILL) -> None:
         """Tick for this time."""
@@ -96,7 +84,7 @@ class Walked:
 
     def _on_the_floor(self, leg: int) -> tuple[float, float]:
         """Where a foot is on a floor that does not move with the robot."""
-        at, (x, y, _) = self.engine.state.odometry, feet_of(self.engine)[leg]
+        at, (x, y, _) = self.engine.state.odometry, self.engine.state.feet[leg]
         cosine, sine = math.cos(at.heading_rad), math.sin(at.heading_rad)
         return at.x_m + cosine * x - sine * y, at.y_m + sine * x + cosine * y
 
@@ -113,15 +101,15 @@ class Walked:
         """Feet that stand stay where they are on the ground, so they move as one rigid body."""
         engine = self.engine
         for leg in stood & legs_that_carry(engine):
-            assert feet_of(engine)[leg][2] == before[leg][2]
-        moved = {leg: (before[leg], feet_of(engine)[leg]) for leg in stood & legs_that_carry(engine)}
+            assert engine.state.feet[leg][2] == before[leg][2]
+        moved = {leg: (before[leg], engine.state.feet[leg]) for leg in stood & legs_that_carry(engine)}
         legs = sorted(moved)
         for one, other in pairwise(legs):
             (a, b), (c, d) = moved[one], moved[other]
             assert math.dist(b, d) == pytest.approx(math.dist(a, c), abs=1e-9), "two feet that stand went apart"
 
     def _check_velocity(self) -> None:
-        old, new = self.velocity, velocity_of(self.engine)
+        old, new = self.velocity, self.engine.state.velocity
         gained = math.hypot(new.forward_m_s, new.left_m_s) - math.hypot(old.forward_m_s, old.left_m_s)
         assert gained <= SLEW_M_S2 * TICK_S + _ROUNDING
         assert abs(new.turn_rad_s) - abs(old.turn_rad_s) <= SLEW_RAD_S2 * TICK_S + _ROUNDING
@@ -133,7 +121,7 @@ class Walked:
         if engine.lost:
             return
         x, y, _ = centre_of_mass(self.robot, engine.state.body, joints)
-        margin = margin_m((x, y), [feet_of(engine)[leg][:2] for leg in legs_that_carry(engine)])
+        margin = margin_m((x, y), [engine.state.feet[leg][:2] for leg in legs_that_carry(engine)])
         self.margin_m = min(self.margin_m, margin)
         assert margin >= MARGIN_M
 

@@ -17,7 +17,7 @@ from gateway.people.walking.robot import LIFT_M, Robot
 from schemas.robot import LEGS
 from schemas.telemetry import Imu, Telemetry
 from tests.support.ridden import Ridden
-from tests.support.walked import TICK_S, Walked, feet_of, standing, velocity_of
+from tests.support.walked import TICK_S, Walked, standing
 
 ROBOT: Final = Robot(load())
 AHEAD: Final = Velocity(0.06)
@@ -42,7 +42,7 @@ class Ground:
     def read(self) -> Telemetry:
         engine = self.engine
         deep_m = [
-            self._height_m(leg, engine.state.odometry.x_m + feet_of(engine)[leg][0]) - feet_of(engine)[leg][2]
+            self._height_m(leg, engine.state.odometry.x_m + engine.state.feet[leg][0]) - engine.state.feet[leg][2]
             for leg in LEGS
         ]
         carried_m = sorted(deep_m)[-3] - 0.001  # the body sinks until three feet touch
@@ -117,7 +117,7 @@ def test_a_foot_on_a_stone_is_lifted_no_higher_than_its_disc_allows() -> None:
     ground = Ground(walked, lambda leg, _: 0.02 if leg in (1, 6) else 0.0)
     for _ in range(300):
         ground.run(TICK_S, AHEAD)
-        assert max(foot[2] for foot in feet_of(walked.engine).values()) < LIFT_M + 0.002
+        assert max(foot[2] for foot in walked.engine.state.feet.values()) < LIFT_M + 0.002
     assert walked.engine.state.odometry.x_m > 0.2
 
 
@@ -127,8 +127,8 @@ def test_below_a_body_that_leans_feet_rest_further_out_and_keep_their_strides() 
     ground.run(8.0, AHEAD)
     engine = walked.engine
     assert math.degrees(engine.corrected_rad) > 10.0
-    assert velocity_of(engine).forward_m_s == pytest.approx(AHEAD.forward_m_s)
-    further_m = [math.hypot(*feet_of(engine)[leg][:2]) - math.hypot(*engine.stance.feet[leg][:2]) for leg in LEGS]
+    assert engine.state.velocity.forward_m_s == pytest.approx(AHEAD.forward_m_s)
+    further_m = [math.hypot(*engine.state.feet[leg][:2]) - math.hypot(*engine.stance.feet[leg][:2]) for leg in LEGS]
     assert sum(further_m) / len(LEGS) > 0.04
 
 
@@ -138,7 +138,7 @@ def test_a_walk_begins_with_the_feet_that_are_furthest_behind(ahead_m: float) ->
     walked = standing(ROBOT)
     engine = walked.engine
     for leg in (2, 3, 6):
-        x, y, z = feet_of(engine)[leg]
+        x, y, z = engine.state.feet[leg]
         engine.state.feet[leg] = x - math.copysign(engine._within_m + 0.003, ahead_m), y, z
     engine.state.place(ROBOT, LEGS)
     ground = Ground(walked, flat)

@@ -19,7 +19,7 @@ from gateway.people.walking.robot import Range, Robot, check_mirrored_once
 from gateway.robot.settings import load as load_settings
 from schemas.calibration import Calibration
 from schemas.robot import LEGS
-from tests.support.walked import Walked, feet_of, legs_that_carry, standing
+from tests.support.walked import Walked, legs_that_carry, standing
 
 pytestmark = pytest.mark.full
 
@@ -70,7 +70,7 @@ def test_a_walk_ends_in_any_phase_within_a_stride_on_six_feet(of: str) -> None:
         ended = walked.copy()
         ended.until(Posture.STANDING, GAITS[of].period_s)
         assert len(legs_that_carry(ended.engine)) == 6
-        assert all(foot[2] == 0 for foot in feet_of(ended.engine).values())
+        assert all(foot[2] == 0 for foot in ended.engine.state.feet.values())
         walked.run(0.46, Velocity(0.3, 0.05))
 
 
@@ -191,7 +191,7 @@ def test_a_lost_leg_in_any_phase_leaves_the_others_standing_still() -> None:
             halted.run(1.5, Velocity(0.1))
             assert engine.posture is Posture.HALTED
             assert engine.pose.keys() == set(LEGS) - set(lost)
-            assert all(feet_of(engine)[leg][2] == pytest.approx(0, abs=1e-9) for leg in engine.pose)
+            assert all(engine.state.feet[leg][2] == pytest.approx(0, abs=1e-9) for leg in engine.pose)
             still = engine.pose
             halted.run(1.0, Velocity(0.1))
             assert engine.pose == still
