@@ -36,7 +36,7 @@ def hosts(running: Hosts) -> Hosts:
         running.network.fix(number)
     for laptop in running.laptops:
         laptop.ask("pause")
-        laptop.ask("in-reach")
-        laptop.ask("state")  # comes behind whatever was on the way
+        laptop.ask("wait_for_reach", within=True)
+        laptop.ask("request", "state")  # comes behind whatever was on the way
     running.robot.at_rest()
     return running

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Self
 
 from gateway.client import Client
-from schemas.robot import LEGS
 from schemas.telemetry import Cause, Event, FrameRecord
 from tests.net.namespaces import Network
 from tests.support.child import Child
@@ -154,34 +153,26 @@ class LaptopHost(Closing):
         self.child.wait_for_line(0, ANSWER_S)
         return self
 
-    def ask(self, line: str) -> dict[str, Any]:
+    def ask(self, what: str, *arguments: object, **named: object) -> Any:
         """What it answers. Raises AssertionError where that is an error."""
         self.ready()
-        answer: dict[str, Any] = json.loads(self.child.ask(line, ANSWER_S))
-        assert "error" not in answer, f"{line}: {answer['error']}"
-        return answer
+        answer = json.loads(self.child.ask(json.dumps([what, arguments, named]), ANSWER_S))
+        assert "error" not in answer, f"{what}: {answer['error']}"
+        return answer["ok"]
 
     def wait_for_answer(self) -> None:
         """Wait until the gateway answers again; what was asked of a session that ended meanwhile is lost."""
         for _ in range(3):
             with suppress(AssertionError):
-                self.ask("in-reach")
-                self.ask("state")
+                self.ask("wait_for_reach", within=True)
+                self.ask("request", "state")
                 return
         raise AssertionError(f"{self.source} hears nothing of the gateway")
 
     def start(self, *legs: int) -> None:
         """Energise these legs."""
-        assert self.ask(f"start {_list(legs)}") == {"accepted": [True] * len(legs)}
+        assert self.ask("start", *legs) == [True] * len(legs)
 
     def stream(self, *legs: int) -> None:
         """From now on 50 setpoints a second for each of these legs."""
-        self.ask(f"stream {_list(legs)}")
-
-    def stream_acknowledged(self, *legs: int) -> None:
-        """From now on 50 acknowledged setpoints a second, for these legs in turn."""
-        self.ask(f"ask {_list(legs)}")
-
-
-def _list(legs: tuple[int, ...]) -> str:
-    return " ".join(map(str, legs or LEGS))
+        self.ask("stream", *legs)

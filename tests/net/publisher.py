@@ -1,25 +1,9 @@
-"""A laptop: streams setpoints to a gateway, and does what lines on its standard input say.
+"""A laptop: streams setpoints to a gateway, and does what a test asks of it (tests/support/acting.py).
 
     python -m tests.net.publisher ENDPOINT NAME
 
-It also subscribes to all that the gateway reports. Its first line is {"zid": …}, when it is connected. A laptop would
-have processors of its own, so where it may, it comes before the rest of this machine; but not when it floods. Each
-line is answered by one line of JSON:
-
-    start LEGS…         energise these legs, acknowledged: {"accepted": [bool, …]}
-    stream LEGS…        from now on, 50 times a second, fire and forget: `set` for each of these legs
-    ask LEGS…           from now on, 50 times a second, an acknowledged set for one of these legs after the other
-    flood LEGS…         from now on, sets for these legs as fast as it can
-    sent [COUNT]        once that many of the stream have been sent: see `Sent`
-    deaf LEGS…          from now on, 50 times a second, sets for all of these legs, asking for acknowledgements, while a
-                        subscription that nobody reads keeps Zenoh from reading anything that the gateway sends
-    pause [COUNT]       the same, and no more of the stream
-    out-of-reach        {} once Zenoh has given the gateway up
-    in-reach            {} once it has found the gateway again
-    stop                stop all six legs, acknowledged
-    estop               engage the emergency stop, acknowledged
-    reset               leave it, acknowledged
-    state               the gateway's state; of these four also `answered_ms`: how long the answer took
+It also subscribes to all that the gateway reports. A laptop would have processors of its own, so where it may, it comes
+before the rest of this machine; but not when it floods.
 """
 
 import json
@@ -39,6 +23,7 @@ from zenoh.handlers import FifoChannel, RingChannel
 from gateway.client import Client, leg_payload
 from gateway.errors import ZenohError
 from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
+from tests.support.acting import act
 
 PERIOD_S = 0.02
 ANSWER_S = 10
@@ -79,58 +64,62 @@ class Streamer:
         self._declared: list[Any] = [session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)]
         self._alive = session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True)
 
-    def do(self, line: str) -> Any:
-        """Do what the line says; the answer."""
-        word, *rest = line.split()
-        match word:
-            case "start":
-                acks = [self._client.start_leg(int(leg), *self._angles(), check=False) for leg in rest]
-                return {"accepted": [ack.accepted for ack in acks]}
-            case "stream" | "ask" | "flood" | "deaf":
-                return self._begin(word, rest)
-            case "sent" | "pause":
-                return self._report(int(rest[0]) if rest else 0, end=word == "pause")
-            case "out-of-reach" | "in-reach":
-                with self._changed:
-                    reached = self._changed.wait_for(lambda: self._in_reach is (word == "in-reach"), BOUND_S)
-                return {} if reached else {"error": f"not in {BOUND_S} s"}
-            case "stop" | "estop" | "reset" | "state":
-                asked_ns = time.monotonic_ns()
-                answer = getattr(self._client, word)().model_dump(mode="json")
-                return {**answer, "answered_ms": (time.monotonic_ns() - asked_ns) / 1e6}
-        raise ValueError(f"no such command: {line}")
+    def start(self, *legs: int) -> list[bool]:
+        """Energise these legs, acknowledged: whether each is accepted."""
+        return [self._client.start_leg(leg, *self._angles(), check=False).accepted for leg in legs]
 
-    def end(self) -> None:
-        """End the stream, if there is one."""
+    def stream(self, *legs: int) -> None:
+        """From now on, 50 times a second, fire and forget: `set` for each of these legs."""
+        self._begin(lambda: self._publish(legs))
+
+    def ask(self, *legs: int) -> None:
+        """From now on, 50 times a second, an acknowledged set for one of these legs after the other."""
+        each = cycle(legs)
+        self._begin(lambda: self._ask(next(each)))
+
+    def flood(self, *legs: int) -> None:
+        """From now on, sets for these legs as fast as it can."""
+        self._begin(lambda: self._flood([leg_command(leg) for leg in legs]), 0.0, FLOOD_NICE)
+
+    def deaf(self, *legs: int) -> None:
+        """From now on, 50 times a second, sets for all of these legs, asking for acknowledgements, while a subscription
+        that nobody reads keeps Zenoh from reading anything that the gateway sends."""
+        self._declared.append(self._client.session.declare_subscriber(STATE, FifoChannel(1)))
+        self._begin(lambda: self._ask_unheard(legs))
+
+    def sent(self, count: int = 0) -> dict[str, float]:
+        """Once that many of the stream have been sent: see `Sent`."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._sent.sent >= count, BOUND_S):
+                raise TimeoutError(f"only {self._sent} in {BOUND_S} s")
+        return asdict(self._sent)
+
+    def pause(self) -> dict[str, float]:
+        """The same, and no more of the stream."""
         if self._thread.is_alive():
             self._paused.set()
             self._thread.join()
+        return asdict(self._sent)
 
-    def _begin(self, word: str, rest: Sequence[str]) -> Any:
-        self.end()
-        legs = cycle(rest)
-        sends: dict[str, Callable[[], None]] = {
-            "stream": lambda: self._publish(rest),
-            "flood": lambda: self._flood([leg_command(int(leg)) for leg in rest]),
-            "deaf": lambda: self._ask_unheard(rest),
-            "ask": lambda: self._ask(next(legs)),
-        }
-        if word == "deaf":
-            self._declared.append(self._client.session.declare_subscriber(STATE, FifoChannel(1)))
-        set_nice(FLOOD_NICE if word == "flood" else NICE)
+    def wait_for_reach(self, *, within: bool) -> None:
+        """Wait until Zenoh has given the gateway up, or has found it again."""
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._in_reach is within, BOUND_S):
+                raise TimeoutError(f"not in {BOUND_S} s")
+
+    def request(self, what: str) -> dict[str, Any]:
+        """`stop`, `estop`, `reset` or `state`; also `answered_ms`: how long the answer took."""
+        asked_ns = time.monotonic_ns()
+        answer = getattr(self._client, what)().model_dump(mode="json")
+        return {**answer, "answered_ms": (time.monotonic_ns() - asked_ns) / 1e6}
+
+    def _begin(self, send: Callable[[], None], period_s: float = PERIOD_S, nice: int = NICE) -> None:
+        self.pause()
+        set_nice(nice)
         self._sent = Sent()
         self._paused.clear()
-        self._thread = threading.Thread(target=self._run, args=(sends[word], 0.0 if word == "flood" else PERIOD_S))
+        self._thread = threading.Thread(target=self._run, args=(send, period_s))
         self._thread.start()
-        return {}
-
-    def _report(self, count: int, *, end: bool) -> Any:
-        with self._changed:
-            if not self._changed.wait_for(lambda: self._sent.sent >= count, BOUND_S):
-                return {"error": f"only {self._sent} in {BOUND_S} s"}
-        if end:
-            self.end()
-        return asdict(self._sent)
 
     def _take_alive(self, sample: zenoh.Sample) -> None:
         with self._changed:
@@ -151,9 +140,9 @@ class Streamer:
                 due_s = max(due_s + period_s, time.monotonic())  # a missed period is skipped, never made up
                 self._paused.wait(due_s - time.monotonic())
 
-    def _publish(self, legs: Sequence[str]) -> None:
+    def _publish(self, legs: Sequence[int]) -> None:
         for leg in legs:
-            self._client.publish(leg_command(int(leg)), leg_payload("set", self._angles()))
+            self._client.publish(leg_command(leg), leg_payload("set", self._angles()))
             self._sent.sent += 1
 
     def _flood(self, keys: Sequence[str]) -> None:
@@ -164,11 +153,11 @@ class Streamer:
                 self._client.session.put(key, payload, encoding="application/json")
         self._sent.sent += 100 * len(keys)
 
-    def _ask(self, leg: str) -> None:
+    def _ask(self, leg: int) -> None:
         self._sent.sent += 1
         asked_ns = time.monotonic_ns()
         try:
-            accepted = self._client.set_leg(int(leg), *self._angles(), check=False).accepted
+            accepted = self._client.set_leg(leg, *self._angles(), check=False).accepted
         except ZenohError:
             self._sent.unanswered += 1
         else:
@@ -176,10 +165,10 @@ class Streamer:
             self._sent.rejected += not accepted
             self._sent.slowest_ms = max(self._sent.slowest_ms, (time.monotonic_ns() - asked_ns) / 1e6)
 
-    def _ask_unheard(self, legs: Sequence[str]) -> None:
+    def _ask_unheard(self, legs: Sequence[int]) -> None:
         for leg in legs:
             payload = json.dumps(leg_payload("set", self._angles()))
-            self._client.session.get(leg_command(int(leg)), payload=payload, handler=RingChannel(1), timeout=1.0)
+            self._client.session.get(leg_command(leg), payload=payload, handler=RingChannel(1), timeout=1.0)
             self._sent.sent += 1
 
     def _angles(self) -> tuple[float, float, float]:
@@ -200,14 +189,8 @@ def main() -> None:
     set_nice(NICE)
     with Client(endpoint, source=source, timeout_s=ANSWER_S) as client:
         laptop = Streamer(client, source)
-        print(json.dumps({"zid": str(client.session.zid())}), flush=True)
-        for line in sys.stdin:
-            try:
-                answer = laptop.do(line)
-            except ZenohError as error:
-                answer = {"error": str(error)}
-            print(json.dumps(answer), flush=True)
-        laptop.end()
+        act(laptop)
+        laptop.pause()
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ def test_a_cut_link_stops_every_leg_in_time(hosts: Hosts) -> None:
 def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(hosts: Hosts) -> None:
     """The cut is longer than the lease: the session ends, its stream goes on, and the other laptop notices nothing."""
     network, robot, (lost, other) = hosts
-    lost.ask("in-reach")
+    lost.ask("wait_for_reach", within=True)
     lost.start(*FIRST)
     lost.stream(*FIRST)
     other.start(*LAST)
@@ -59,19 +59,19 @@ def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(ho
     assert robot.running == set(LAST)
     robot.forget()
     robot.wait_for_commands(*LAST, count=HZ)
-    lost.ask("out-of-reach")
+    lost.ask("wait_for_reach", within=False)
     fixed_s = time.monotonic()
     network.fix(0)
-    lost.ask("in-reach")
+    lost.ask("wait_for_reach", within=True)
     print(f"back {time.monotonic() - fixed_s:.2f} s after the link")
     robot.wait_for_event(lambda event: event.reason is Reason.SERVO_STOPPED and event.source == lost.source)
     rejected = robot.rejected
-    lost.ask(f"sent {lost.ask('sent')['sent'] + HZ}")
+    lost.ask("sent", lost.ask("sent")["sent"] + HZ)
     assert robot.rejected > rejected
     assert not robot.seen(is_stop(*LEGS))
     assert not robot.seen(is_command(*FIRST))
     assert robot.running == set(LAST)
-    assert other.ask("stop")["accepted"]
+    assert other.ask("request", "stop")["accepted"]
     assert not robot.running
     other.ask("pause")
     check_a_start_moves_it(robot, lost)
@@ -80,14 +80,14 @@ def test_one_of_two_laptops_is_cut_off_comes_back_by_itself_and_moves_nothing(ho
 def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(hosts: Hosts) -> None:
     network, robot, (still, other) = hosts
     other.start(*LAST)
-    other.stream_acknowledged(*LAST)
+    other.ask("ask", *LAST)
     still.start(*FIRST)
     still.stream(*FIRST)
     robot.wait_for_commands(*FIRST)
     with frozen(still.child.pid):
         check_lateness("frozen", robot.wait_for_stops(*FIRST))
         robot.forget()
-        other.ask(f"sent {other.ask('sent')['sent'] + 3 * HZ}")
+        other.ask("sent", other.ask("sent")["sent"] + 3 * HZ)
         assert network.queued_bytes(0) > BUFFER_BYTES // 2, "it was to be full of telemetry that it does not read"
         assert robot.running == set(LAST)
         assert not robot.seen(is_stop(*LEGS))
@@ -95,8 +95,8 @@ def test_a_frozen_laptop_is_stopped_and_disturbs_nobody(hosts: Hosts) -> None:
     still.ask("pause")
     assert not robot.seen(is_command(*FIRST))
     check_undisturbed(other.ask("pause"))
-    other.ask("stop")
-    still.ask("state")  # its link may have been given up, as it did not read; asked until it is back
+    other.ask("request", "stop")
+    still.ask("request", "state")  # its link may have been given up, as it did not read; asked until it is back
     check_a_start_moves_it(robot, still)
 
 
@@ -104,14 +104,14 @@ def test_a_flood_holds_nobody_up_and_the_emergency_stop_gets_through(hosts: Host
     _, robot, (flood, other) = hosts
     flood.start(*FIRST)
     other.start(*LAST)
-    other.stream_acknowledged(*LAST)
-    flood.ask("flood 1 2 3")
+    other.ask("ask", *LAST)
+    flood.ask("flood", *FIRST)
     robot.forget()
-    other.ask(f"sent {other.ask('sent')['sent'] + 2 * HZ}")
+    other.ask("sent", other.ask("sent")["sent"] + 2 * HZ)
     # The flooded legs may stop: a Stop may have been among what was pushed out.
     assert not robot.seen(is_stop(*LAST))
     check_undisturbed(other.ask("pause"))
-    engaged = other.ask("estop")
+    engaged = other.ask("request", "estop")
     assert engaged["accepted"]
     assert engaged["stop_frames"] == len(LEGS)
     robot.wait_for_event(lambda event: event.kind is Kind.ESTOP_ENGAGED)
@@ -131,7 +131,7 @@ def test_a_laptop_that_asks_and_does_not_read_holds_no_stop_up(hosts: Hosts) -> 
     network, robot, (_, other) = hosts
     with LaptopHost(network, 0) as deaf:
         late_ms: list[float] = []
-        deaf.ask("deaf 1 2 3")
+        deaf.ask("deaf", *FIRST)
         for _ in range(4):
             robot.forget()
             other.start(*LAST)

@@ -23,6 +23,7 @@ from typing import Any, Final
 import pytest
 
 from gateway.people.ros2.messages import Message
+from tests.support import acting
 from tests.support.bridged import READY, clean, rejections
 from tests.support.child import Child
 from tests.support.closing import Closing
@@ -32,7 +33,6 @@ from tests.support.ros2_messages import plain
 TRIGGER: Final = "std_srvs/srv/Trigger"
 ANSWER_S: Final = 40.0
 """Sitting down takes a while on a busy machine."""
-PEER_READY: Final = "the peer is ready"
 ROOT: Final = Path(__file__).parents[2]
 PYTHON: Final = str(ROOT / ".venv/rclpy/bin/python")
 """`make .venv/rclpy` installs it. ROS 2's wheels have each Python beside them start twice, with other libraries."""
@@ -58,7 +58,7 @@ class RclpyPeer(Closing):
         _remove_half_made()
         own = {**clean(), "PYTHONPATH": str(ROOT), **ENV, **env}
         self.child = Child([PYTHON, "-m", module, str(domain)], own)
-        self.child.wait_for_output(PEER_READY)
+        self.child.wait_for_output(acting.READY)
 
     def close(self) -> None:
         self.child.close()
@@ -245,17 +245,5 @@ def _ros_type(type_name: str) -> Any:
     return getattr(import_module(f"{package}.{kind}"), name)
 
 
-def act(actor: object) -> None:
-    """Do what stdin says, until it ends."""
-    print(PEER_READY, flush=True)
-    for line in sys.stdin:
-        name, arguments, named = json.loads(line)
-        try:
-            answer = {"ok": getattr(actor, name)(*arguments, **named)}
-        except Exception as error:
-            answer = {"error": f"{type(error).__name__}: {error}"}
-        print(json.dumps(answer), flush=True)
-
-
 if __name__ == "__main__":
-    act(Actor(int(sys.argv[1])))
+    acting.act(Actor(int(sys.argv[1])))
