@@ -10,7 +10,7 @@ import json
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
@@ -18,7 +18,7 @@ from gateway.errors import BatchRejectedError
 from gateway.model.frames import Frame, decode
 from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
-from gateway.robot.core.message import Received, Reply, Verb
+from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
@@ -39,6 +39,7 @@ from schemas.telemetry import Ack, ConfigReport, Event, FrameRecord, GatewayStat
 from tests.support.faulty_controller import FaultyController
 
 MS = 1_000_000
+A = TypeVar("A", bound=BaseModel)
 WALL_NS = 1_790_000_000_123_456_789
 """What the clock on the wall shows all the time."""
 
@@ -192,29 +193,25 @@ class Robot:
     def lease(self, do: str, source: str | None = None, **more: Any) -> LeaseAck:
         """A request for the lease, and its answer."""
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
-        answers: list[bytes] = []
-        self._request(self.leases, fields, answers.append)
-        (answer,) = answers
-        return LeaseAck.model_validate_json(answer)
+        (ack,) = self._request(self.leases, LeaseAck, fields)
+        return ack
 
     def button(self, do: str, source: str | None = None, **more: Any) -> ButtonAck:
         """A button's request, and its answer."""
         fields = {"do": do, **({} if source is None else {"source": source}), **more}
-        answers: list[bytes] = []
-        self._request(self.buttons, fields, answers.append)
-        (answer,) = answers
-        return ButtonAck.model_validate_json(answer)
+        (ack,) = self._request(self.buttons, ButtonAck, fields)
+        return ack
 
     def calibrate(self, payload: object) -> list[Ack]:
         """A change of the calibration; the list that its answer will be in."""
-        answers: list[Ack] = []
-        self._request(self.calibrations, payload, lambda answer: answers.append(Ack.model_validate_json(answer)))
-        return answers
+        return self._request(self.calibrations, Ack, payload)
 
-    def _request(self, of: RequestAnswers, payload: object, reply: Reply) -> None:
+    def _request(self, of: RequestAnswers, kind: type[A], payload: object) -> list[A]:
         self._instants += 1
         data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
-        of.read(data, self.now_ns(), reply)()
+        answers: list[A] = []
+        of.read(data, self.now_ns(), lambda answer: answers.append(kind.model_validate_json(answer)))()
+        return answers
 
     # ---- what came of it
 
