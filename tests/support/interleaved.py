@@ -8,9 +8,10 @@ import heapq
 import math
 import queue
 import threading
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import zenoh
@@ -124,15 +125,12 @@ class Payload(bytes):
         return self
 
 
-EMPTY: Final = Payload()
-
-
 @dataclass
 class Sample:
     """The same of a sample."""
 
     key_expr: str
-    payload: Payload = EMPTY
+    payload: Payload = field(default_factory=Payload)
     encoding: str = "application/json"
     source_info: None = None
     kind = zenoh.SampleKind.PUT
@@ -189,37 +187,29 @@ class Rings:
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
-        self.puts: dict[str, list[Ring]] = {}
-        self.gets: dict[str, list[Ring]] = {}
+        self.puts = defaultdict[str, list[Ring]](list)
+        self.gets = defaultdict[str, list[Ring]](list)
 
     def declare_subscriber(self, key: str, _: object) -> Ring:
-        return self._ring(self.puts, key)
+        return self._added(self.puts[key])
 
     def declare_queryable(self, key: str, _: object) -> Ring:
-        return self._ring(self.gets, key)
+        return self._added(self.gets[key])
 
-    def _ring(self, rings: dict[str, list[Ring]], key: str) -> Ring:
-        rings.setdefault(key, []).append(Ring(self._stage))
-        return rings[key][-1]
+    def _added(self, rings: list[Ring]) -> Ring:
+        rings.append(Ring(self._stage))
+        return rings[-1]
 
 
+@dataclass
 class Timer:
     """One of a loop's."""
 
-    def __init__(self, call: Callable[..., object], arguments: tuple[object, ...]) -> None:
-        self._call: Callable[..., object] | None = call
-        self._arguments = arguments
+    run: Callable[[], object]
+    cancelled: bool = False
 
     def cancel(self) -> None:
-        self._call = None
-
-    @property
-    def cancelled(self) -> bool:
-        return self._call is None
-
-    def run(self) -> None:
-        if self._call is not None:
-            self._call(*self._arguments)
+        self.cancelled = True
 
 
 class SteppedLoop:
@@ -238,12 +228,12 @@ class SteppedLoop:
 
     def call_at(self, when_s: float, call: Callable[..., object], *arguments: object) -> Timer:
         self._count += 1
-        timer = Timer(call, arguments)
+        timer = Timer(partial(call, *arguments))
         heapq.heappush(self._timers, (when_s, self._count, timer))
         return timer
 
     def call_soon_threadsafe(self, call: Callable[..., object], *arguments: object) -> Timer:
-        timer = Timer(call, arguments)
+        timer = Timer(partial(call, *arguments))
         self._ready.append(timer)
         return timer
 
@@ -280,16 +270,14 @@ class SteppedLoop:
 class SteppedController(Controller):
     """Gives way before each batch, in which nobody else may write."""
 
-    stage: Stage
-
     def __init__(self, stage: Stage, clock: Callable[[], int]) -> None:
         super().__init__(Framing.PLAIN, clock=clock)
-        self.stage = stage
+        self._stage = stage
         self._writes = False
 
     def transfer(self, batch: Batch) -> None:
         assert not self._writes, "two threads write at once"
         self._writes = True
-        self.stage.point()
+        self._stage.point()
         super().transfer(batch)
         self._writes = False

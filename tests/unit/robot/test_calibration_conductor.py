@@ -18,34 +18,23 @@ from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.telemetry import Ack, Kind, Reason
 from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
 
-STOP = leg("stop")
 OWN = {"servos": {"31": {"trim_deg": 7.5}, "32": {"inverted": True, "trim_deg": -10}, "33": {"max_deg": 140}}}
 pytestmark = pytest.mark.virtual_time
 
 
-class Disk:
-    """Writes a calibration when the test lets it."""
-
-    def __init__(self) -> None:
-        self.waiting: list[tuple[RobotCalibration, Callable[[str | None], None]]] = []
-
-    def __call__(self, calibration: RobotCalibration, then: Callable[[str | None], None]) -> None:
-        self.waiting.append((calibration, then))
-
-    def write(self, fault: str | None = None) -> None:
-        """What waits is on the disk, or is not."""
-        _, then = self.waiting.pop(0)
-        then(fault)
+Disk = list[Callable[[str | None], None]]
+"""Called with None, each says that a calibration is on the disk."""
 
 
-async def on_disk(disk: Disk, **sections: Any) -> Robot:
-    robot = Robot(sections, keep=disk)
+async def on_disk() -> tuple[Robot, Disk]:
+    disk: Disk = []
+    robot = Robot(keep=lambda _, then: disk.append(then))
     robot.conductor.start()
     robot.conductor.reports.announce_start()
     await asyncio.sleep(1)
     robot.controller.transfers.clear()
     robot.reports.clear()
-    return robot
+    return robot, disk
 
 
 def told(robot: Robot) -> calibration.Calibration:
@@ -74,7 +63,7 @@ async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: py
 async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    robot = await on_disk(disk := Disk())
+    robot, disk = await on_disk()
     answers = robot.calibrate(OWN)
     await asyncio.sleep(SLOW_S - 0.01)
     (soon,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
@@ -88,12 +77,12 @@ async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
     await asyncio.sleep(0.3)
     assert robot.events(Kind.WATCHDOG_EXPIRED)
     assert robot.ask(keys.ESTOP).stop_frames == 6
-    disk.write()
+    disk.pop(0)(None)
     assert (answers[0].accepted, told(robot).revision) == (True, 1), "it came back"
     assert robot.ask(keys.RESET, {"estop": 1}).accepted
     robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
     assert HANGS not in str(robot.calibrate(OWN)[0].detail), "this one has just begun"
-    disk.write()
+    disk.pop(0)(None)
     await asyncio.sleep(SLOW_S + 1)
     assert caplog.text.count("is not kept yet") == 1, "and ended in time"
 
@@ -109,11 +98,11 @@ async def test_what_was_delayed_on_the_way_is_rejected() -> None:
 
 
 async def test_what_comes_after_the_end_changes_nothing() -> None:
-    robot = await on_disk(disk := Disk())
+    robot, disk = await on_disk()
     answers = robot.calibrate(OWN)
     robot.conductor.shut_down()
     robot.conductor.close()
-    disk.write()
+    disk.pop(0)(None)
     assert robot.calibrate(OWN) == answers == []
 
 
@@ -135,31 +124,28 @@ class Bytes(bytes):
         return self
 
 
-def question(payload: bytes | None, key: str = keys.CALIBRATION_CMD, encoding: str | None = None) -> Any:
-    """A query, as far as a reader looks at it."""
-    source = SimpleNamespace(source_id=SimpleNamespace(zid="0123abc"))
-    return SimpleNamespace(
-        key_expr=key, payload=None if payload is None else Bytes(payload), encoding=encoding, source_info=source
-    )
+GOOD = Bytes(json.dumps(OWN).encode())
 
 
 @pytest.mark.parametrize(
-    ("asked", "reason"),
+    ("query", "reason"),
     [
-        (question(json.dumps(OWN).encode()), None),
-        (question(json.dumps(OWN).encode(), encoding="application/json"), None),
-        (question(b"{"), Reason.MALFORMED),
-        (question(None), Reason.MALFORMED),
-        (question(json.dumps(OWN).encode().ljust(MAX_PAYLOAD_BYTES)), None),
-        (question(b"{}".ljust(MAX_PAYLOAD_BYTES + 1)), Reason.TOO_LARGE),
-        (question(b"{}", encoding="text/plain"), Reason.BAD_ENCODING),
-        (question(json.dumps(OWN).encode(), key="hexapod/calibration/*"), Reason.INVALID),
+        ({"encoding": "application/json"}, None),
+        ({"payload": Bytes(b"{")}, Reason.MALFORMED),
+        ({"payload": None}, Reason.MALFORMED),
+        ({"payload": Bytes(GOOD.ljust(MAX_PAYLOAD_BYTES))}, None),
+        ({"payload": Bytes(b"{}".ljust(MAX_PAYLOAD_BYTES + 1))}, Reason.TOO_LARGE),
+        ({"encoding": "text/plain"}, Reason.BAD_ENCODING),
+        ({"key_expr": "hexapod/calibration/*"}, Reason.INVALID),
     ],
 )
 async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_them_from_delaying_stops(
-    asked: Any, reason: Reason | None
+    query: dict[str, Any], reason: Reason | None
 ) -> None:
     robot = await started_and_quiet()
+    source = SimpleNamespace(source_id=SimpleNamespace(zid="0123abc"))
+    good = {"key_expr": keys.CALIBRATION_CMD, "payload": GOOD, "encoding": None, "source_info": source}
+    asked: Any = SimpleNamespace(**{**good, **query})
     answers: list[bytes] = []
     assert robot.calibrations.note(asked, 0, answers.append)() == PAUSE_S == 0.05
     (answer,) = answers

@@ -7,7 +7,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,23 +32,15 @@ ENGAGED = KeptEstop(7, True, "anna", SINCE)
 UNHEARD_OF = 10**9
 
 
-def test_a_first_start_has_none_and_a_number_to_go_on_from(tmp_path: Path) -> None:
-    assert read(tmp_path) == KeptEstop(0)
-    assert (tmp_path / LAST_FILE).read_text() == '{"number":0}'
-
-
 def test_one_that_was_left_is_gone_and_its_number_is_not(tmp_path: Path) -> None:
+    assert read(tmp_path) == KeptEstop(0), "a first start has none"
+    assert (tmp_path / LAST_FILE).read_text() == '{"number":0}'
     write(tmp_path, ENGAGED)
-    write(tmp_path, KeptEstop(7))
+    write(tmp_path, KeptEstop(9))
     assert not (tmp_path / ESTOP_FILE).exists()
-    assert read(tmp_path) == KeptEstop(7)
-    write(tmp_path, ENGAGED._replace(number=8))
-    assert read(tmp_path).number == 8
-
-
-def test_a_source_that_is_no_text_does_not_spoil_the_file(tmp_path: Path) -> None:
+    assert read(tmp_path) == KeptEstop(9)
     write(tmp_path, ENGAGED._replace(source="a\ud800"))
-    assert read(tmp_path) == ENGAGED._replace(source="a?")
+    assert read(tmp_path) == ENGAGED._replace(number=9, source="a?"), "the greater number counts"
 
 
 def a_file_in_its_place(folder: Path) -> None:
@@ -143,24 +135,22 @@ def test_after_a_power_cut_the_disk_has_what_was_written(tmp_path: Path, monkeyp
     assert synced[-1] == (tmp_path.name, False)
 
 
-def test_the_greater_number_counts(tmp_path: Path) -> None:
-    write(tmp_path, KeptEstop(9))
-    write(tmp_path, ENGAGED)
-    assert read(tmp_path) == ENGAGED._replace(number=9)
-
-
 # ---- The emergency stop's way to the disk, with a real thread and a real folder
 
 
 Kept = tuple[Robot, EstopKeeper]
 
 
-@pytest.fixture
-async def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Kept]:
+def begun(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Kept:
     monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
     robot = Robot()
     robot.conductor.start()
-    keeper = EstopKeeper(robot.conductor, StateFolder(tmp_path), robot.loop)
+    return robot, EstopKeeper(robot.conductor, StateFolder(folder), robot.loop)
+
+
+@pytest.fixture
+async def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Kept]:
+    robot, keeper = begun(tmp_path, monkeypatch)
     assert robot.mode == Mode.ESTOPPED
     await keeper.known()
     assert robot.mode == Mode.IDLE
@@ -192,30 +182,20 @@ async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: P
     assert robot.states[-1].estop_fault is None
 
 
-@pytest.fixture
-def other_gateway(tmp_path: Path) -> Iterator[int]:
-    """It has the folder, and its emergency stop is engaged."""
-    write(tmp_path, ENGAGED)
-    descriptor = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(descriptor, fcntl.LOCK_EX)
-    yield descriptor
-    os.close(descriptor)
-
-
 async def test_beside_another_gateway_it_counts_as_engaged_and_removes_nothing(
-    other_gateway: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is engaged, but not by the other's number: what the other has is its own."""
-    monkeypatch.setattr(robots, "rules", lambda settings: replace(service.rules(settings), estop_kept=True))
-    robot = Robot()
-    robot.conductor.start()
-    keeper = EstopKeeper(robot.conductor, StateFolder(tmp_path), robot.loop)
+    write(tmp_path, ENGAGED)
+    other_gateway = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(other_gateway, fcntl.LOCK_EX)
+    robot, keeper = begun(tmp_path, monkeypatch)
     await keeper.known()
     number = robot.conductor.supervisor.latch.number
     assert robot.mode == Mode.ESTOPPED
     assert number >= UNHEARD_OF
     assert "another gateway" in str(robot.conductor.reports.estop_fault)
-    fcntl.flock(other_gateway, fcntl.LOCK_UN)  # it ends without a reset
+    os.close(other_gateway)  # it ends without a reset
     robot.put(keys.RESET, {"estop": number})
     await until(lambda: bool(robot.events(Kind.ESTOP_NOT_KEPT)))
     assert robot.mode == Mode.IDLE

@@ -46,38 +46,45 @@ async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> No
 # ---- requests that are none
 
 TOKEN = "0123456789abcdef" * 2
-BAD: list[tuple[bytes, Reason, str]] = [
-    (b"", Reason.MALFORMED, "the payload is not JSON"),
-    (b"{", Reason.MALFORMED, "the payload is not JSON"),
-    (b"[]", Reason.INVALID, "the payload: Input should be an object"),
-    (b'{"do": "grab"}', Reason.INVALID, "do: Input should be one of 'challenge', 'acquire', 'ask', 'take', 'renew'"),
-    (b'{"source": "anna"}', Reason.INVALID, "do: Field required"),
-    (b'{"do": "acquire", "source": ""}', Reason.INVALID, "source: String should have at least 1"),
-    (b'{"do": "acquire", "source": "anna", "proof": {}}', Reason.INVALID, "proof.nonce: Field required"),
-    (json.dumps({"do": "renew", "lease": TOKEN[:-1]}).encode(), Reason.INVALID, "lease: String should have"),
-    (json.dumps({"do": "renew", "lease": TOKEN + "0"}).encode(), Reason.INVALID, "lease: String should have"),
-    (json.dumps({"do": "renew", "lease": TOKEN.upper()}).encode(), Reason.INVALID, "lease: String should match"),
-    (json.dumps({"do": "renew", "lease": TOKEN}).encode(), Reason.NOT_HOLDER, "this is not the token"),
-    (json.dumps({"do": "renew", "lease": TOKEN, TOKEN: 1}).encode(), Reason.INVALID, "(hex digits): Extra"),
-    (json.dumps({"do": TOKEN}).encode(), Reason.INVALID, "do: Input should be one of"),
-    (json.dumps({"do": "acquire", "source": {"a": TOKEN}}).encode(), Reason.INVALID, "source: Input should be"),
+ALIVE = {"do": "alive", "button": TOKEN, "count": 1}
+BAD: list[tuple[str, object, Reason, str]] = [
+    (keys.LEASE, b"{", Reason.MALFORMED, "the payload is not JSON"),
+    (keys.LEASE, [], Reason.INVALID, "the payload: Input should be an object"),
+    (keys.LEASE, {"do": "grab"}, Reason.INVALID, "do: Input should be one of 'challenge', 'acquire', 'ask', 'take', "),
+    (keys.LEASE, {"source": "anna"}, Reason.INVALID, "do: Field required"),
+    (keys.LEASE, {"do": "acquire", "source": ""}, Reason.INVALID, "source: String should have at least 1"),
+    (keys.LEASE, {"do": "acquire", "source": "a", "proof": {}}, Reason.INVALID, "proof.nonce: Field required"),
+    (keys.LEASE, {"do": "renew", "lease": TOKEN[:-1]}, Reason.INVALID, "lease: String should have"),
+    (keys.LEASE, {"do": "renew", "lease": TOKEN + "0"}, Reason.INVALID, "lease: String should have"),
+    (keys.LEASE, {"do": "renew", "lease": TOKEN.upper()}, Reason.INVALID, "lease: String should match"),
+    (keys.LEASE, {"do": "renew", "lease": TOKEN}, Reason.NOT_HOLDER, "this is not the token"),
+    (keys.LEASE, {"do": "renew", "lease": TOKEN, TOKEN: 1}, Reason.INVALID, "(hex digits): Extra"),
+    (keys.LEASE, {"do": TOKEN}, Reason.INVALID, "do: Input should be one of"),
+    (keys.LEASE, {"do": "acquire", "source": {"a": TOKEN}}, Reason.INVALID, "source: Input should be"),
+    (keys.BUTTON, {"do": "alive", "button": TOKEN}, Reason.INVALID, "count: Field required"),
+    (keys.BUTTON, {**ALIVE, "button": TOKEN[:-1]}, Reason.INVALID, "button: String should have at least 32 char"),
+    (keys.BUTTON, {**ALIVE, "count": 2**53 + 1}, Reason.INVALID, "count: Input should be less than or equal"),
+    (keys.BUTTON, {"do": "register"}, Reason.INVALID, "source: Field required"),
+    (keys.BUTTON, {"do": "press"}, Reason.INVALID, "do: Input should be one of 'challenge', 'register', 'alive', 'lea"),
+    (keys.BUTTON, {"do": "leave", "button": TOKEN, "x": 1}, Reason.INVALID, "x: Extra inputs are not permitted"),
 ]
 
 
-@pytest.mark.parametrize(("payload", "reason", "detail"), BAD, ids=lambda value: repr(value)[:60])
+@pytest.mark.parametrize(("key", "payload", "reason", "detail"), BAD, ids=lambda value: repr(value)[:60])
 async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
-    payload: bytes, reason: Reason, detail: str
+    key: str, payload: object, reason: Reason, detail: str
 ) -> None:
-    robot = await started_and_quiet()
+    robot, _ = await watched()
+    data = payload if isinstance(payload, bytes) else json.dumps(payload).encode()
     answers: list[bytes] = []
-    robot.leases.read(payload, robot.now_ns(), answers.append)()
-    ack = LeaseAck.model_validate_json(answers[0])
-    assert (ack.accepted, ack.reason) == (False, reason)
-    assert ack.detail is not None
-    assert ack.detail.startswith(detail)
+    {keys.LEASE: robot.leases, keys.BUTTON: robot.buttons}[key].read(data, robot.now_ns(), answers.append)()
+    ack = json.loads(answers[0])
+    assert (ack["accepted"], ack["reason"]) == (False, reason)
+    assert ack["detail"].startswith(detail)
     (event,) = robot.events(Kind.COMMAND_REJECTED)
-    assert (event.key, event.reason) == (keys.LEASE, reason)
+    assert (event.key, event.reason) == (key, reason)
     assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
+    assert robot.conductor.reports.state().buttons.alive == 1
 
 
 async def test_after_the_end_nobody_is_answered() -> None:
@@ -127,26 +134,6 @@ async def test_what_is_rejected_is_told_with_its_reason() -> None:
     assert not any(str(ack.button) in event.detail for event in robot.events(Kind.COMMAND_REJECTED))
     assert robot.button("leave", button=ack.button).accepted
     assert robot.conductor.reports.state().buttons.alive == 0
-
-
-@pytest.mark.parametrize(
-    ("payload", "detail"),
-    [
-        ({"do": "alive", "button": "0" * 32}, "count: Field required"),
-        ({"do": "alive", "button": "0" * 31, "count": 1}, "button: String should have at least 32 characters"),
-        ({"do": "alive", "button": "0" * 32, "count": 2**53 + 1}, "count: Input should be less than or equal"),
-        ({"do": "register"}, "source: Field required"),
-        ({"do": "press", "source": "x"}, "do: Input should be one of 'challenge', 'register', 'alive', 'leave'"),
-        ({"do": "leave", "button": "0" * 32, "why": "x"}, "why: Extra inputs are not permitted"),
-    ],
-)
-async def test_what_cannot_be_read_changes_nothing(payload: dict[str, Any], detail: str) -> None:
-    robot, _ = await watched()
-    do = payload.pop("do")
-    ack = robot.button(do, **payload)
-    assert (ack.accepted, ack.reason) == (False, Reason.INVALID)
-    assert str(ack.detail).startswith(detail)
-    assert robot.conductor.reports.state().buttons.alive == 1
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,8 @@
 import asyncio
 import random
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -46,31 +47,29 @@ RECEIVERS = ("estop-put", "estop-get", "wakeup-put", "wakeup-get", f"{keys.STATE
 ORDERS = 150
 
 
-class Question:
+class Question(nullcontext[None]):
     """A query for the state."""
 
     key_expr = keys.STATE
 
     def __init__(self, answers: list[bytes]) -> None:
+        super().__init__()
         self._answers = answers
 
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def reply(self, _key: str, payload: bytes, *, encoding: str) -> None:
-        del encoding
+    def reply(self, _key: str, payload: bytes, **_: object) -> None:
         self._answers.append(payload)
 
     def drop(self) -> None:
-        pass
+        """Nobody waits."""
 
 
 @pytest.fixture(autouse=True)
 def _questions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zenoh, "Query", Question)
+
+
+def stepped(stage: Stage) -> Ownership:
+    return Ownership(cast(Any, lambda: SteppedLock(stage)))
 
 
 class Gateway:
@@ -100,20 +99,18 @@ class Gateway:
     def begin(self) -> None:
         """On the loop's thread, as the service does it."""
         loop = cast(asyncio.AbstractEventLoop, self.loop)
-        bus = Bus(self.settings.spi, lambda: self.controller, clock=self.now_ns)
         # No runs of Stops at rest: nobody beats here, so to wait a second for one is to stand still.
         supervisor = Supervisor(replace(rules(self.settings), rest_runs=0, start_wait_ns=0))
-        recorder = Recorder(self.settings, {}, self.now_ns, self.now_ns)
         self.conductor = Conductor(
             self.settings,
             supervisor,
-            bus,
+            Bus(self.settings.spi, lambda: self.controller, clock=self.now_ns),
             self,
             loop,
             clock=self.now_ns,
-            recorder=recorder,
+            recorder=Recorder(self.settings, {}, self.now_ns, self.now_ns),
             simulated=True,
-            owner=self.owner(),
+            owner=stepped(self.stage),
         )
         with self.conductor.owner, pytest.MonkeyPatch.context() as patch:
             patch.setattr(questions, "SimpleQueue", partial(Wakeups, self.stage))
@@ -128,9 +125,6 @@ class Gateway:
             )
             self.conductor.connect(self.inbox)
         self.rings.puts[keys.ESTOP][0].on_receive = lambda: self.noted.append(len(self.controller.transfers))
-
-    def owner(self) -> Ownership:
-        return Ownership(cast(Any, lambda: SteppedLock(self.stage)))
 
     def play(self, *then: Callable[[], None]) -> None:
         """The whole of it, until nothing is left to happen."""
@@ -149,15 +143,15 @@ class Gateway:
     # ---- what Zenoh's threads do: two deliveries of each message, one after the other
 
     def put(self, key: str, payload: Payload) -> None:
-        for ring in (*self.rings.puts[key], *self.rings.puts[keys.ALL_COMMANDS]):
-            self.stage.point()
-            ring.items.append(Sample(key, payload))
+        self._deliver(Sample(key, payload), *self.rings.puts[key], *self.rings.puts[keys.ALL_COMMANDS])
 
     def ask_state(self) -> None:
-        question = Question(self.answers)
-        for ring in (*self.rings.gets[keys.STATE], *self.rings.gets[f"{keys.ROOT}/**"]):
+        self._deliver(Question(self.answers), *self.rings.gets[keys.STATE], *self.rings.gets[f"{keys.ROOT}/**"])
+
+    def _deliver(self, what: object, *rings: Ring) -> None:
+        for ring in rings:
             self.stage.point()
-            ring.items.append(question)
+            ring.items.append(what)
 
     @property
     def kinds(self) -> list[bool]:
@@ -170,9 +164,8 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
     gateway = Gateway(order)
 
     def others() -> None:
-        gateway.put(keys.leg_command(1), START)
-        gateway.put(keys.leg_command(2), START)
-        gateway.put(keys.leg_command(3), START)
+        for number in (1, 2, 3):
+            gateway.put(keys.leg_command(number), START)
         gateway.ask_state()
         gateway.put(keys.ESTOP, Payload())
         gateway.put(keys.leg_command(4), START)
@@ -249,7 +242,7 @@ def test_whoever_waits_is_next_although_the_owner_takes_it_again_at_once() -> No
             owners.append("patient")
 
     stage = Stage(choose)
-    owner = Ownership(cast(Any, lambda: SteppedLock(stage)))
+    owner = stepped(stage)
     stage.start("greedy", greedy)
     stage.start("patient", patient)
     stage.run(2)
@@ -257,21 +250,33 @@ def test_whoever_waits_is_next_although_the_owner_takes_it_again_at_once() -> No
     assert owners == ["greedy", "patient", *["greedy"] * 19]
 
 
-def receiver(
-    note: Callable[[object, int], Callable[[], float | None]],
-) -> tuple[ReceiverThread, Stage, SteppedLoop, Ring]:
-    """One whose ring has a message, which is received at the stage's first point."""
+Parts = tuple[ReceiverThread, Stage, SteppedLoop]
+Receiving = Callable[[Callable[..., Callable[[], float | None]]], Parts]
+
+
+@pytest.fixture
+def receiving() -> Iterator[Receiving]:
     stage = Stage(lambda names: names[0])
-    loop, ring = SteppedLoop(stage), Ring(stage)
-    ring.items += [b"", b""]
-    made = ReceiverThread(
-        "receiver", cast(Any, ring), cast(asyncio.AbstractEventLoop, loop), Ownership(), cast(Any, note)
-    )
-    return made, stage, loop, ring
+    loop, ring, started = SteppedLoop(stage), Ring(stage), list[ReceiverThread]()
+
+    def start(note: Callable[[object, int], Callable[[], float | None]]) -> Parts:
+        """A receiver thread whose ring has two messages, which it receives once the stage runs."""
+        ring.items += [b"", b""]
+        owner = Ownership()
+        started.append(ReceiverThread("receiver", cast(Any, ring), cast(Any, loop), owner, cast(Any, note)))
+        return started[0], stage, loop
+
+    yield start
+    assert not ring.items
+    stage.end()
+    started[0].thread.join(PATIENCE_S)
+    assert not started[0].makes_progress()
 
 
 @pytest.mark.parametrize("where", ["before it owns the state", "as its owner"])
-def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(where: str) -> None:
+def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(
+    where: str, receiving: Receiving
+) -> None:
     error = RuntimeError("planted")
 
     def fail() -> None:
@@ -282,40 +287,36 @@ def test_a_mistake_on_a_receiver_thread_is_one_of_the_services_and_it_hears_on(w
             fail()
         return fail
 
-    made, stage, loop, ring = receiver(note)
+    made, stage, loop = receiving(note)
     stage.run(1)
-    assert not ring.items
     while loop.step():
         pass
     assert loop.failures == [error, error]
     assert made.makes_progress()
-    stage.end()
-    made.thread.join(PATIENCE_S)
-    assert not made.makes_progress()
 
 
-def test_a_receiver_thread_has_its_priority_and_pauses_where_it_is_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_receiver_thread_has_its_priority_and_pauses_where_it_is_asked_to(
+    monkeypatch: pytest.MonkeyPatch, receiving: Receiving
+) -> None:
     priorities: list[int] = []
     slept_s: list[float] = []
     monkeypatch.setattr("gateway.robot.zenoh_io.receiver.prefer_thread", priorities.append)
     monkeypatch.setattr("gateway.robot.zenoh_io.receiver.time.sleep", slept_s.append)
     pauses_s = [None, 0.25]
-    made, stage, _, _ = receiver(lambda *_: pauses_s.pop)
+    made, stage, _ = receiving(lambda *_: pauses_s.pop)
     stage.run(1)
     assert (priorities, slept_s) == ([RECEIVER_PRIORITY], [0.25])
     assert (made.thread.name, made.thread.daemon) == ("receiver", True), "a stuck one does not keep the process"
-    stage.end()
-    made.thread.join(PATIENCE_S)
 
 
-def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> None:
+def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed(receiving: Receiving) -> None:
     stuck, entered = threading.Event(), threading.Event()
 
     def wait() -> None:
         entered.set()
         stuck.wait(PATIENCE_S)
 
-    made, stage, _, _ = receiver(lambda *_: wait)
+    made, stage, _ = receiving(lambda *_: wait)
     assert 2.99 < STUCK_BEATS * BEAT_S < 3.01
     assert all(made.makes_progress() for _ in range(2 * STUCK_BEATS)), "that nothing comes is no reason"
     runs = threading.Thread(target=lambda: stage.run(1))
@@ -325,4 +326,3 @@ def test_a_receiver_thread_that_never_comes_back_from_a_message_is_noticed() -> 
     stuck.set()
     runs.join(PATIENCE_S)
     assert all(made.makes_progress() for _ in range(2 * STUCK_BEATS)), "nor that nothing comes any more"
-    stage.end()

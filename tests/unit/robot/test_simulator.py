@@ -23,60 +23,53 @@ MS = 1_000_000  # ns
 UP_TO_THE_HANDLE = 68
 
 
-class ReferenceController:
-    """The published firmware's receiver once more, byte by byte: which servos are energised, and at which pulse.
+def read_again(sent: list[tuple[int, bytes]], *, announced: bool) -> tuple[set[int], dict[int, int], tuple[int, bool]]:
+    """The published firmware's receiver once more, byte by byte, of which it shares only the pulse widths.
 
-    It shares only the pulse widths with `SimulatedController`; they have vectors of their own.
+    Return the energised servos, the pulses by servo, and how many frames were executed and whether it is dead.
     """
+    energised, pulses, body = set[int](), dict[int, int](), list[int]()
+    executed = wanted = began_ms = now_ns = 0  # wanted 0: it waits for a length
+    dead = False
 
-    def __init__(self, *, announced: bool) -> None:
-        self.announced = announced
-        self.energised: set[int] = set()
-        self.pulses: dict[int, int] = {}
-        self.executed = 0
-        self.dead = False
-        self._heard: list[int] | None = None  # None: waiting for a length
-        self._wanted = 0
-        self._since_tick = 0
-
-    def transfer(self, data: bytes, now_ns: int) -> None:
-        if self._heard is not None and now_ns // MS - self._since_tick >= 1000:
-            if self.announced:
-                self._execute(self._heard + [0] * (self._wanted - len(self._heard)))
-            self._heard = None
-        for byte in data:
-            if self.dead:
-                return
-            if self._heard is not None:
-                self._heard.append(byte)
-            elif byte:
-                self._heard = [] if self.announced else [byte]
-                self._wanted, self._since_tick = byte, now_ns // MS
-            if self.announced and self._heard is not None and len(self._heard) > UP_TO_THE_HANDLE:
-                self.dead, self._heard = True, None
-            if self._heard is not None and len(self._heard) == self._wanted:
-                self._execute(self._heard)
-                self._heard = None
-
-    def _execute(self, body: list[int]) -> None:
-        if (len(body), body[1:2]) not in ((6, [2]), (14, [1])):
+    def execute() -> None:
+        nonlocal executed, wanted, dead
+        frame, wanted = [*body], 0
+        body.clear()
+        if (len(frame), frame[1:2]) not in ((6, [2]), (14, [1])):
             return
-        for servo_id, op, whole, hundredths in (body[start : start + 4] for start in range(2, len(body), 4)):
-            if self.announced and servo_id in (0, 1, 2, 3, 10) and op in (1, 2, 3):
-                self.dead = True  # a bus fault
+        for servo_id, op, whole, hundredths in (frame[start : start + 4] for start in range(2, len(frame), 4)):
+            if announced and servo_id in (0, 1, 2, 3, 10) and op in (1, 2, 3):
+                dead = True  # a bus fault
                 return
             index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) % 256
-            past = {18: 11, 23: 21} if self.announced else {}
-            if index >= len(SERVO_IDS) and index not in past:
+            driven = {**dict(enumerate(SERVO_IDS)), **({18: 11, 23: 21} if announced else {})}.get(index)
+            if driven is None:
                 continue
-            driven = SERVO_IDS[index] if index < len(SERVO_IDS) else past[index]
             if op == 2:
-                self.energised.discard(driven)
+                energised.discard(driven)
             if op == 1:
-                self.energised.add(driven)
+                energised.add(driven)
             if op in (1, 3):
-                self.pulses[driven] = pulse_us(whole, hundredths)
-        self.executed += 1
+                pulses[driven] = pulse_us(whole, hundredths)
+        executed += 1
+
+    for pause_ns, data in sent:
+        now_ns += pause_ns
+        if wanted and now_ns // MS - began_ms >= 1000 and not dead:
+            body[:] = body + [0] * (wanted - len(body)) if announced else []
+            execute()
+        for byte in data:
+            if dead:
+                break
+            if wanted:
+                body.append(byte)
+            elif byte:
+                body[:], wanted, began_ms = [] if announced else [byte], byte, now_ns // MS
+            dead = announced and len(body) > UP_TO_THE_HANDLE
+            if not dead and wanted == len(body) > 0:
+                execute()
+    return energised, pulses, (executed, dead)
 
 
 # ---- one stream of bytes, in and out of sync
@@ -100,17 +93,16 @@ def test_whatever_comes_it_does_what_a_second_reading_of_the_firmware_does(
     """Whole frames, lengths and zeros get further than bytes at random."""
     now_ns = 0
     controller = Controller(framing, clock=lambda: now_ns)
-    reference = ReferenceController(announced=framing is Framing.LENGTH_PREFIXED)
     for pause_ns, data in sent:
         now_ns += pause_ns
         controller.take(data)
-        reference.transfer(data, now_ns)
+    energised, pulses, ended = read_again(sent, announced=framing is Framing.LENGTH_PREFIXED)
     servos = controller.servos
-    assert {servo_id for servo_id, servo in servos.items() if servo.energised} == reference.energised
-    assert {servo_id: servo.pulse_us for servo_id, servo in servos.items() if servo.pulse_us} == reference.pulses
+    assert {servo_id for servo_id, servo in servos.items() if servo.energised} == energised
+    assert {servo_id: servo.pulse_us for servo_id, servo in servos.items() if servo.pulse_us} == pulses
     assert tuple(servos) == SERVO_IDS
     assert all(0 <= servo.angle_deg <= 180 for servo in servos.values())
-    assert (controller.executed, controller.dead is not None) == (reference.executed, reference.dead)
+    assert (controller.executed, controller.dead is not None) == ended
     assert len(controller.corruptions) <= 2 * 256
 
 
@@ -150,31 +142,17 @@ def test_lengths_of_69_to_255_leave_it_deaf_for_good_once_68_bytes_have_come(len
 # ---- The simulated CAN adapter: slcan byte by byte, and the faults between it and the board
 
 
-@pytest.fixture
-def adapter() -> SimulatedAdapter:
-    """With an open channel."""
+@pytest.mark.parametrize("line", ["t06A", "t06A303FFFFFF", "t06A9" + 18 * "0", "t8000", "t06A3gg0000", "x"])
+def test_a_line_that_is_none_puts_nothing_on_the_bus(line: str) -> None:
     adapter = SimulatedAdapter()
     assert adapter.take(b"C\rS8\r\rO\r") == ([], b"\r\r\r\r")
-    return adapter
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "t06A",
-        "t06A303FFFFFF",
-        "t06A9" + 18 * "0",
-        "t8000",
-        "t06A3gg0000",
-        "x",
-    ],
-)
-def test_a_line_that_is_none_puts_nothing_on_the_bus(adapter: SimulatedAdapter, line: str) -> None:
     assert adapter.take(line.encode() + b"\rt0700\r") == ([CanFrame(0x70)], b"\a\r")
     assert frame_of(line.encode()) is None
 
 
-def test_bytes_come_in_any_portions_and_an_endless_line_does_no_harm(adapter: SimulatedAdapter) -> None:
+def test_bytes_come_in_any_portions_and_an_endless_line_does_no_harm() -> None:
+    adapter = SimulatedAdapter()
+    adapter.take(b"O\r")
     assert [adapter.take(bytes((byte,)))[0] for byte in b"t0700\r"] == [[]] * 5 + [[CanFrame(0x70)]]
     assert adapter.take(b"0" * 100_000 + b"\rt0700\r") == ([CanFrame(0x70)], b"\a\r")
 
@@ -191,11 +169,7 @@ def test_one_that_is_driven_holds_and_takes_more_until_it_is_there() -> None:
     assert draw.draw_ma({**OFF, 21: 60.0}, (), 84 * MS)[21] == 450.0, "30 degrees take 85 ms"
     assert draw.draw_ma({**OFF, 21: 60.0}, (), 86 * MS)[21] == HOLDS_MA
     assert draw.draw_ma({**OFF, 21: 61.0}, (), 100 * MS)[21] == 450.0
-    assert draw.draw_ma(OFF, (), 101 * MS)[21] == WAITS_MA
-
-
-def test_one_that_holds_though_it_was_stopped_draws_more_than_a_stopped_one_may() -> None:
-    assert WAITS_MA < IDLE_MA < HOLDS_MA
+    assert draw.draw_ma(OFF, (), 101 * MS)[21] == WAITS_MA < IDLE_MA < HOLDS_MA, "what a stopped one may draw"
 
 
 def test_a_bodys_torques_decide() -> None:
@@ -211,9 +185,9 @@ def test_a_bodys_torques_decide() -> None:
 TARGETS = {servo_id: 80.0 + place for place, servo_id in enumerate(SERVO_IDS)}
 
 
-def any_frame(angles_deg: dict[int, float]) -> bytes:
+def frame_to(angles_deg: dict[int, float]) -> bytes:
     """A frame with any numbers, legal or not."""
-    return struct.pack("<B18f6xB", 0x7E, *({**TARGETS, **angles_deg}.values()), 0x0F)
+    return struct.pack("<B18f6xB", 0x7E, *angles_deg.values(), 0x0F)
 
 
 def test_a_start_before_any_frame_waits_for_one_and_is_counted() -> None:
@@ -222,17 +196,17 @@ def test_a_start_before_any_frame_waits_for_one_and_is_counted() -> None:
     controller.write(START)
     assert controller.corruptions == {"started before any frame": 1}
     assert set(page.read().values()) == {None}
-    controller.exchange(any_frame({}))
+    controller.exchange(frame_to(TARGETS))
     assert page.read() == TARGETS
     assert said
 
 
 def test_angles_that_no_servo_has_are_driven_to_its_end_and_counted() -> None:
     controller = Elkapod(clock=lambda: 0)
-    controller.exchange(any_frame({}))
+    controller.exchange(frame_to(TARGETS))
     controller.write(START)
     assert controller.energised == set(SERVO_IDS)
-    controller.exchange(any_frame({11: -20.0, 12: 1e9, 13: math.inf, 21: math.nan}))
+    controller.exchange(frame_to({**TARGETS, 11: -20.0, 12: 1e9, 13: math.inf, 21: math.nan}))
     targets = [controller.servos[servo_id].target_deg for servo_id in (11, 12, 13, 21)]
     assert targets == [0.0, 180.0, 180.0, 83.0]
     assert sum(controller.corruptions.values()) == 4

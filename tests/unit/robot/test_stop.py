@@ -1,7 +1,6 @@
 """The last attempt to stop the robot: each leg is tried, whatever another one's Stop met."""
 
-from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,24 +22,14 @@ from schemas.robot import LEGS
 MISTAKES = [SpiError("told to fail"), SystemError("returned NULL"), TypeError("a mistake of our own"), KeyError(3)]
 
 
-class ByteDevice(SpiDevice):
-    """Writes a batch transfer by transfer."""
-
-    def transfer(self, batch: Batch) -> None:
-        for data, _ in batch:
-            self.take(data)
-
-    @abstractmethod
-    def take(self, data: bytes) -> None:
-        """Raises what ends the batch."""
-
-
-class Device(ByteDevice):
+class Device(SpiDevice):
     """Fails the transfers that carry one leg's Stop (and with it its whole batch), or each opening."""
 
     def __init__(self, mistake: Exception, leg: int | None) -> None:
         self._mistake = mistake
         self._failing = None if leg is None else stop_leg(leg).to_bytes()
+        self.recovers = False
+        """Whether its second opening ends the fault."""
         self.openings = 0
         self.seen: list[bytes] = []
 
@@ -50,10 +39,11 @@ class Device(ByteDevice):
             raise self._mistake
         return self
 
-    def take(self, data: bytes) -> None:
-        if data == self._failing:
-            raise self._mistake
-        self.seen.append(data)
+    def transfer(self, batch: Batch) -> None:
+        for data, _ in batch:
+            if data == self._failing and not (self.recovers and self.openings > 1):
+                raise self._mistake
+            self.seen.append(data)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=repr)
@@ -79,13 +69,8 @@ def test_each_leg_tries_to_open_a_device_that_does_not_answer(mistake: Exception
 
 
 def test_a_device_at_fault_is_opened_again_for_the_leg_that_got_no_stop() -> None:
-    class Recovers(Device):
-        def take(self, data: bytes) -> None:
-            if self.openings > 1:
-                self._failing = None
-            super().take(data)
-
-    device = Recovers(SpiError("told to fail"), LEGS[-1])
+    device = Device(SpiError("told to fail"), LEGS[-1])
+    device.recovers = True
     stopped, fault = stop_once(Bus(SpiSettings(speed_hz=2_500_000), device.open))
     assert (stopped, str(fault), device.openings) == (set(LEGS), "told to fail", 2)
 
@@ -105,38 +90,37 @@ def test_a_repetition_resynchronises_the_controller_first() -> None:
 
 
 @dataclass
-class Rounds:
-    """A device whose Stops for these legs fail in the first rounds, `stop-servos`, a gateway, and a clock."""
+class Rounds(SpiDevice, Uart):
+    """What `stop-servos` uses: a device (or UART) whose Stops for these legs fail in the first rounds, the notice to a
+    gateway, and a clock."""
 
-    failing: set[int]
-    failing_rounds: int
+    failing: Iterable[int] = ()
+    failing_rounds: int = 0
     gateway_runs: bool = False
-    exclusive: bool = False
-    """Whether it is opened for nobody else, as by a gateway."""
     log: list[str] = field(default_factory=list)
     sleeps_ms: list[float] = field(default_factory=list)
 
-    def written(self) -> None:
-        """As `stop-servos` has it called, to take the supply from a power board."""
-        self.log.append("written")
+    def transfer(self, batch: Batch) -> None:
+        for data, _ in batch:
+            self.write(data)
+
+    def write(self, data: bytes) -> None:
+        failing = {SHUTDOWN, *(stop_leg(leg).to_bytes() for leg in self.failing)}
+        if len(self.sleeps_ms) < self.failing_rounds and data in failing:
+            raise SpiError("told to fail")
+        self.log.append("stop")
+
+    def read(self) -> bytes:
+        return b""
+
+    def close(self) -> None:
+        self.log.append("closed")
 
     def monotonic_ns(self) -> int:
         return len(self.sleeps_ms) + 1
 
     def sleep(self, pause_s: float) -> None:
         self.sleeps_ms.append(pause_s * 1000)
-
-    def device(self, path: str, speed_hz: int, *, exclusive: bool = True) -> "OfRounds":
-        assert (path, speed_hz, exclusive) == ("/dev/spidev0.0", 2_500_000, self.exclusive)
-        return OfRounds(self)
-
-    def uart(self, path: str, *, exclusive: bool = True) -> "OfRounds":
-        assert (path, exclusive) == ("/dev/ttyAMA1", self.exclusive)
-        return OfRounds(self)
-
-    def notice(self, path: str) -> "Rounds":
-        assert path == "/dev/spidev0.0"
-        return self
 
     def give(self) -> None:
         self.log.append("given")
@@ -146,28 +130,6 @@ class Rounds:
         return True
 
 
-class OfRounds(ByteDevice, Uart):
-    """That device, opened; or its UART."""
-
-    def __init__(self, rounds: Rounds) -> None:
-        self._rounds = rounds
-        self._failing = {*(stop_leg(leg).to_bytes() for leg in rounds.failing), *(SHUTDOWN for _ in rounds.failing)}
-
-    def take(self, data: bytes) -> None:
-        if len(self._rounds.sleeps_ms) < self._rounds.failing_rounds and data in self._failing:
-            raise SpiError("told to fail")
-        self._rounds.log.append("stop")
-
-    def write(self, data: bytes) -> None:
-        self.take(data)
-
-    def read(self) -> bytes:
-        return b""
-
-    def close(self) -> None:
-        self._rounds.log.append("closed")
-
-
 Stops = Callable[..., bool | None]
 
 
@@ -175,15 +137,23 @@ Stops = Callable[..., bool | None]
 def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
 
-    def run(rounds: Rounds, wire: WireSettings = WireSettings()) -> bool | None:  # noqa: B008
-        replaced = {"KernelDevice": rounds.device, "SerialUart": rounds.uart, "Notice": rounds.notice, "time": rounds}
-        for name, instead in replaced.items():
+    def run(rounds: Rounds, protocol: str = SpiProtocol.HEXAPOD_1_0, *, exclusive: bool = False) -> bool | None:
+        def opens(*asked: object, **options: bool) -> Rounds:
+            assert asked in {("/dev/spidev0.0", 2_500_000), ("/dev/ttyAMA1",)}
+            assert options == {"exclusive": exclusive}, "whether it is opened for nobody else, as by a gateway"
+            return rounds
+
+        def notice(path: str) -> Rounds:
+            assert path == "/dev/spidev0.0"
+            return rounds
+
+        for name, instead in {"KernelDevice": opens, "SerialUart": opens, "Notice": notice, "time": rounds}.items():
             monkeypatch.setattr(stop_all, name, instead)
-        settings = wire, SpiSettings(speed_hz=2_500_000), ControllerSettings()
-        if not rounds.exclusive:
-            return stop_servos(*settings, rounds.written)
-        stop_before_service(*settings)
-        return None
+        settings = WireSettings(protocol), SpiSettings(speed_hz=2_500_000), ControllerSettings()
+        if exclusive:
+            stop_before_service(*settings)
+            return None
+        return stop_servos(*settings, lambda: rounds.log.append("written"))
 
     return run
 
@@ -191,24 +161,14 @@ def stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stops:
 @pytest.mark.parametrize(
     ("failing", "rounds", "pauses", "first_ns"),
     [
-        (set(), 0, 3, 1),
-        ({3}, 1, 3, 1),
-        (set(LEGS), 1, 3, 2),
-        (set(LEGS), 3, 3, 4),
-        ({3}, 4, 4, 1),
-        (set(LEGS), 13, 13, 14),
-    ],
-    ids=[
-        "no fault",
-        "once one leg",
-        "once all",
-        "but for the last repeat",
-        "one leg in all repeats",
-        "but for the last",
+        ([], 0, 3, 1),
+        (LEGS, 1, 3, 2),
+        ([3], 4, 4, 1),  # one leg in all repeats
+        (LEGS, 13, 13, 14),  # but for the last
     ],
 )
 def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
-    failing: set[int], rounds: int, pauses: int, first_ns: int, stops: Stops
+    failing: Iterable[int], rounds: int, pauses: int, first_ns: int, stops: Stops
 ) -> None:
     scene = Rounds(failing, rounds)
     assert stops(scene) is None, "no gateway runs"
@@ -218,8 +178,8 @@ def test_it_repeats_its_stops_and_goes_on_while_a_leg_got_none(
     assert stop_note.take() == (first_ns, 1 + pauses)
 
 
-@pytest.mark.parametrize("failing", [{3}, set(LEGS)])
-def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: set[int], stops: Stops) -> None:
+@pytest.mark.parametrize("failing", [[3], LEGS])
+def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: Iterable[int], stops: Stops) -> None:
     scene = Rounds(failing, 1000)
     with pytest.raises(SpiError, match="told to fail"):
         stops(scene)
@@ -229,15 +189,15 @@ def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: set[int], stops
 
 
 def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: Stops) -> None:
-    scene = Rounds(set(), 0, gateway_runs=True)
+    scene = Rounds(gateway_runs=True)
     assert stops(scene) is True, "the gateway has noticed"
     assert [line for line in scene.log if line != "closed"] == [*[*["stop"] * 6, "written", "given"] * 4, "ended"]
 
 
 @pytest.mark.parametrize("failing_rounds", [0, 2])
 def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_rounds: int, stops: Stops) -> None:
-    scene = Rounds(set(LEGS), failing_rounds)
-    assert stops(scene, WireSettings(SpiProtocol.ELKAPOD_2025)) is None
+    scene = Rounds(LEGS, failing_rounds)
+    assert stops(scene, SpiProtocol.ELKAPOD_2025) is None
     assert scene.log.count("stop") == 2 * (4 - failing_rounds), "opening it is one, too"
     assert scene.sleeps_ms == [20] * 3
     assert scene.log[-2:] == ["closed", "ended"]
@@ -247,6 +207,6 @@ def test_elkapod_2025_is_shut_down_over_a_uart_that_a_gateway_may_hold(failing_r
 def test_a_gateways_first_stops_are_one_round_on_a_device_of_its_own(
     protocol: SpiProtocol, stops_written: int, stops: Stops
 ) -> None:
-    scene = Rounds(set(), 0, exclusive=True)
-    stops(scene, WireSettings(protocol))
+    scene = Rounds()
+    stops(scene, protocol, exclusive=True)
     assert scene.log == ["stop"] * stops_written + ["closed"]
