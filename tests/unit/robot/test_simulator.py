@@ -23,53 +23,60 @@ MS = 1_000_000  # ns
 UP_TO_THE_HANDLE = 68
 
 
-def read_again(sent: list[tuple[int, bytes]], *, announced: bool) -> tuple[set[int], dict[int, int], tuple[int, bool]]:
-    """The published firmware's receiver once more, byte by byte, of which it shares only the pulse widths.
+class ReferenceController:
+    """The published firmware's receiver once more, byte by byte: which servos are energised, and at which pulse.
 
-    Return the energised servos, the pulses by servo, and how many frames were executed and whether it is dead.
+    It shares only the pulse widths with `SimulatedController`; they have vectors of their own.
     """
-    energised, pulses, body = set[int](), dict[int, int](), list[int]()
-    executed = wanted = began_ms = now_ns = 0  # wanted 0: it waits for a length
-    dead = False
 
-    def execute() -> None:
-        nonlocal executed, wanted, dead
-        frame, wanted = [*body], 0
-        body.clear()
-        if (len(frame), frame[1:2]) not in ((6, [2]), (14, [1])):
+    def __init__(self, *, announced: bool) -> None:
+        self.announced = announced
+        self.energised: set[int] = set()
+        self.pulses: dict[int, int] = {}
+        self.executed = 0
+        self.dead = False
+        self._heard: list[int] | None = None  # None: waiting for a length
+        self._wanted = 0
+        self._since_tick = 0
+
+    def transfer(self, data: bytes, now_ns: int) -> None:
+        if self._heard is not None and now_ns // MS - self._since_tick >= 1000:
+            if self.announced:
+                self._execute(self._heard + [0] * (self._wanted - len(self._heard)))
+            self._heard = None
+        for byte in data:
+            if self.dead:
+                return
+            if self._heard is not None:
+                self._heard.append(byte)
+            elif byte:
+                self._heard = [] if self.announced else [byte]
+                self._wanted, self._since_tick = byte, now_ns // MS
+            if self.announced and self._heard is not None and len(self._heard) > UP_TO_THE_HANDLE:
+                self.dead, self._heard = True, None
+            if self._heard is not None and len(self._heard) == self._wanted:
+                self._execute(self._heard)
+                self._heard = None
+
+    def _execute(self, body: list[int]) -> None:
+        if (len(body), body[1:2]) not in ((6, [2]), (14, [1])):
             return
-        for servo_id, op, whole, hundredths in (frame[start : start + 4] for start in range(2, len(frame), 4)):
-            if announced and servo_id in (0, 1, 2, 3, 10) and op in (1, 2, 3):
-                dead = True  # a bus fault
+        for servo_id, op, whole, hundredths in (body[start : start + 4] for start in range(2, len(body), 4)):
+            if self.announced and servo_id in (0, 1, 2, 3, 10) and op in (1, 2, 3):
+                self.dead = True  # a bus fault
                 return
             index = ((servo_id // 10 - 1) * 3 + servo_id % 10 - 1) % 256
-            driven = {**dict(enumerate(SERVO_IDS)), **({18: 11, 23: 21} if announced else {})}.get(index)
-            if driven is None:
+            past = {18: 11, 23: 21} if self.announced else {}
+            if index >= len(SERVO_IDS) and index not in past:
                 continue
+            driven = SERVO_IDS[index] if index < len(SERVO_IDS) else past[index]
             if op == 2:
-                energised.discard(driven)
+                self.energised.discard(driven)
             if op == 1:
-                energised.add(driven)
+                self.energised.add(driven)
             if op in (1, 3):
-                pulses[driven] = pulse_us(whole, hundredths)
-        executed += 1
-
-    for pause_ns, data in sent:
-        now_ns += pause_ns
-        if wanted and now_ns // MS - began_ms >= 1000 and not dead:
-            body[:] = body + [0] * (wanted - len(body)) if announced else []
-            execute()
-        for byte in data:
-            if dead:
-                break
-            if wanted:
-                body.append(byte)
-            elif byte:
-                body[:], wanted, began_ms = [] if announced else [byte], byte, now_ns // MS
-            dead = announced and len(body) > UP_TO_THE_HANDLE
-            if not dead and wanted == len(body) > 0:
-                execute()
-    return energised, pulses, (executed, dead)
+                self.pulses[driven] = pulse_us(whole, hundredths)
+        self.executed += 1
 
 
 # ---- one stream of bytes, in and out of sync
@@ -93,16 +100,17 @@ def test_whatever_comes_it_does_what_a_second_reading_of_the_firmware_does(
     """Whole frames, lengths and zeros get further than bytes at random."""
     now_ns = 0
     controller = Controller(framing, clock=lambda: now_ns)
+    reference = ReferenceController(announced=framing is Framing.LENGTH_PREFIXED)
     for pause_ns, data in sent:
         now_ns += pause_ns
         controller.take(data)
-    energised, pulses, ended = read_again(sent, announced=framing is Framing.LENGTH_PREFIXED)
+        reference.transfer(data, now_ns)
     servos = controller.servos
-    assert {servo_id for servo_id, servo in servos.items() if servo.energised} == energised
-    assert {servo_id: servo.pulse_us for servo_id, servo in servos.items() if servo.pulse_us} == pulses
+    assert {servo_id for servo_id, servo in servos.items() if servo.energised} == reference.energised
+    assert {servo_id: servo.pulse_us for servo_id, servo in servos.items() if servo.pulse_us} == reference.pulses
     assert tuple(servos) == SERVO_IDS
     assert all(0 <= servo.angle_deg <= 180 for servo in servos.values())
-    assert (controller.executed, controller.dead is not None) == ended
+    assert (controller.executed, controller.dead is not None) == (reference.executed, reference.dead)
     assert len(controller.corruptions) <= 2 * 256
 
 
