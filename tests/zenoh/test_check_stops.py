@@ -14,7 +14,10 @@ from typing import Any, Final
 import pytest
 
 from gateway.onboard.check import stops
+from gateway.onboard.check.move import Bench
 from gateway.onboard.check.stops import STEPS
+from gateway.onboard.check.table import FailedError
+from gateway.people.commands.moving import ServoMotion
 from tests.support.command import Ended
 from tests.support.fixtures import gateway_fixture, patient
 from tests.support.gateway_process import Gateway, free_port
@@ -225,6 +228,22 @@ def test_the_board_confirms_an_emergency_stop(check: Check) -> None:
     done = check("power", None, "--unplug")
     assert done.returncode == 0, str(done)
     assert "PASS     power          confirmed_after_ms " in done.stdout
+
+
+@pytest.mark.parametrize(("repeated_by", "code"), [("check", "accepted"), ("anna", "a newer emergency stop")])
+def test_only_its_own_emergency_stop_is_reset_however_often_it_was_sent(
+    gateway: Gateway, repeated_by: str, code: str
+) -> None:
+    with gateway.client(source="check") as client, gateway.client(source=repeated_by) as other:
+        bench = Bench(client, ServoMotion(11, 90.0))
+        bench.estop = client.estop().estop or 0
+        other.estop()
+        if code == "accepted":
+            bench.reset()
+        else:
+            with pytest.raises(FailedError, match=code):
+                bench.reset()
+            assert client.reset().accepted
 
 
 def test_without_a_board_and_without_a_person_there_is_nothing_to_show(check: Check) -> None:
