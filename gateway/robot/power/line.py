@@ -212,7 +212,9 @@ class PowerLine:
 
     def _release(self, bus: "can.BusABC") -> None:
         """Close the interface once neither thread uses it, since its descriptor may then become another file's."""
-        with self._receiving, suppress(Exception):
+        with self._receiving:
+            pass  # the receiver has begun anew; it must not wait for an adapter that hangs below
+        with suppress(Exception):
             bus.shutdown()
 
     # ---- the receiver

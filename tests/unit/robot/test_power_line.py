@@ -156,6 +156,8 @@ class Bus(can.BusABC):
     def shutdown(self) -> None:
         super().shutdown()
         self.closed.set()
+        if self.hangs.is_set():
+            self.ended.wait()
 
     def answer(self, identifier: int, data: bytes = b"") -> None:
         self.to_program.append(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
@@ -242,6 +244,24 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
     assert CanFrame(0x6A, bytes(3)) in second.sent
     assert second.closed.is_set()
     assert owner.mistakes == []
+
+
+def test_an_interface_that_hangs_at_its_end_keeps_the_receiver_from_nothing(bus: Bus) -> None:
+    """Else the service would end, since its thread that receives from the board counted as stuck."""
+    owner = owner_of(bus)
+    bus.answer(0x69)
+    owner.line.start()
+    owner.until_reported(Kind.OFF_BUTTON)
+    bus.hangs.set()
+    bus.fails = OSError(errno.ENODEV, "No such device")
+    owner.line.cut()
+    assert bus.closed.wait(MOST_S)
+    closed_ns = time.monotonic_ns()
+    while owner.line.polled_ns < closed_ns:
+        assert time.monotonic_ns() - closed_ns < MOST_S * 1e9
+        time.sleep(0.001)
+    bus.ended.set()
+    owner.line.close()
 
 
 def test_a_full_transmit_queue_ends_nothing_and_the_mask_of_a_stop_leaves_first_once_there_is_room(bus: Bus) -> None:
