@@ -6,7 +6,7 @@ for strangers, a press took from 0.3 to 4.9 s. Only the median is judged: one pr
     python -m tests.attack.test_console_strangers KIND PORT
 
 connects again and again until killed. KIND is a name in `KINDS`. It prints how many connections have been made so far.
-Strangers have a machine of their own, so they leave this one's processors to whoever wants them.
+Strangers stand for other machines, so their process leaves this one's processors to others (nice 15).
 """
 
 import asyncio

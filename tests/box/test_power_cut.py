@@ -28,7 +28,7 @@ ROOM = "16G"  # sparse; copies share what they have in common
 def copies_at_once(folder: Path) -> Iterator[Path]:
     """A folder in which disks can be cut. What lies there is gone afterwards.
 
-    XFS copies a file as it is at one moment, whatever is being written: each write is in the copy or is missing.
+    XFS copies a file as it is at one moment, also during a write: each write is in the copy, or is missing.
     """
     room = folder.with_name(f"{folder.name}.xfs")
     subprocess.run(["truncate", f"--size={ROOM}", str(room)], check=True)

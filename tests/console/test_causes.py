@@ -174,7 +174,7 @@ def test_two_pages_ask_hand_over_and_take(visitor: Visitor, gateway: Gateway) ->
     bert.expect_status(1, "rests")
     with gateway.client(source="a program") as robot:
         assert robot.start_leg(1, 90, 90, 90, check=False).reason == "not_holder"
-        bert["stop-all"].click()  # whoever drives
+        bert["stop-all"].click()  # the holder of the lease is another
         expect(bert["stop-known"]).to_contain_text("6 Stops written within")
         assert robot.state().mode == "estopped"
 

@@ -42,8 +42,8 @@ class ElkapodBed(SpiTestbed):
     """A robot of elkapod-2025 for unmodified programs: `/dev/spidev0.0`, and a UART at `uart`.
 
     `controller`, played by the test's process, has what its servos do, and switches for faults; those of transfers are
-    the device's. What is sent during a transfer was made ready before it, as on the robot: the controller gets each
-    transfer as it is recorded, and what it then wants to say is what the next one reads. So none waits for the test.
+    the device's. As on the robot, the controller prepares each answer before the transfer that reads it: the device
+    passes a transfer on while it records it, and the next transfer reads the answer. So no transfer waits for the test.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -249,7 +249,7 @@ def lines_of(scene: str) -> list[str]:
 
 
 def rules_of(words: str) -> Rules:
-    """`repeats=2, period_ms=1000`; without a word of them, Stops are not repeated, as in Scenes."""
+    """Return the rules in `repeats=2, period_ms=1000`. By default Stops are not repeated, as in Scenes."""
     call = ast.parse(f"rules({words})", mode="eval").body
     assert isinstance(call, ast.Call)
     known: dict[str, Any] = {"repeats": 0, "rest_runs": 0}

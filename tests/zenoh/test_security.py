@@ -164,7 +164,7 @@ def said(*arguments: str) -> list[str]:
 
 
 STEPS: Final[dict[str, tuple[Callable[[Secured], list[str]], str]]] = {
-    "a name that nobody knows": (
+    "an unknown name": (
         lambda _: ["--connect", "tcp/robot.invalid:7447"],
         "no gateway answers on tcp/robot.invalid:7447: name: robot.invalid is unknown … → check the name",
     ),
@@ -210,7 +210,7 @@ def test_another_ca(secured: Secured, tmp_path: Path) -> None:
     certs.folder.issue(tmp_path / "E", "eve", "operator")
     (line,) = said("--zenoh-config", str(tmp_path / "E" / "eve.json5"))
     assert "certificate: the robot's certificate is of another CA than yours" in line
-    # Whoever trusts the robot, but shows what it does not know.
+    # A laptop that trusts the robot's CA, with a certificate of another CA.
     shutil.copy(secured.folder / "ca.pem", tmp_path / "E" / "ca.pem")
     (line,) = said("--zenoh-config", str(tmp_path / "E" / "eve.json5"))
     assert "certificate: the robot does not know the CA of your certificate" in line

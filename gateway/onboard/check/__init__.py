@@ -77,7 +77,8 @@ def report(found: Iterable[Result], can: str, *, as_json: bool) -> int:
             table.show(*result)
     count = Counter(each.verdict for each in lines)
     passed = not count[Verdict.FAILURE]
-    end = f"{'can' if passed else 'cannot'} {can}: {count[Verdict.FAILURE]} failures, {count[Verdict.WARNING]} warnings"
+    counts = ", ".join(f"{count[each]} {each}{'s' * (count[each] != 1)}" for each in (Verdict.FAILURE, Verdict.WARNING))
+    end = f"{'can' if passed else 'cannot'} {can}: {counts}"
     checks = {"checks": [each._asdict() for each in lines]} if as_json else None
     return table.conclude(f"This machine {end}.", well=passed, as_json=checks)
 

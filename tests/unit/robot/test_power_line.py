@@ -182,12 +182,18 @@ def owner_of(*buses: can.BusABC, interface: str = "slcan") -> Owner:
     return Owner("", opener, interface)
 
 
-@pytest.mark.lengthy
-def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
-    owner = owner_of(bus)
-    bus.answer(0x69)
+def started(*buses: Bus) -> Owner:
+    """Of a line that receives from the first of these interfaces."""
+    owner = owner_of(*buses)
+    buses[0].answer(0x69)
     owner.line.start()
     owner.until_reported(Kind.OFF_BUTTON)
+    return owner
+
+
+@pytest.mark.lengthy
+def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
+    owner = started(bus)
     bus.hangs.set()
     owner.until_reported(Kind.POWER_UNCONFIRMED)
     assert not owner.line.status.alive
@@ -230,10 +236,7 @@ def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus
 )
 def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_again(fault: Exception) -> None:
     first, second = Bus(), Bus()
-    owner = owner_of(first, second)
-    first.answer(0x69)
-    owner.line.start()
-    owner.until_reported(Kind.OFF_BUTTON)
+    owner = started(first, second)
     first.fails = fault
     owner.line.cut()
     assert str(fault) in owner.until_reported(Kind.POWER_UNCONFIRMED).detail
@@ -248,10 +251,7 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
 
 def test_an_interface_that_hangs_at_its_end_keeps_the_receiver_from_nothing(bus: Bus) -> None:
     """Else the service would end, since its thread that receives from the board counted as stuck."""
-    owner = owner_of(bus)
-    bus.answer(0x69)
-    owner.line.start()
-    owner.until_reported(Kind.OFF_BUTTON)
+    owner = started(bus)
     bus.hangs.set()
     bus.fails = OSError(errno.ENODEV, "No such device")
     owner.line.cut()
