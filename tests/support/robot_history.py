@@ -340,13 +340,17 @@ class RobotHistory:
         servos = [self.servos[servo_id] for servo_id, _ in transmit.frame.servos]
         for servo_id, _ in transmit.frame.servos:
             demand(not self.servos[servo_id].on, f"{servo_id} runs: its Stops are not repeated any more")
-        owed = all(servo.owed > 0 and (self.together or servo.owed_ns <= now_ns) for servo in servos)
+        first = [any(each is servo for each in self.owing) for servo in servos]
+        owed = all(
+            servo.owed > 0 and (servo.owed_ns <= now_ns or (self.together and not is_first))
+            for servo, is_first in zip(servos, first, strict=True)
+        )
         owed = owed and transmit.frame not in self.sent_again
         if transmit.joins or not owed:
             return [transmit]
         self.sent_again.append(transmit.frame)
-        for servo in servos:
-            servo.owed -= not any(each is servo for each in self.owing)
+        for servo, is_first in zip(servos, first, strict=True):
+            servo.owed -= not is_first
             servo.owed_ns = now_ns + self.rules.repeat_interval_ns
         return []
 

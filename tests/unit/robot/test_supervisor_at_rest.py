@@ -46,6 +46,13 @@ SCENES: Final = {
         due 1300
         300 end
         due never""",
+    "a stop, a repeat that is due and the last run are each written": """
+        rules repeats=2, repeat_interval_ms=1, rest_runs=1, rest_run_ms=5
+        1 time
+        1.5 servo 11 stop
+        8.5 time → repeat 1-6 stop
+        13.5 servo 13 stop → command 13 stop; repeat 11 stop; repeat 11 stop; repeat 12 stop; repeat 13 stop; …
+        due 14.5""",
     "where all legs run there is no round": """
         rules timeout_ms=10000, rest_runs=3
         10 legs 123456 start 90
