@@ -18,6 +18,7 @@ from gateway.client import (
     Button,
     Client,
     Lease,
+    Posture,
     StoppedError,
     Stream,
     Walk,
@@ -145,6 +146,18 @@ async def test_what_open_returns_is_for_the_loop_and_close_stops_it(robot: Async
     assert await running(robot) == [1, 2, 3, 4, 5, 6]
     await walk.close()
     assert await running(robot) == []
+
+
+async def test_a_cancelled_distance_ends_in_a_stand(robot: AsyncClient) -> None:
+    async with robot.walk(hz=HZ) as walk:
+        walk.hold_s = 0.1
+        await walk.stand()
+        ahead = asyncio.create_task(walk.ahead(20))
+        for posture in (Posture.WALKING, Posture.STANDING):
+            async with asyncio.timeout(10):
+                while walk.state.posture != posture:
+                    await robot.state()
+            ahead.cancel()
 
 
 @pytest.mark.parametrize("turns", range(0, 12, 2))

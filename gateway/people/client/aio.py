@@ -1,26 +1,20 @@
-"""The client for asyncio. Names, arguments, rules and errors are the blocking one's; calls wait on threads.
-
-Ctrl-C and SIGTERM while an `AsyncWalk` is open: the first makes the robot sit down, the second stops it at once. Python
-delivers signals to the main thread only. A handler that the program installed is still called.
-"""
+"""The client for asyncio. Names, arguments, rules and errors are the blocking one's; calls wait on threads."""
 
 import asyncio
-import signal
-import threading
 from collections.abc import Callable, Coroutine, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from functools import partial, wraps
-from types import FrameType
-from typing import Any, Concatenate, Final, Generic, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, cast
 
 from gateway.errors import LeaseLostError, ZenohError
 from gateway.people.client.blocking import Client
 from gateway.people.client.lease import Lease
 from gateway.people.client.pace import Jitter
+from gateway.people.client.process_end import WalkSignals
 from gateway.people.client.requests import Button
 from gateway.people.client.stream import Stream
-from gateway.people.client.walk import Terminated, Walk
+from gateway.people.client.walk import Walk
 from gateway.people.walking.motion import WalkState
 from gateway.people.walking.tempo import Distance
 
@@ -86,8 +80,7 @@ def waits(
 
     @wraps(method)
     async def call(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        asked = partial(method, twin._own, *args, **kwargs)
-        return await twin._calls.run(asked, stops=stops)
+        return await twin._calls.run(partial(method, twin._own, *args, **kwargs), stops=stops)
 
     return call
 
@@ -98,19 +91,12 @@ def makes(
     """Return the twin of a method that does not wait. Functions among its arguments are called on the running loop."""
 
     def on_loop(argument: Any) -> Any:
-        put = asyncio.get_running_loop().call_soon_threadsafe
-
-        def call(report: object) -> None:
-            with suppress(RuntimeError):  # the loop is closed
-                put(argument, report)
-
-        return call if callable(argument) else argument
+        return partial(asyncio.get_running_loop().call_soon_threadsafe, argument) if callable(argument) else argument
 
     @wraps(method)
     def make(twin: Twin[H], /, *args: P.args, **kwargs: P.kwargs) -> T:
-        arguments: Any = map(on_loop, args)
         named: Any = {name: on_loop(each) for name, each in kwargs.items()}
-        return twin_of(method(twin._own, *arguments, **named), twin._calls)
+        return twin_of(method(twin._own, *cast("Any", map(on_loop, args)), **named), twin._calls)
 
     return make
 
@@ -164,7 +150,10 @@ class AsyncButton(Twin[Button]):
 
 
 class AsyncWalk(Twin[Walk]):
-    """`Walk` for asyncio, for one task at a time. Cancelling the task stops the robot at once."""
+    """`Walk` for asyncio, for one task at a time. Cancelling the task stops the robot at once.
+
+    The first Ctrl-C or SIGTERM makes the robot sit down, the second stops it at once. Other handlers are still called.
+    """
 
     state: WalkState = same("state")
     now: str = same("now")
@@ -177,53 +166,20 @@ class AsyncWalk(Twin[Walk]):
     sit = waits(Walk.sit)
     start_again = waits(Walk.start_again)
 
-    _open: Final[list["AsyncWalk"]] = []
-    """Those of the main thread."""
-    _handlers: Final[dict[int, Any]] = {}
-    """The handlers of the signals before the first of these opened."""
-    _signals = 0
-
     async def open(self) -> Self:
         """See `Walk.open`."""
         return await super().__aenter__()
 
     async def __aenter__(self) -> Self:
         await self.open()
-        if threading.current_thread() is threading.main_thread():
-            self._open.append(self)
-            for number in (signal.SIGINT, signal.SIGTERM) if len(self._open) == 1 else ():
-                before = signal.getsignal(number)
-                if callable(before) if number == signal.SIGINT else before == signal.SIG_DFL:
-                    self._handlers[number] = before
-                    signal.signal(number, self._received)
+        self._signals = WalkSignals(self._own.end_now).begin()
         return self
 
     async def __aexit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if self._signals == 1 and isinstance(error, asyncio.CancelledError):
+        if self._signals.count == 1 and isinstance(error, asyncio.CancelledError):
             error = KeyboardInterrupt()  # at which a walk sits
-        try:
+        with self._signals.end():
             await super().__aexit__(kind, error, trace)
-        except (asyncio.CancelledError, KeyboardInterrupt):  # another signal or cancellation
-            self._own.end_now()
-            raise
-        finally:
-            if self in self._open:
-                self._open.remove(self)
-            for number, before in self._handlers.items() if not self._open else ():
-                if signal.getsignal(number) == self._received:
-                    signal.signal(number, before)
-
-    @classmethod
-    def _received(cls, number: int, frame: FrameType | None) -> None:
-        """Count a signal, and leave it to its handler: `asyncio.run` cancels its main task at the first Ctrl-C."""
-        for walk in cls._open:
-            walk._signals += 1
-            if walk._signals > 1:
-                walk._own.end_now()
-        before = cls._handlers[number]
-        if not callable(before):
-            raise Terminated
-        before(number, frame)
 
     async def ahead(self, metres: float) -> None:
         """See `Walk.ahead`. When cancelled, the robot stands within `hold_s` and a stride."""
@@ -234,7 +190,7 @@ class AsyncWalk(Twin[Walk]):
         await self._cover(Distance(radians, turns=True))
 
     async def _cover(self, distance: Distance) -> None:
-        # Tick by tick on the loop, so that a cancelled call leaves no thread that keeps walking.
+        # On the loop: a thread would keep walking after a cancellation, and after the end of the loop.
         while (velocity := distance.next(self.state, asyncio.get_running_loop().time())) is not None:
             await self.go(*velocity)
         await self.stand()

@@ -1,4 +1,5 @@
-"""The end of a program that uses clients: signals that arrive in a Zenoh callback, and clients that are still open.
+"""The end of a program that uses clients: signals that arrive in a Zenoh callback or while a robot walks, and clients
+that are still open.
 
 If no other program has to answer, Zenoh calls a query's callback in the asking thread. Exceptions in callbacks are only
 logged, so the exception of a Ctrl-C or SIGTERM handler would be lost there. Therefore the signal is delivered again.
@@ -13,9 +14,11 @@ import os
 import signal
 import sys
 import threading
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from functools import partial
-from typing import Any, Final
+from types import FrameType
+from typing import Any, ClassVar, Final, Self
 from weakref import WeakSet
 
 _SIGNALS: Final = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}
@@ -42,6 +45,69 @@ def _is_no_signal(record: logging.LogRecord) -> bool:
             again.start()
             return False
     return True
+
+
+class Terminated(SystemExit):
+    """SIGTERM arrived while a robot walks."""
+
+    def __init__(self) -> None:
+        super().__init__(128 + signal.SIGTERM)
+
+
+class WalkSignals:
+    """Signals in the main thread from `begin` to `end`. SIGTERM without a handler of the program raises Terminated."""
+
+    _open: ClassVar[list["WalkSignals"]] = []
+    _handlers: ClassVar[dict[int, Any]] = {}
+    """The handlers of the signals before the first of these began. They stay: a signal may arrive meanwhile."""
+
+    def __init__(self, end_now: Callable[[], object] = int) -> None:
+        """`end_now` is called at each signal after the first, and if `end` is interrupted. `count` is how many came."""
+        self.count = 0
+        self._end_now = end_now
+
+    def begin(self) -> Self:
+        """Begin in the main thread. Elsewhere this does nothing, since Python delivers signals to the main thread."""
+        if threading.current_thread() is threading.main_thread():
+            self._open.append(self)
+            for number in (signal.SIGINT, signal.SIGTERM) if len(self._open) == 1 else ():
+                before = signal.getsignal(number)
+                if callable(before) if number == signal.SIGINT else before == signal.SIG_DFL:
+                    self._handlers[number] = before
+                    signal.signal(number, self._received)
+        return self
+
+    @contextmanager
+    def end(self) -> Iterator[None]:
+        """Give the signals back to their handlers after the `with`, if no other robot walks."""
+        try:
+            yield
+        except Exception:
+            raise
+        except BaseException:  # a signal or a cancellation
+            self._end_now()
+            raise
+        finally:
+            self._give_back()
+
+    def _give_back(self) -> None:
+        if self in self._open:
+            self._open.remove(self)
+        for number, before in self._handlers.items() if not self._open else ():
+            if signal.getsignal(number) == self._received:
+                signal.signal(number, before)
+
+    @classmethod
+    def _received(cls, number: int, frame: FrameType | None) -> None:
+        """Count a signal, and leave it to its handler: `asyncio.run` cancels its main task at the first Ctrl-C."""
+        for each in cls._open:
+            each.count += 1
+            if each.count > 1:
+                each._end_now()
+        before = cls._handlers[number]
+        if not callable(before):
+            raise Terminated
+        before(number, frame)
 
 
 _open: WeakSet[AbstractContextManager[Any]] = WeakSet()

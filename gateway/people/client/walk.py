@@ -1,12 +1,11 @@
 """Walking by velocities: a `Ride` (gateway/people/walking) with a thread, a connection and a clock."""
 
-import signal
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any, Final, Self, TypeVar
 
 import zenoh
@@ -16,6 +15,7 @@ from gateway.geometry import Geometry, load
 from gateway.people.client import stopped
 from gateway.people.client.lease import CONFIRM_S, DrivingClient, Lease
 from gateway.people.client.pace import Retries
+from gateway.people.client.process_end import WalkSignals
 from gateway.people.client.stream import Stream, checked_hz
 from gateway.people.walking.balance import ReceivedTelemetry, terrain_named
 from gateway.people.walking.gaits import gait as gait_named
@@ -34,21 +34,10 @@ _SLOWER: Final = 0.98
 """The part of `limits.leg_rate_hz` used if the wanted rate is higher: at the limit, setpoints wait for slots."""
 
 
-class Terminated(SystemExit):
-    """SIGTERM arrived inside the `with` of a walk."""
-
-    def __init__(self) -> None:
-        super().__init__(128 + signal.SIGTERM)
-
-
 def _silence(name: str, text: str) -> Any:
     return property(
         lambda walk: getattr(walk._silences, name), lambda walk, seconds: walk._set_silence(name, seconds), doc=text
     )
-
-
-def _terminate(_number: int, _frame: FrameType | None) -> None:
-    raise Terminated
 
 
 class Walk:
@@ -113,7 +102,8 @@ class Walk:
         self._thread: threading.Thread | None = None
         self._changed = threading.Condition()  # notified after each change; also the lock of the ride
         self._not_again: Exception | None = None  # why `start_again` failed
-        self._closing = self._sits_at_sigterm = False
+        self._closing = False
+        self._signals = WalkSignals()
         self._newest = Newest()
         self._reports: zenoh.Subscriber[None] | None = None
         self._ticks = 0
@@ -238,25 +228,20 @@ class Walk:
 
     def __enter__(self) -> Self:
         self.open()
-        main = threading.current_thread() is threading.main_thread()
-        if main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            signal.signal(signal.SIGTERM, _terminate)
-            self._sits_at_sigterm = True
+        self._signals.begin()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            # The end of a program must not drop the robot; a second signal interrupts the sitting down.
-            self.close(sits=error is None or isinstance(error, KeyboardInterrupt | SystemExit))
-        except GatewayError as failed:
-            if error is None:
-                raise
-            error.add_note(f"and the end of the walk: {failed}")
-        finally:
-            if self._sits_at_sigterm:
-                signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        with self._signals.end():
+            try:
+                # The end of a program must not drop the robot; a second signal interrupts the sitting down.
+                self.close(sits=error is None or isinstance(error, KeyboardInterrupt | SystemExit))
+            except GatewayError as failed:
+                if error is None:
+                    raise
+                error.add_note(f"and the end of the walk: {failed}")
 
     def open(self) -> Self:
         """Acquire the lease, and read limits and calibration. Moves nothing. Raises as calls do, or LeaseError."""
