@@ -5,6 +5,7 @@ Each command imports its modules when it runs, so that an emergency stop does no
 
 import atexit
 import os
+import signal
 import sys
 import threading
 from enum import StrEnum
@@ -104,11 +105,14 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    ctx: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     del version
+    if ctx.invoked_subcommand not in ("run", "console"):  # systemd counts a service's end by SIGTERM as a clean one
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 class Sim(StrEnum):

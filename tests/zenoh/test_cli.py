@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -79,6 +80,13 @@ def test_hold_keeps_a_leg_running_past_the_watchdog(tmp_path: Path) -> None:
         others = {record.bytes for record in commands[1:]} - {"0e011f0200002002000021020000"}
         assert others == {"0e011f035a0020032d0021037800"}, "it is started once, and then set"
         assert stop.monotonic_ns - commands[0].monotonic_ns > 1_500_000_000
+        for number in (signal.SIGINT, signal.SIGTERM):
+            heard = frames(client)
+            with gateway.begin("send", "leg", "3", "start", "90", "45", "120", "--hold", "60") as child:
+                heard.wait(lambda record: record.cause == "command")
+                child.send_signal(number)
+                assert child.wait() == 130
+            assert client.state().lease.holder is None, "it is released"
 
 
 def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: Gateway) -> None:
