@@ -1,7 +1,8 @@
 """What may be wrong on a robot, as a table: how it is planted, what `check` says of it.
 
 The remedy is not here: the test runs the commands that `check` prints. `by_hand` follows a remedy that is a sentence.
-Shell, with the names of `NAMES`. The services run before each.
+Shell, with the names of `NAMES`. The services run before each. A fault whose remedy another row runs, or which is a
+sentence, is in tests/unit/onboard/test_check.py alone.
 """
 
 from typing import NamedTuple
@@ -25,14 +26,6 @@ OTHER = "/root/other"
 PACKAGE = "/box-out/hexapod-gateway_1.1.0_amd64.deb"
 GIVEN = {"FOLDER": CERTS, "FILE": f"{CERTS}/revoked.crl", "./hexapod-gateway_1.1.0_ARCH.deb": PACKAGE}
 """What a person fills in."""
-
-_AGAIN = "cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service"
-
-_MEMORY = (
-    "systemctl stop $service; mount -t tmpfs -o {} tmpfs $state; chown $service:$service $state; chmod 700 $state; "
-    "systemctl start $service"
-)
-_BACK = "systemctl stop $service; umount $state; systemctl start $service"
 
 
 class Fault(NamedTuple):
@@ -82,7 +75,6 @@ FAULTS = (
         "rm $unit; systemctl daemon-reload",
         f"/usr/lib/systemd/system/{NAME}.service is not this",
     ),
-    Fault("an emptied unit", ": >$unit; systemctl daemon-reload", "is not this release's unit"),
     Fault(
         "a unit of somebody's own",
         "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
@@ -112,8 +104,6 @@ FAULTS = (
         "drop_in Environment=HEXAPOD_SPI__FRAMING=plain; systemctl restart $service",
         "depend on: HEXAPOD_SPI__FRAMING",
     ),
-    Fault("a drop-in without watchdog", "drop_in WatchdogSec=0", "what Stops depend on: WatchdogSec"),
-    Fault("too few descriptors", "drop_in LimitNOFILE=64", "what Stops depend on: LimitNOFILE"),
     Fault(
         "a variable for all services",
         "systemctl set-environment HEXAPOD_LIMITS__LEG_RATE_HZ=20; systemctl restart $service",
@@ -127,14 +117,7 @@ FAULTS = (
         "systemctl status $service | head -1 | grep 'sudo hexapod-gateway check'",
         "has failed",
     ),
-    Fault(
-        "a drop-in that was not read",
-        "mkdir -p $units/$service.service.d; printf '[Service]\\nNice=5\\n' >$units/$service.service.d/own.conf",
-        f"{NAME} was edited, but systemd still uses",
-        more=1,
-    ),
     # the state directory
-    Fault("a state directory to read only", "chmod 500 $state", "may not read and write /var/lib"),
     Fault(
         "a state directory on a read-only file system",
         "mount --bind $state $state; mount -o remount,bind,ro $state",
@@ -160,10 +143,6 @@ FAULTS = (
         by_hand="hexapod-gateway calibrate accept-default --yes --zenoh-config /root/certs/anna.json5",
         then="rm $state/calibration.toml; systemctl restart $service",
     ),
-    Fault(
-        "a state directory in memory", _MEMORY.format("mode=700"), "is on tmpfs, which a boot empties", by_hand=_BACK
-    ),
-    Fault("a state directory on a full disk", _MEMORY.format("size=1m"), "MB free", by_hand=_BACK),
     # the device
     Fault("no udev rule", "rm $rules", "60-hexapod-gateway.rules"),
     Fault(
@@ -181,30 +160,11 @@ FAULTS = (
         "a device that does not exist",
         "sed -i '1i spi.device = \"/dev/spidev9.9\"' $toml; systemctl restart $service || true",
         "/dev/spidev9.9: No such file or directory → set spi.device; this machine has /dev/spidev0.0",
-        by_hand=_AGAIN,
+        by_hand="cp /root/gateway.toml $toml; systemctl reset-failed $service; systemctl restart $service",
     ),
     # the configuration
-    Fault("a configuration that is no TOML", "echo '[' >>$toml", "→ fix it there", by_hand=_AGAIN),
-    Fault(
-        "a setting that does not exist", "sed -i '1i spi.speed = 1' $toml", "spi.speed: is no setting", by_hand=_AGAIN
-    ),
-    Fault("no framing", "sed -i /framing/d $toml", "spi.framing: is not set", by_hand=_AGAIN),
     Fault(
         "a configuration for root only", "chown root:root $toml; chmod 600 $toml", "cannot be read (Permission denied)"
-    ),
-    Fault(
-        "an address that is not there",
-        'sed -i \'s|\\[.*\\]|["tls/127.0.0.1:7447", "tls/192.0.2.9:7447"]|\' $toml; systemctl restart $service',
-        "tls/192.0.2.9:7447 is not there yet",
-        by_hand=_AGAIN,
-    ),
-    Fault(
-        "a port that is taken",
-        "systemctl stop $service; systemd-run --quiet --unit=other socat-less /bin/true || true; "
-        "systemd-run --quiet --unit=other python3 -m http.server --bind 127.0.0.1 7447; "
-        "until ss -ltn | grep -q 7447; do :; done",
-        "is taken by another program",
-        by_hand="systemctl stop other; systemctl start $service",
     ),
     # certificates
     Fault(
@@ -219,37 +179,12 @@ FAULTS = (
         "gateway.key: Permission",
     ),
     Fault("the key of another", "cp /root/other/gateway.key $pki", "gateway.key is not the key of"),
-    Fault("another authority", "cp /root/other/ca.pem $pki", "is of another authority than"),
-    Fault(
-        "a laptop's certificate in the robot's place",
-        "cp /root/certs/anna.pem $pki/gateway.pem; cp /root/certs/anna.key $pki/gateway.key",
-        "gateway.pem is of operator, not of a robot",
-    ),
-    Fault(
-        "a certificate of another authority",
-        "cp /root/other/gateway.pem /root/other/gateway.key $pki",
-        "is of another authority than",
-    ),
-    Fault(
-        "a key that is missing", "rm $pki/gateway.key", "gateway.key", by_hand="cp /root/certs/gateway.key $pki", more=1
-    ),
-    Fault(
-        "an authority that is damaged", ": >$pki/ca.pem", "holds no certificate", by_hand="cp /root/certs/ca.pem $pki"
-    ),
-    Fault(
-        "a certificate that has expired",
-        "cp /root/expired/ca.pem /root/expired/gateway.pem /root/expired/gateway.key $pki",
-        "gateway.pem expired on",
-        by_hand="cp /root/certs/ca.pem /root/certs/gateway.pem /root/certs/gateway.key $pki",
-    ),
-    Fault("no Zenoh file", "mv $pki/gateway.json5 /root", "gateway.json5", by_hand="mv /root/gateway.json5 $pki"),
     Fault("a damaged list of the revoked", "echo x >$state/revoked.crl", "this is no list of"),
     Fault(
         "a list of another authority",
         "cp /root/other/revoked.crl $state",
         "is of another authority, so it shuts nobody out",
     ),
-    Fault("a damaged list beside", "echo x >$pki/revoked.crl", "this is no list of", then="rm $pki/revoked.crl"),
 )
 
 

@@ -24,14 +24,6 @@ for each in {CERTS} {OTHER}; do
     for name in anna carl; do {NAME} certs issue $name --role operator --dir $each; done
     {NAME} certs revoke carl --dir $each || [ $? = 1 ]  # no robot confirms it yet
 done
-PYTHONPATH=$own /usr/bin/python3.11 -S - <<'END'
-import datetime as dt
-from pathlib import Path
-from gateway import certs
-long_ago = dt.datetime.now(dt.UTC) - dt.timedelta(days=9)
-certs.folder.now_utc = lambda: long_ago
-certs.folder.init(Path("/root/expired"), ["127.0.0.1"], days=2)
-END
 mkdir $pki
 cp {CERTS}/ca.pem {CERTS}/gateway.* $pki
 cat >$toml <<'END'
@@ -46,11 +38,11 @@ systemctl restart $service
 tar -cPpf /root/kept.tar {KEPT} $state
 """
 UNDO = f"""
-systemctl stop $service other || true
+systemctl stop $service || true
 umount $state || true
 mv -f /usr/bin/gone /usr/bin/python3.11 || true
 rm -rf $state $units/$service* /usr/lib/{NAME} /usr/local/bin/$service
-systemctl unset-environment HEXAPOD_LIMITS__LEG_RATE_HZ PYTHONPATH
+systemctl unset-environment HEXAPOD_LIMITS__LEG_RATE_HZ
 tar -xPpf /root/kept.tar
 chgrp -R spi /box-out/bed && chmod -R g+rwX /box-out/bed
 systemctl daemon-reload
