@@ -7,6 +7,7 @@ from pathlib import Path
 from re import Pattern
 from typing import Any, ClassVar, Final
 
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, CDPSession, ConsoleMessage, Locator, Page, expect
 
 from tests.support.closing import Closing
@@ -36,7 +37,7 @@ Object.defineProperty(document, "visibilityState", { value: "%s", configurable: 
 document.dispatchEvent(new Event("visibilitychange"));
 """
 
-PHONE: Final = """
+COUNTS: Final = """
 window.wakes = 0;
 window.shakes = [];
 WakeLock.prototype.request = ((request) => function (kind) {
@@ -105,6 +106,8 @@ HELD_UP: Final = re.compile(
     "was frozen|the newest state is|too late|received nothing|accepts nothing|watchdog|use the switch|NO SIGNAL|is lost"
 )
 """What a page says where it, the console or the gateway stood still."""
+
+PHONE: Final[dict[str, Any]] = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobile": True}
 
 expect.set_options(timeout=LATE_MS)
 
@@ -246,6 +249,15 @@ class Opened:
     def module(self, name: str, expression: str, argument: Any = None) -> Any:
         """What an expression over a module of the page's says: `module("kinematics", "(m, a) => m.LEGS")`."""
         return self.page.evaluate(f"async (a) => ({expression})(await import('/{name}.js'), a)", argument)
+
+    def violations(self) -> dict[tuple[str, str], str]:
+        """What axe finds: by color scheme and rule, the first element."""
+        found = {}
+        for scheme in ("dark", "light"):  # as it was
+            self.page.emulate_media(color_scheme=scheme)
+            for each in Axe().run(self.page).response["violations"]:
+                found[scheme, each["id"]] = each["nodes"][0]["html"]
+        return found
 
     def devtools(self) -> CDPSession:
         """The browser's own interface to this page."""

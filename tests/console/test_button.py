@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, expect
 
 from gateway.client import Client
 from schemas.telemetry import GatewayState, Kind, Mode
-from tests.console.browser import PHONE, Opened, Visitor
+from tests.console.browser import COUNTS, Opened, Visitor
 from tests.support.child import frozen
 from tests.support.console_process import Console
 from tests.support.fixtures import client_fixture
@@ -47,7 +47,7 @@ def watching(visitor: Visitor, watcher: Client, script: str = "", **options: Any
 
 
 def test_a_tap_anywhere_stops(visitor: Visitor, watcher: Client) -> None:
-    page = watching(visitor, watcher, PHONE, **LANDSCAPE)
+    page = watching(visitor, watcher, COUNTS, **LANDSCAPE)
     page.page.wait_for_function("() => document.fullscreenElement !== null && window.wakes === 1")
     start = visitor.open()
     expect(start["buttons"]).to_have_text("1 alive")
@@ -77,7 +77,7 @@ def test_on_a_laptop_the_keys_of_stop_all_stop_wherever_the_focus_is(
 def test_where_nothing_is_heard_it_says_so_and_shakes_and_a_tap_waits_for_the_connection(
     visitor: Visitor, watcher: Client, console: Console
 ) -> None:
-    page = watching(visitor, watcher, PHONE, **LANDSCAPE)
+    page = watching(visitor, watcher, COUNTS, **LANDSCAPE)
     with frozen(console.child.pid):
         expect(page["word"]).to_have_text("NO SIGNAL")
         expect(page["known"]).to_contain_text("use the switch")
@@ -121,7 +121,7 @@ def test_a_page_of_a_button_stops_and_drives_nothing_and_one_that_looks_does_nei
 def test_a_page_that_is_hidden_is_silent_and_checks_in_again_when_it_is_seen(visitor: Visitor, watcher: Client) -> None:
     """A phone that is locked, and unlocked."""
     heard = events(watcher)
-    page = watching(visitor, watcher, PHONE)
+    page = watching(visitor, watcher, COUNTS)
     page.hide()
     heard.wait(lambda event: event.kind == Kind.BUTTON_SILENT)
     expect(page["word"]).to_have_text("NO SIGNAL")

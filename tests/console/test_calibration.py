@@ -2,20 +2,17 @@
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Final
 
 import pytest
 from playwright.sync_api import expect
 
 from gateway.client import Client
 from schemas.calibration import ServoChange
-from tests.console.browser import Opened, Visitor
+from tests.console.browser import PHONE, Opened, Visitor
 from tests.support.gateway_process import Gateway
 from tests.support.heard import states
 
 pytestmark = pytest.mark.browser
-
-PHONE: Final = {"width": 390, "height": 844}
 
 
 @pytest.fixture(autouse=True)
@@ -43,13 +40,9 @@ def start_32(page: Opened, begin: str = "90") -> None:
     expect(page["cal-now"]).to_contain_text("Servo 32 runs at")
 
 
-def expect_rest(page: Opened) -> None:
-    page.expect_status(3, "rests")
-
-
 @pytest.mark.nightly
 def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visitor: Visitor, gateway: Gateway) -> None:
-    page = visitor.open(viewport=PHONE)
+    page = visitor.open(viewport=PHONE["viewport"])
     with gateway.client() as robot:
         before = robot.calibration().revision
         start_32(page)
@@ -69,7 +62,7 @@ def test_a_servo_is_started_alone_jogged_trimmed_turned_round_and_written(visito
         expect(page["cal-write"]).to_be_disabled()
 
         page["cal-stop"].click()
-        expect_rest(page)
+        page.expect_status(3, "rests")
         page["cal-write"].click()
         assert robot.calibration().revision == before, "nothing is written before it is confirmed"
         page["question-yes"].click()
@@ -111,4 +104,4 @@ def test_a_lease_that_is_taken_and_somebody_elses_stop_end_it(visitor: Visitor, 
         page.expect_status(3, "runs")
         with robot.lease(take=True):
             expect(page["cal-start"]).to_be_disabled()
-            expect_rest(page)
+            page.expect_status(3, "rests")

@@ -2,13 +2,13 @@
 
 import re
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import pytest
 from playwright.sync_api import Browser, expect
 
 from schemas.robot import LEGS
-from tests.console.browser import Opened, Visitor
+from tests.console.browser import PHONE, Opened, Visitor
 from tests.support.console_process import Console
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway, free_port
@@ -16,7 +16,6 @@ from tests.support.heard import servos_on
 
 pytestmark = pytest.mark.browser
 
-PHONE: Final[dict[str, Any]] = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 WITHOUT_GATEWAY_MS: Final = 4000
 """So long "You drive" once stood without a gateway."""
 TYPED: Final = re.compile("systemctl|journalctl|hexapod-gateway")

@@ -1,17 +1,15 @@
 """A thumb on the pad, while the page, the phone and other drivers do what they do."""
 
-from typing import Any, Final
+from typing import Final
 
 import pytest
 from playwright.sync_api import CDPSession, expect
 
-from tests.console import browser
-from tests.console.browser import WISHES, Opened, Visitor, walks
+from tests.console.browser import COUNTS, PHONE, WISHES, Opened, Visitor, walks
 from tests.support.fixtures import client_fixture
 
 pytestmark = pytest.mark.browser
 
-PHONE: Final[dict[str, Any]] = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobile": True}
 STANDS_AGAIN: Final = (
     "() => window.wishes.length > 3 && !window.wishes.some((each) => each.forward_m_s || each.left_m_s)"
 )
@@ -55,7 +53,7 @@ robot = client_fixture("watcher")
 
 
 def driving(visitor: Visitor) -> Opened:
-    page = visitor.open(script=WISHES + browser.PHONE, **PHONE)
+    page = visitor.open(script=WISHES + COUNTS, **PHONE)
     page.get_lease()
     return page
 

@@ -3,22 +3,18 @@
 import os
 import re
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, expect
 
 from schemas.robot import LEGS
-from tests.console.browser import Visitor
+from tests.console.browser import PHONE, Visitor
 from tests.support.child import Child
 from tests.support.console_process import Console
 from tests.support.gateway_process import COMMAND, Gateway
 
 pytestmark = pytest.mark.browser
-
-PHONE: Final = {"width": 360, "height": 740}
-HELD: Final = {"width": 390, "height": 844}
 
 
 @pytest.mark.nightly
@@ -88,15 +84,15 @@ def test_a_reset_asks_first_and_stop_all_answers_no(visitor: Visitor, gateway: G
 
 
 def test_a_phone_has_all_of_it(visitor: Visitor) -> None:
-    page = visitor.open(viewport=PHONE, has_touch=True, is_mobile=True)
-    assert page.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    page, size = visitor.open(**PHONE), PHONE["viewport"]
+    assert page.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
     box = page["stop-all"].bounding_box()
     assert box is not None
-    assert (box["height"] >= 44, box["y"] + box["height"] <= PHONE["height"]) == (True, True)
+    assert (box["height"] >= 44, box["y"] + box["height"] <= size["height"]) == (True, True)
     page.show_joints()
     box = page["joint-1"].bounding_box()
     assert box is not None
-    assert box["width"] > PHONE["width"] * 0.75
+    assert box["width"] > size["width"] * 0.75
     for leg in LEGS:
         expect(page[f"run-{leg}"]).not_to_be_checked()
     page["events"].scroll_into_view_if_needed()
@@ -105,47 +101,20 @@ def test_a_phone_has_all_of_it(visitor: Visitor) -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("layout", [{}, {"viewport": HELD, "has_touch": True, "is_mobile": True}], ids=["wide", "held"])
+@pytest.mark.parametrize("layout", [{}, PHONE], ids=["wide", "held"])
 def test_axe_finds_nothing(visitor: Visitor, layout: dict[str, Any]) -> None:
     page = visitor.open(**layout)
-    found = {}
-
-    def look(what: str) -> None:
-        for scheme in ("dark", "light"):  # as it was
-            page.page.emulate_media(color_scheme=scheme)
-            for each in Axe().run(page.page).response["violations"]:
-                found[what, scheme, each["id"]] = each["nodes"][0]["html"]
-
-    look("watching")
+    assert page.violations() == {}
     page.get_lease()
-    look("driving")
+    assert page.violations() == {}
     page.show_rest()
-    look("more")
+    assert page.violations() == {}
     page["stop-all"].click()
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
-    look("stopped")
+    assert page.violations() == {}
     page["reset"].click()
     expect(page["question"]).to_be_visible()
-    look("asked")
-    assert found == {}
-
-
-@pytest.mark.nightly
-def test_a_phone_loads_at_most_350_kb(visitor: Visitor) -> None:
-    """All files, the 3D part and the headers too, in a browser that has none of them yet."""
-    page = visitor.open(webgl=True, viewport=HELD, has_touch=True, is_mobile=True)
-    devtools, url = page.devtools(), page.page.url
-    page.page.goto("about:blank")
-    loaded: list[float] = []
-    devtools.on("Network.loadingFinished", lambda event: loaded.append(event["encodedDataLength"]))
-    devtools.send("Network.enable")
-    devtools.send("Network.setCacheDisabled", {"cacheDisabled": True})
-    page.page.goto(url)
-    page.expect_live()
-    page.insist_on_three_dimensions()
-    expect(page.page.locator("#picture canvas")).to_be_visible()
-    print(f"{len(loaded)} files, {sum(loaded) / 1000:.1f} kB")
-    assert 100_000 < sum(loaded) <= 350_000
+    assert page.violations() == {}
 
 
 def test_an_observer_is_sent_to_the_switch_and_whose_session_was_ended_is_told_how_to_go_on(

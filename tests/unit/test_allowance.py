@@ -6,14 +6,10 @@ from fractions import Fraction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.allowance import MOST_SOURCES, NS_PER_MS, NS_PER_S, Allowance, AllowanceBySource
+from gateway.allowance import MOST_SOURCES, NS_PER_S, Allowance, AllowanceBySource
 from gateway.robot.runtime.event_publisher import EVENTS_A_SECOND, EVENTS_AT_ONCE
 
 MS = 1_000_000
-
-
-def test_units() -> None:
-    assert (NS_PER_MS, NS_PER_S) == (MS, 1000 * MS)
 
 
 def test_all_or_nothing() -> None:

@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Final
 
 import pytest
+from multidict import CIMultiDict
+
+from gateway.people.console.server.auth import read_files
 
 PAGE: Final = Path(__file__).parents[2] / "gateway/people/console/page"
 HTML: Final = (PAGE / "index.html").read_text()
@@ -48,3 +51,9 @@ def test_three_is_as_it_was_made_with_its_licence_and_has_what_the_page_uses() -
     exported = set(re.findall(r" as (\w+)[,}]", made.decode().rpartition("export{")[2]))
     used = {name for module in MODULES for name in re.findall(r"\bthree\.([A-Z]\w+)", module.read_text())}
     assert exported == used, "make three"
+
+
+def test_a_phone_loads_at_most_300_kb() -> None:
+    """All files, the 3D part too, packed; headers come on top."""
+    answers = [file.response(CIMultiDict({"Accept-Encoding": "gzip"})) for file in read_files().values()]
+    assert sum(len(answer.body) for answer in answers if isinstance(answer.body, bytes)) in range(100_000, 300_000)

@@ -42,10 +42,7 @@ def test_tables_are_those_of_the_code(capsys: pytest.CaptureFixture[str]) -> Non
     "row",
     [
         '| `op` | `"start"` or `"set"` or `"stop"` | energise and set, set, or de-energise |',
-        "| `angle_deg` | number, 0 to 180 | with `start`, `set`: to the nearest hundredth |",
-        "| `servos` | 3 × object | joints 1, 2, 3; as in [ServoCommand](#servocommand) |",
         "| `to` | 1 to 64 characters? | with `release`: the next holder, one that asked |",
-        "| `servos.N.trim_deg` | number, -90 to 90? | added to the angle on the wire |",
         "| `legs.age_ms` | 6 × number? | since an accepted start or set; null: none |",
         "| `servo_silent` | a running servo draws nothing for 1 s |",
     ],

@@ -6,11 +6,9 @@ import os
 import re
 import shutil
 import ssl
-import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Final
@@ -440,15 +438,6 @@ def test_a_file_that_is_broken_or_anothers_is_one_sentence(
     assert contents(folder) == before
 
 
-@pytest.mark.filterwarnings("ignore:.*RFC 5280")
-def test_a_certificate_with_one_bit_changed_is_listed_or_a_sentence(folder: Path) -> None:
-    file = folder / "gateway.pem"
-    for changed in islice(with_one_bit_changed(file.read_bytes()), 0, None, 7):  # in each byte
-        file.write_bytes(changed)
-        with suppress(ConfigError):
-            certs.folder.describe(file)
-
-
 def test_a_ca_that_expired(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "cannot be a name here" in fault(lambda: certs.folder.renew(folder, "ca"))
     monkeypatch.setattr(certs.folder, "now_utc", lambda: NOW + 3651 * DAY)
@@ -474,33 +463,3 @@ def test_zenoh_files_with_faults(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     ):
         config.write_text(good.replace(good_part, bad_part))
         assert sentence in fault(lambda: load_client_config(config))
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="to become another user takes root")
-def test_folders_that_one_may_not_write_or_read() -> None:
-    """As nobody: to root no folder is closed."""
-    with tempfile.TemporaryDirectory() as name:
-        top = Path(name)
-        top.chmod(0o711)
-        certs.folder.init(top / "D", HOSTS)
-        (top / "E").mkdir(mode=0o755)
-        os.seteuid(65534)
-        try:
-            for call in (
-                lambda: certs.folder.init(top / "E", HOSTS),
-                lambda: certs.folder.init(top / "E" / "F", HOSTS),
-                lambda: issue(top / "D", "alice"),
-                lambda: certs.folder.expiries(top / "D"),
-                lambda: load_config(top / "D" / "gateway.json5"),
-            ):
-                assert "Permission denied" in fault(call)
-        finally:
-            os.seteuid(0)
-        assert names(top / "E") == set()
-        (top / "D" / "gateway.key").chmod(0o600)
-        (top / "D").chmod(0o755)  # as on a robot, but the key still belongs to root
-        os.seteuid(65534)
-        try:
-            assert "gateway.key: Permission denied" in fault(lambda: load_config(top / "D" / "gateway.json5"))
-        finally:
-            os.seteuid(0)

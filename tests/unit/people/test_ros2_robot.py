@@ -14,7 +14,7 @@ from gateway.people.recorder.drawing import encode
 from gateway.people.recorder.messages import RecordedMessage
 from gateway.people.recorder.story import frames_in
 from gateway.people.ros2.commanded import UserAngles
-from gateway.people.ros2.messages import Header, Imu, JointState, Message, String, Time
+from gateway.people.ros2.messages import Imu, JointState, String, Time
 from gateway.people.ros2.received import SILENT_S, Rivals, presence, read_each
 from gateway.people.ros2.robot import MEASURED, description, frames, joint_state, measured, odometry, odometry_frame
 from gateway.people.walking.inverse import Limb
@@ -23,7 +23,7 @@ from schemas.keys import CALIBRATION, FRAME, STATE
 from schemas.robot import JOINTS, SERVO_IDS
 from schemas.telemetry import Telemetry
 from tests.support import measuring
-from tests.support.ros2_messages import STORE, Duration, JointTrajectory, JointTrajectoryPoint
+from tests.support.ros2_messages import STORE, Duration
 
 GEOMETRY: Final = load()
 NOW_NS: Final = 1_700_000_000_123_456_789
@@ -170,39 +170,6 @@ def test_bytes_that_no_user_meant_stay_as_they_are() -> None:
     low = OneServo(31, ServoOp(Op.SET, 0))  # its user would have said -7.5
     assert read(told(MIRRORED), RecordedMessage(FRAME, {"bytes": low.to_bytes().hex()}, 0)) == [low]
     assert read(told(MIRRORED), RecordedMessage(FRAME, {"bytes": "00"}, 0)) == []
-
-
-# ---- bytes: compared with what CycloneDDS wrote, and with the types of each distribution
-
-
-_HEADER: Final = Header(Time(1, 2), "base_link")
-CYCLONE: Final = (
-    (
-        JointState(_HEADER, ("joint_11", "j"), (0.5, -1.25)),
-        "0001000001000000020000000a000000626173655f6c696e6b00000002000000090000006a6f696e745f313100000000020000006a000000"
-        "02000000000000000000e03f000000000000f4bf0000000000000000",
-    ),
-    (JointState(), "000100000000000000000000010000000000000000000000000000000000000000000000"),
-    (
-        JointTrajectory(
-            _HEADER,
-            ("joint_11",),
-            (
-                JointTrajectoryPoint((0.5,), time_from_start=Duration(0, 5)),
-                JointTrajectoryPoint((1.5,), (0.25,), time_from_start=Duration(-1, 999_999_999)),
-            ),
-        ),
-        "0001000001000000020000000a000000626173655f6c696e6b00000001000000090000006a6f696e745f31310000000002000000010000000000"
-        "0000000000000000e03f000000000000000000000000000000000500000001000000000000000000f83f0100000000000000000000000000d03f"
-        "0000000000000000ffffffffffc99a3b",
-    ),
-)
-"""Written by `cyclonedds` 11.0.1, which builds where there is no wheel, and so is not asked each time."""
-
-
-@pytest.mark.parametrize(("message", "expected"), CYCLONE, ids=["joints", "empty", "trajectory"])
-def test_cyclonedds_writes_the_same_bytes(message: Message, expected: str) -> None:
-    assert encode(message).hex() == expected
 
 
 def test_what_cannot_be_written_is_reported() -> None:

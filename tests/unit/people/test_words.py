@@ -28,18 +28,14 @@ def walk(posture: Posture, *lost: int) -> WalkState:
     ("running", "driver", "sentence"),
     [
         ((), None, "No servo runs"),
-        ((3,), None, "Leg 3 runs"),
         ((1, 3, 4), None, "Legs 1, 3 and 4 run"),
         (ALL, None, "All six legs run"),
         ((), walk(Posture.LYING), "It lies"),
-        ((1, 2), walk(Posture.LYING), "Legs 1 and 2 run"),
         (ALL, walk(Posture.SITTING), "It sits"),
-        ((), walk(Posture.SITTING), "It sits"),
         (ALL, walk(Posture.STANDING), "It stands"),
         (ALL, walk(Posture.WALKING), "It walks"),
         (ALL, walk(Posture.MOVING), "It moves to another posture"),
         (ALL - {3}, walk(Posture.HALTED, 3), "Leg 3 is stopped, and the others stand still"),
-        (ALL - {2, 5}, walk(Posture.HALTED, 2, 5), "Legs 2 and 5 are stopped, and the others stand still"),
         # its driver does not know yet, or holds them no more
         (ALL - {3, 4}, walk(Posture.HALTED, 3), "Legs 3 and 4 are stopped, and the others run"),
         (ALL - {3}, walk(Posture.WALKING), "Leg 3 is stopped, and the others run"),
