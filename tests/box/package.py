@@ -9,7 +9,7 @@ from zipfile import ZIP_STORED, ZipFile
 from release.build import build
 from release.deb import deb, dependencies
 from tests.box.box import PATH_INSIDE, SHARED_INSIDE, Box
-from tests.box.installed import InstalledGateway, wait_for_stops
+from tests.box.installed import CONFIGURATION, InstalledGateway, wait_for_stops
 
 WHEN = 1_700_000_000
 LIBRARY = "/usr/lib/hexapod-gateway"
@@ -116,12 +116,8 @@ class Robot(InstalledGateway):
         assert self.box.exists(f"{folder}/gateway/__init__.py"), "what it has not yet imported is there"
         assert "accepted" in self.gateway("send", "leg", "3", "start", "90", "45", "120")
         self.gateway("send", "leg", "3", "stop")
-        self.stops_work()
-
-    def stops_work(self, command: str = "hexapod-gateway") -> None:
-        """`stop-servos` writes six Stops."""
         since = len(self.bed.transfers)
-        self.box.run("env", *self.emulated, command, "stop-servos", "--config", "/etc/hexapod-gateway/gateway.toml")
+        self.box.run("env", *self.emulated, "hexapod-gateway", "stop-servos", "--config", CONFIGURATION)
         wait_for_stops(self.bed, since=since)
 
 

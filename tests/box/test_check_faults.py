@@ -130,13 +130,10 @@ def test_a_fault_is_named_and_its_remedy_helps(robot: Robot, fault: Fault) -> No
 def follow(robot: Robot, line: Line) -> None:
     command = re.search(r"sudo .*", line.fix)
     assert command, f"{line.fix!r} has no command"
-    robot.shell(filled_in(command[0]))
-
-
-def filled_in(command: str) -> str:
+    filled_in = command[0]
     for word, meant in GIVEN.items():
-        command = re.sub(rf"(?<![\w/]){re.escape(word)}(?!\w)", meant, command)
-    return command
+        filled_in = re.sub(rf"(?<![\w/]){re.escape(word)}(?!\w)", meant, filled_in)
+    robot.shell(filled_in)
 
 
 def test_somebody_who_may_not_look_is_not_answered_with_a_traceback(well: Robot) -> None:

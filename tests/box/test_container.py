@@ -116,26 +116,22 @@ def test_the_image_is_built_and_run_as_the_page_says(containers: Containers, mon
         if subprocess.run(["prlimit", "--nice=30:30", "--rtprio=20:20", "true"], check=False).returncode:
             run = run.replace(RAISED, GRANTED)
         containers.run(run)
-        each_end_stops(containers, bed, run)
-
-
-def each_end_stops(containers: Containers, bed: SpiTestbed, run: str) -> None:
-    """The gateway's death, and the container's end; the state outlasts both."""
-    containers.wait_for_starts(1)
-    status = containers.run(f"podman exec {NAME} cat /proc/1/status")
-    assert all(f"{line}\n" in status for line in ("CapBnd:\t0000000000000000", "NoNewPrivs:\t1")), status
-    assert "accepted" in containers.gateway("send leg 3 start 90 45 120")
-    first = bed.transfers[-1].opening
-    containers.run(f"podman exec {NAME} sh -c 'read -r gateway </proc/1/task/1/children; kill -KILL $gateway'")
-    wait_for_stops(bed, opening=first + 1)  # by stop-servos
-    containers.wait_for_starts(2)
-    assert "stopped" in containers.gateway("estop")
-    before, second = len(bed.transfers), bed.transfers[-1].opening
-    assert second > first + 1
-    containers.run(f"podman stop {NAME}")
-    wait_for_stops(bed, opening=second, since=before)
-    wait_for_stops(bed, opening=second + 1)
-    assert containers.run(f"podman inspect {NAME} --format '{{{{.State.ExitCode}}}}'") == "0\n"
-    containers.run(run)
-    containers.wait_for_starts(1)
-    assert "nothing runs until a reset" in containers.gateway("status")
+        # The gateway's death, and the container's end; the state outlasts both.
+        containers.wait_for_starts(1)
+        status = containers.run(f"podman exec {NAME} cat /proc/1/status")
+        assert all(f"{line}\n" in status for line in ("CapBnd:\t0000000000000000", "NoNewPrivs:\t1")), status
+        assert "accepted" in containers.gateway("send leg 3 start 90 45 120")
+        first = bed.transfers[-1].opening
+        containers.run(f"podman exec {NAME} sh -c 'read -r gateway </proc/1/task/1/children; kill -KILL $gateway'")
+        wait_for_stops(bed, opening=first + 1)  # by stop-servos
+        containers.wait_for_starts(2)
+        assert "stopped" in containers.gateway("estop")
+        before, second = len(bed.transfers), bed.transfers[-1].opening
+        assert second > first + 1
+        containers.run(f"podman stop {NAME}")
+        wait_for_stops(bed, opening=second, since=before)
+        wait_for_stops(bed, opening=second + 1)
+        assert containers.run(f"podman inspect {NAME} --format '{{{{.State.ExitCode}}}}'") == "0\n"
+        containers.run(run)
+        containers.wait_for_starts(1)
+        assert "nothing runs until a reset" in containers.gateway("status")

@@ -28,12 +28,6 @@ def debian(suite: str, root: Path, parts: str = PARTS) -> Path:
     return root
 
 
-def commands() -> list[str]:
-    """Those of *On the robot*, without their remarks."""
-    (block,) = blocks(section(README.read_text(encoding="utf-8"), "## On the robot"), "console")
-    return [line.removeprefix("$ ").partition(" #")[0].rstrip() for line in block.splitlines()]
-
-
 def paste(box: Box, command: str, answers: str, *, check: bool = True) -> str:
     """Type a command and its answers at a terminal in the box; what it printed."""
     typed = f"cd && printf %s {shlex.quote(answers)} | script -qefc {shlex.quote(command)} /dev/null"
@@ -50,7 +44,10 @@ def test_its_four_commands_lead_from_nothing_to_a_servo_that_moves(
             box.write(path, text)
             box.run("chmod", "+x", path)
         box.write(CONFIG_TXT, STOCK)
-        copy, install, setup, first_contact = commands()
+        (block,) = blocks(section(README.read_text(encoding="utf-8"), "## On the robot"), "console")
+        copy, install, setup, first_contact = (
+            line.removeprefix("$ ").partition(" #")[0].rstrip() for line in block.splitlines()
+        )
         assert copy.startswith("scp hexapod-gateway_*_arm64.deb ")  # here: by a shared folder, and under this name
         box.run("cp", share(box, packages.make("1.1.0")), "/root/hexapod-gateway_1.1.0_arm64.deb")
         assert "Next: sudo hexapod-gateway setup" in paste(box, install, ANSWERS[0])

@@ -53,8 +53,6 @@ def test_the_fleets_certificate_is_used_where_it_fits(tmp_path: Path, hosts: Seq
     [
         ("/", 200),
         ("/tap.js", 200),
-        ("/session", 404),
-        ("/../phone.pem", 404),
         ("/ws", 404),
     ],
 )

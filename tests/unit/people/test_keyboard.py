@@ -33,10 +33,8 @@ def test_the_space_bar_is_always_a_key_that_stops_whatever_else_is_held(parts: l
     [
         ([b"\x1b", b""], ["escape"]),
         ([b"\x1b\x1b"], ["escape"]),
-        ([b"\x1bw"], ["escape", "w"]),
         ([b"\x1b", b"w"], ["escape", "w"]),
         ([b"\x1b[A\x1bOB"], ["up", "down"]),
-        ([b"\x1b", b"[A"], ["up"]),
         ([b"\x1b[", b"A"], ["up"]),
         ([b"\x1b[1;", b"5A"], []),
         ([b"\x1b", b"", b"[A"], ["escape", "[", "A"]),

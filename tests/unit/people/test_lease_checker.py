@@ -3,7 +3,7 @@
 import base64
 import datetime as dt
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -108,10 +108,8 @@ ED = ed25519.Ed25519PrivateKey.generate()
 OPERATOR = name_of("operator", "anna")
 
 
-def issued(
-    role: str = "operator", ca: authority.KeyPair = CA, now: dt.datetime = NOW, hosts: Sequence[str] = ()
-) -> Proof:
-    return proof(authority.make_leaf(ca, role, "" if hosts else "anna", hosts, 30, now))
+def issued(role: str = "operator", ca: authority.KeyPair = CA, now: dt.datetime = NOW) -> Proof:
+    return proof(authority.make_leaf(ca, role, "anna", (), 30, now))
 
 
 def by_own_tools(name: x509.Name = OPERATOR, key: Any = ANNA.key, **changes: Any) -> Proof:
@@ -133,7 +131,6 @@ BAD: dict[str, tuple[Callable[[], Proof], str]] = {
     ),
     "the CA itself": (lambda: proof(CA), NO_OPERATOR),
     "an observer's": (lambda: issued("observer"), NO_OPERATOR),
-    "the gateway's": (lambda: issued("gateway", hosts=["anna"]), NO_OPERATOR),
     "an expired one's": (lambda: issued(now=NOW - 31 * DAY), "expired at"),
     "one of tomorrow": (
         lambda: by_own_tools(start=NOW + DAY / 2),

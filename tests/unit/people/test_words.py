@@ -24,46 +24,59 @@ def walk(posture: Posture, *lost: int) -> WalkState:
     return WalkState(posture, "tripod", 0.15, STILL, STILL, "", Odometry(0.0, 0.0, 0.0), lost)
 
 
+def partly(*partly: int) -> GatewayState:
+    """All legs run, but of these one servo only."""
+    found = of(ALL)
+    legs = [
+        leg.model_copy(update={"servos": tuple(servo(each.id, each is leg.servos[0]) for each in leg.servos)})
+        if leg.leg in partly
+        else leg
+        for leg in found.legs
+    ]
+    return found.model_copy(update={"legs": tuple(legs)})
+
+
+ESTOPPED = of((), Mode.ESTOPPED, estop_source="anna")
+BY_ANNA = "Emergency stop by anna: nothing runs until a reset"
+SILENT = ControllerReport(alive=False)
+
+
 @pytest.mark.parametrize(
-    ("running", "driver", "sentence"),
+    ("found", "driver", "sentence"),
     [
-        ((), None, "No servo runs"),
-        ((1, 3, 4), None, "Legs 1, 3 and 4 run"),
-        (ALL, None, "All six legs run"),
-        ((), walk(Posture.LYING), "It lies"),
-        (ALL, walk(Posture.SITTING), "It sits"),
-        (ALL, walk(Posture.STANDING), "It stands"),
-        (ALL, walk(Posture.WALKING), "It walks"),
-        (ALL, walk(Posture.MOVING), "It moves to another posture"),
-        (ALL - {3}, walk(Posture.HALTED, 3), "Leg 3 is stopped, and the others stand still"),
+        (of(()), None, "No servo runs"),
+        (of((1, 3, 4)), None, "Legs 1, 3 and 4 run"),
+        (of(ALL), None, "All six legs run"),
+        (of(()), walk(Posture.LYING), "It lies"),
+        (of(ALL), walk(Posture.SITTING), "It sits"),
+        (of(ALL), walk(Posture.STANDING), "It stands"),
+        (of(ALL), walk(Posture.WALKING), "It walks"),
+        (of(ALL), walk(Posture.MOVING), "It moves to another posture"),
+        (of(ALL - {3}), walk(Posture.HALTED, 3), "Leg 3 is stopped, and the others stand still"),
         # its driver does not know yet, or holds them no more
-        (ALL - {3, 4}, walk(Posture.HALTED, 3), "Legs 3 and 4 are stopped, and the others run"),
-        (ALL - {3}, walk(Posture.WALKING), "Leg 3 is stopped, and the others run"),
-        (ALL, walk(Posture.HALTED), "All six legs run"),
+        (of(ALL - {3, 4}), walk(Posture.HALTED, 3), "Legs 3 and 4 are stopped, and the others run"),
+        (of(ALL - {3}), walk(Posture.WALKING), "Leg 3 is stopped, and the others run"),
+        (of(ALL), walk(Posture.HALTED), "All six legs run"),
         # limp, whatever was lost first, and whatever was wanted
-        ((), walk(Posture.HALTED, 3), LIMP),
-        ((), walk(Posture.WALKING), LIMP),
+        (of(()), walk(Posture.HALTED, 3), LIMP),
+        (of(()), walk(Posture.WALKING), LIMP),
+        # one servo of a leg is no leg that stands
+        (partly(*LEGS), walk(Posture.STANDING), "All six legs run"),
+        (partly(1), walk(Posture.HALTED, 1), "Leg 1 is stopped, and the others stand still"),
+        # an emergency stop holds until the reset and no longer
+        *((ESTOPPED, driver, BY_ANNA) for driver in (None, walk(Posture.HALTED, 3), walk(Posture.WALKING))),
+        (of((), Mode.ESTOPPED), walk(Posture.WALKING), "Emergency stop: nothing runs until a reset"),
+        (of((), Mode.IDLE, estop_source="anna"), None, "No servo runs"),
+        # a controller that fell silent, and what the gateway knows without a bus fault
+        (of(ALL, Mode.BUS_FAULT, controller=SILENT), None, "The controller is silent: what was written may not have "
+         "arrived"),
+        (of(ALL, controller=SILENT), None, "All six legs run"),
     ],
-)
+)  # fmt: skip
 def test_what_runs_decides_and_the_posture_only_names_it(
-    running: Collection[int], driver: WalkState | None, sentence: str
+    found: GatewayState, driver: WalkState | None, sentence: str
 ) -> None:
-    assert robot_now(of(running), NEWS_S, driver) == sentence
-
-
-@pytest.mark.parametrize("driver", [None, walk(Posture.HALTED, 3), walk(Posture.WALKING)])
-def test_an_emergency_stop_holds_until_the_reset_and_no_longer(driver: WalkState | None) -> None:
-    during = of((), Mode.ESTOPPED, estop_source="anna")
-    assert robot_now(during, walk=driver) == "Emergency stop by anna: nothing runs until a reset"
-    assert robot_now(of((), Mode.ESTOPPED), walk=driver) == "Emergency stop: nothing runs until a reset"
-    assert "reset" not in robot_now(of((), Mode.IDLE, estop_source="anna"), walk=driver)
-
-
-def test_a_bus_fault_of_a_controller_that_fell_silent_names_it() -> None:
-    silent = ControllerReport(alive=False)
-    fault = of(ALL, Mode.BUS_FAULT, controller=silent)
-    assert robot_now(fault) == "The controller is silent: what was written may not have arrived"
-    assert robot_now(of(ALL, controller=silent)) == "All six legs run", "as far as the gateway knows"
+    assert robot_now(found, NEWS_S, driver) == sentence
 
 
 def test_an_older_state_that_comes_later_changes_nothing_and_a_gateway_that_began_anew_does() -> None:
@@ -75,18 +88,6 @@ def test_an_older_state_that_comes_later_changes_nothing_and_a_gateway_that_bega
     assert "is 2 s old" in newest.sentence(102.0, driver)
     newest.take(of((), uptime_s=10.0 - NEWS_S), 102.0)
     assert newest.sentence(102.0, driver) == LIMP
-
-
-def test_one_servo_of_each_leg_is_no_leg_that_stands() -> None:
-    found = of(ALL)
-    legs = [
-        leg.model_copy(update={"servos": (leg.servos[0], *(servo(each.id, False) for each in leg.servos[1:]))})
-        for leg in found.legs
-    ]
-    partly = found.model_copy(update={"legs": tuple(legs)})
-    assert robot_now(partly, walk=walk(Posture.STANDING)) == "All six legs run"
-    one = found.model_copy(update={"legs": (legs[0], *found.legs[1:])})
-    assert robot_now(one, walk=walk(Posture.HALTED, 1)) == "Leg 1 is stopped, and the others stand still"
 
 
 @pytest.mark.parametrize(
