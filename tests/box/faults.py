@@ -59,7 +59,6 @@ FAULTS = (
     Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/text.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
-    Fault("a damaged command", "echo 'exit 1 # damaged' >>/usr/bin/$service", "not as installed: /usr/bin/hexapod"),
     Fault(
         "no Python that it runs with",
         "mv /usr/bin/python3.11 /usr/bin/gone; systemctl kill --signal=KILL $service",
@@ -68,13 +67,7 @@ FAULTS = (
     ),
     # user and groups
     Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
-    Fault("no group spi", "systemctl stop $service; groupdel spi", "there is no group spi"),
     # units
-    Fault(
-        "a unit that is missing",
-        "rm $unit; systemctl daemon-reload",
-        f"/usr/lib/systemd/system/{NAME}.service is not this",
-    ),
     Fault(
         "a unit of somebody's own",
         "sed /^ExecStopPost/d $unit >$units/$service.service; systemctl daemon-reload; systemctl restart $service",
@@ -86,7 +79,6 @@ FAULTS = (
         "systemctl stop $service; systemctl mask $service",
         f"/etc/systemd/system/{NAME}.service is not this",
     ),
-    Fault("a disabled unit", "systemctl disable $service", "is disabled and active"),
     Fault("a stopped service", "systemctl stop $service", "is enabled and inactive"),
     Fault(
         "a failed service",
@@ -98,11 +90,6 @@ FAULTS = (
         "a simulated controller left",
         "drop_in Environment=GATEWAY_OPTIONS=--sim ExecStopPost=; systemctl restart $service",
         "makes the controller a simulated one",
-    ),
-    Fault(
-        "a framing in a drop-in",
-        "drop_in Environment=HEXAPOD_SPI__FRAMING=plain; systemctl restart $service",
-        "depend on: HEXAPOD_SPI__FRAMING",
     ),
     Fault(
         "a variable for all services",
@@ -129,12 +116,6 @@ FAULTS = (
         "systemctl stop $service; mv $state /root/kept; touch $state",
         "is no folder",
         then="rm -rf $state $state.old; mv /root/kept $state; systemctl restart $service",
-    ),
-    Fault(
-        "a file of root's in it",
-        "install -m 600 /dev/null $state/notes",
-        "read and write /var/lib/hexapod-gateway/notes",
-        then="rm $state/notes",
     ),
     Fault(
         "a damaged calibration",
@@ -173,18 +154,8 @@ FAULTS = (
         "old.key is the authority's key",
     ),
     Fault("a private key that all may read", "chmod 644 $pki/gateway.key", "not only root and the service may read"),
-    Fault(
-        "a private key for root only",
-        "chown root:root $pki/gateway.key; chmod 600 $pki/gateway.key",
-        "gateway.key: Permission",
-    ),
     Fault("the key of another", "cp /root/other/gateway.key $pki", "gateway.key is not the key of"),
     Fault("a damaged list of the revoked", "echo x >$state/revoked.crl", "this is no list of"),
-    Fault(
-        "a list of another authority",
-        "cp /root/other/revoked.crl $state",
-        "is of another authority, so it shuts nobody out",
-    ),
 )
 
 

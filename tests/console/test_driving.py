@@ -22,9 +22,6 @@ pytestmark = pytest.mark.browser
 
 TIMEOUT_MS: Final = 2000.0
 """Eight times the default: on a busy machine the page itself is silent for longer than that, which ends a hold."""
-LEEWAY_MS: Final = 2000.0
-"""So long this machine may hold the gateway up; how long its watchdog takes is measured on the device alone."""
-NS_PER_MS: Final = 1e6
 
 gateway = gateway_fixture(patient(TIMEOUT_MS, telemetry={"frames": True}))
 watcher = client_fixture("watcher")
@@ -74,14 +71,11 @@ def of_leg(written: Heard[FrameRecord], leg: int) -> list[FrameRecord]:
 
 
 def expect_stopped(written: Heard[FrameRecord], *legs: int) -> None:
-    """Wait for these legs' Stops, and compare when the first of each came with the leg's last setpoint."""
+    """Wait for these legs' Stops; nothing else comes behind the first. How late it may be: tests/hil."""
     written.wait_for_all(lambda _: all(any(map(is_stop, of_leg(written, leg))) for leg in legs))
     for leg in legs:
         found = of_leg(written, leg)
-        first = [*map(is_stop, found)].index(True)
-        silent_ms = (found[first].monotonic_ns - found[first - 1].monotonic_ns) / NS_PER_MS
-        assert silent_ms <= TIMEOUT_MS + LEEWAY_MS
-        assert all(map(is_stop, found[first:]))
+        assert all(map(is_stop, found[[*map(is_stop, found)].index(True) :]))
 
 
 def test_sliders_and_typed_angles_come_to_the_wire_and_letting_go_stops(visitor: Visitor, watcher: Client) -> None:

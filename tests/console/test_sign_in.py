@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, expect
 
-from tests.console.browser import LATE_MS, WITHOUT_WEBGL
+from tests.console.browser import WITHOUT_WEBGL, Opened
 from tests.support.console_process import Console
 from tests.support.gateway_process import Gateway
 
@@ -17,30 +17,24 @@ pytestmark = pytest.mark.browser
 
 
 @contextmanager
-def signed_in(browser: Browser, console: Console) -> Iterator[Page]:
+def signed_in(browser: Browser, console: Console) -> Iterator[Opened]:
     """A page in a browser of its own, which has just opened a link."""
-    context = browser.new_context()
-    context.set_default_timeout(LATE_MS)
-    context.add_init_script(WITHOUT_WEBGL)
-    page = context.new_page()
-    page.goto(console.new_link())
-    expect_live(page)
-    yield page
-    context.close()
-
-
-def expect_live(page: Page) -> None:
-    expect(page.locator("body")).to_have_attribute("data-live", "yes")
+    with browser.new_context() as context:
+        context.add_init_script(WITHOUT_WEBGL)
+        opened = Opened(context, context.new_page())
+        opened.page.goto(console.new_link())
+        opened.expect_live()
+        yield opened
 
 
 def test_a_link_a_reload_and_a_second_tab(browser: Browser, console: Console) -> None:
-    with signed_in(browser, console) as page:
-        assert page.url == f"{console.url}/", "neither the link nor the key stays in the address"
-        page.reload()
-        expect_live(page)
-        second = page.context.new_page()
-        second.goto(console.url)
-        expect_live(second)
+    with signed_in(browser, console) as first:
+        assert first.page.url == f"{console.url}/", "neither the link nor the key stays in the address"
+        first.page.reload()
+        first.expect_live()
+        second = Opened(first.context, first.context.new_page())
+        second.page.goto(console.url)
+        second.expect_live()
 
 
 def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
@@ -49,15 +43,15 @@ def test_whoever_takes_the_port_of_a_console_that_is_gone_gets_no_key(
     """Another user of this machine waits for a restart: the page reconnects, sends nothing of worth, and comes back."""
     console = Console(tmp_path, "--connect", gateway.endpoint)
     with signed_in(browser, console) as page:
-        key = page.evaluate("localStorage.getItem('hexapod-console-key')")
+        key = page.page.evaluate("localStorage.getItem('hexapod-console-key')")
         console.close()
         with listening(console.port) as requests:
-            expect(page.locator("#stop-known")).to_contain_text("another program may listen here")
+            expect(page["stop-known"]).to_contain_text("another program may listen here")
             assert len(requests) > 0
             assert not [each for each in requests if key in each]
             assert not [each for each in requests if "websocket" in each], "nothing is said to who has proved nothing"
         with Console(tmp_path, "--connect", gateway.endpoint, port=console.port):
-            expect_live(page)
+            page.expect_live()
 
 
 @contextmanager

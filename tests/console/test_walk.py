@@ -175,7 +175,11 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_o
     page.get_lease()
     walks(page, push)
     with frozen(*visitor.renderers()):
-        wait_until_it_stands_still(robot)
+        newest: deque[list[float | None]] = deque(maxlen=6)
+        for state in states(robot).each():  # until for half a second no servo is commanded anywhere else
+            newest.append([servo.angle_deg for leg in state.legs for servo in leg.servos])
+            if len(newest) == newest.maxlen and all(each == newest[0] for each in newest):
+                break
     expect(page.said).to_contain_text(
         re.compile("It stands still: (this page was frozen|the console received nothing)")
     )
@@ -184,12 +188,3 @@ def test_a_frozen_page_leaves_a_robot_that_stands_and_goes_on_with_a_new_press_o
     expect(page["walk-known"]).to_contain_text("It stands")
     page.page.mouse.up()
     walks(page, push)
-
-
-def wait_until_it_stands_still(robot: Client) -> None:
-    """For half a second no servo is commanded anywhere else."""
-    newest: deque[list[float | None]] = deque(maxlen=6)
-    for state in states(robot).each():
-        newest.append([servo.angle_deg for leg in state.legs for servo in leg.servos])
-        if len(newest) == newest.maxlen and all(each == newest[0] for each in newest):
-            return

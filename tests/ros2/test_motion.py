@@ -133,26 +133,23 @@ def test_it_is_raised_leans_walks_and_stands_in_silence_and_what_legs_cannot_do_
     assert watcher.state().mode == Mode.IDLE
 
 
-def test_beside_a_node_that_sends_zeros_another_drives(driven: RclpyPeer, watcher: Client) -> None:
+def test_a_node_that_sends_zeros_starts_no_servo_and_beside_it_another_drives(
+    driven: RclpyPeer, watcher: Client
+) -> None:
     with RclpyPeer() as idle:
         idle.advertise(VELOCITIES, Twist)
-        steps = itertools.count()
-        keeps(lambda: idle.publish(VELOCITIES, Twist()), lambda: next(steps) > 20)
+
+        def taken(array: Message) -> bool:
+            idle.publish(VELOCITIES, Twist())
+            return any(value.key == "taken cmd_vel" for value in array.status[-1].values)
 
         def both() -> None:
             idle.publish(VELOCITIES, Twist())
             driven.publish(VELOCITIES, WALKING)
 
+        driven.next(DIAGNOSTICS, taken)
+        assert watcher.state().mode == Mode.IDLE
         keeps(both, lambda: len(running(watcher)) == 6, hz=20)
-
-
-def test_a_zero_velocity_starts_no_servo(driven: RclpyPeer, watcher: Client) -> None:
-    def taken(array: Message) -> bool:
-        driven.publish(VELOCITIES, Twist())
-        return any(value.key == "taken cmd_vel" for value in array.status[-1].values)
-
-    driven.next(DIAGNOSTICS, taken)
-    assert watcher.state().mode == Mode.IDLE
 
 
 # ---- trajectories

@@ -1,4 +1,4 @@
-"""Examples: the plug-in for PCA9685 boards on an emulated bus, Freenove's kit behind it, where the Elkapod lands."""
+"""Examples: the plug-in for PCA9685 boards on an emulated bus, and Freenove's kit behind it."""
 
 import importlib
 import math
@@ -6,26 +6,20 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import pytest
 
-from examples.elkapod import gait
 from gateway.errors import SpiError
 from gateway.geometry import load
 from gateway.host import wire_plugins
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.onboard.check import conformance
-from gateway.people.walking.engine import Engine
-from gateway.people.walking.motion import STILL, Posture, Velocity
 from gateway.people.walking.robot import Robot, ranges
-from gateway.robot.runtime.report import limits_of
-from gateway.robot.settings import Settings
-from gateway.robot.settings import load as load_settings
 from gateway.robot.spi.plugin import PluginBus
 from gateway.wire import ServoWire
-from schemas.robot import JOINTS, LEGS
+from schemas.robot import LEGS
 from schemas.telemetry import LimitsReport
 from tests.support.pca9685 import I2cBus, in_place_of_smbus2
 
@@ -156,29 +150,3 @@ def test_the_geometry_sends_what_the_kits_own_software_would(leg: int, foot_mm: 
     foot_m = x_m + cos * outward_m - sin * tangential_m, y_m + sin * outward_m + cos * tangential_m, z_m + up_m
     found = Robot(geometry, ranges(LimitsReport(), None)).angles_deg(leg, foot_m)
     assert found == pytest.approx(kits_own_deg(leg, *foot_mm), abs=0.1)
-
-
-# ---- examples/elkapod: where it lands is where the walk sits
-
-
-SETTINGS: Final[Settings] = load_settings(Path(gait.__file__).with_name("gateway.toml"), simulated=True)
-PERIOD_S: Final = 0.02
-SECONDS: Final = 5.0
-
-
-def test_it_lands_a_little_lower_than_the_walk_sits() -> None:
-    """Servos give way under load, so that the belly is on the ground before they go slack (tests/falls)."""
-    engine = Engine(Robot(load(gait.GEOMETRY), ranges(limits_of(SETTINGS), None)))
-    for begin, velocity in ((engine.stand, STILL), (None, Velocity(gait.FORWARD_M_S)), (engine.sit, STILL)):
-        if begin is not None:
-            begin()
-        for _ in range(round(SECONDS / PERIOD_S)):
-            pose = engine.step(velocity, PERIOD_S)
-            assert engine.limit == "", "the limits are wide enough for this velocity"
-    assert engine.posture is Posture.SITTING
-    lower = {
-        10 * leg + joint: deg + (6.0 if joint == 2 else 0.0)
-        for leg, angles in pose.items()
-        for joint, deg in zip(JOINTS, angles, strict=True)
-    }
-    assert {int(name): deg for name, deg in SETTINGS.watchdog.landing.items()} == pytest.approx(lower, abs=0.5)

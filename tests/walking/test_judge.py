@@ -1,4 +1,4 @@
-"""Each gait goes where it was sent, in three worlds. Physics is the judge (docs/walking.md)."""
+"""Each gait goes where it was sent, in three worlds, and how fast. Physics is the judge (docs/walking.md)."""
 
 import math
 from typing import Any, Final, NamedTuple
@@ -6,12 +6,14 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pytest
 
-from gateway.geometry import load
+from gateway.geometry import MAX_SPEED_DEG_S, load
+from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.people.physics.assumed import Assumed
 from gateway.people.walking.engine import Engine
 from gateway.people.walking.gaits import GAITS
 from gateway.people.walking.motion import STILL, Posture, Velocity, travelled
-from gateway.people.walking.robot import Robot
+from gateway.people.walking.robot import Range, Robot
+from schemas.robot import SERVO_IDS
 from tests.walking.physics import SPEEDS_M_S, TICK_S, heading_rad, stood_up, walk
 
 OFF: Final = 0.10
@@ -139,3 +141,56 @@ def test_it_goes_where_it_was_sent(gait: str, world: str) -> None:
 def test_the_judge_notices_a_robot_that_slips() -> None:
     """On ice it does not go where it was sent; so the figures are those of the world, not of the walker."""
     assert Walker("tripod", USUAL._replace(friction=0.01)).walk(Part("forward", Velocity(0.08), 4.0))
+
+
+# ---- at the Elkapod's limits: reached, or the walk names the servo that is too slow
+
+LIMITS: Final = {"tripod": Velocity(0.15, 0, 0.5), "ripple": Velocity(0.10, 0, 0.25), "wave": Velocity(0.05, 0, 0.1)}
+"""The Elkapod's own, forward and turning at the same time."""
+_BEGINS_S: Final = 3.0
+_LASTS_S: Final = 12.0
+_LOOK_S: Final = 0.1
+
+
+class Reached(NamedTuple):
+    """Of what was commanded, 0 to 1; and what limited it, in the walk's words."""
+
+    forward: float
+    turn: float
+    limits: frozenset[str]
+
+
+def reached(gait: str, servo_deg_s: float) -> Reached:
+    """Both at once on a flat floor, with servos of this speed: means of twelve seconds."""
+    wanted = LIMITS[gait]
+    robot = Robot(_GEOMETRY, {servo_id: Range(max_speed_deg_s=servo_deg_s) for servo_id in SERVO_IDS})
+    engine = Engine(robot, gait)
+    world = stood_up(_GEOMETRY, engine)
+    walk(world, engine, _GEOMETRY, wanted, _BEGINS_S)
+    ahead_m = turned_rad = 0.0
+    limits = set()
+    for _ in range(round(_LASTS_S / _LOOK_S)):
+        (x_m, y_m, _), heading = world.body().position_m, heading_rad(world)
+        walk(world, engine, _GEOMETRY, wanted, _LOOK_S)
+        turned = math.remainder(heading_rad(world) - heading, math.tau)
+        (to_x_m, to_y_m, _), middle = world.body().position_m, heading + turned / 2
+        ahead_m += (to_x_m - x_m) * math.cos(middle) + (to_y_m - y_m) * math.sin(middle)
+        turned_rad += turned
+        limits |= {engine.limit} - {""}
+    return Reached(
+        ahead_m / _LASTS_S / wanted.forward_m_s, turned_rad / _LASTS_S / wanted.turn_rad_s, frozenset(limits)
+    )
+
+
+@pytest.mark.parametrize("gait", LIMITS)
+@pytest.mark.parametrize(
+    ("servo_deg_s", "forward", "turn"), [(NO_LOAD_DEG_S, 0.92, 0.97), (MAX_SPEED_DEG_S, 0.85, 0.85)]
+)
+def test_forward_and_turn_are_reached_at_the_same_time_or_the_servo_that_is_too_slow_is_named(
+    gait: str, servo_deg_s: float, forward: float, turn: float
+) -> None:
+    """Within a servo's own speed, and with the usual limit."""
+    found = reached(gait, servo_deg_s)
+    assert found.forward > forward
+    assert found.turn > turn
+    assert servo_deg_s == NO_LOAD_DEG_S or any("the speed of servo" in limit for limit in found.limits)

@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
@@ -36,21 +36,11 @@ from tests.support.remedies import parse_commands, texts
 __all__ = ["make_folder"]  # a fixture
 GATEWAY = Path(certs.__file__).parents[1]
 LENGTH: dict[str, Any] = {"framing": "length-prefixed"}
-OF: Mapping[str, Probes] = {
-    **dict.fromkeys(("SPI device", "SPI controller", "SPI bus", "SPI speed"), wire.spi_bus),
-    **dict.fromkeys(("framing", "SPI lists"), wire.framing),
-    **dict.fromkeys(("Zenoh", "access control", "port"), security.network),
-    **dict.fromkeys(("processor", "supply", "Wi-Fi"), installation.machine),
-    **dict.fromkeys(("state", "disk"), installation.state),
-    "wire": wire.plugin,
-    "UART": wire.uart,
-    "calibration": wire.calibration,
-    "power board": wire.power,
-    "certificates": security.certificates,
-    "revoked": security.revoked,
-    "user": installation.users,
-}
-"""The functions of the table, by the names of their lines."""
+PROBES: tuple[Probes, ...] = (
+    *(wire.uart, wire.power, wire.plugin, wire.spi_bus, wire.framing, wire.calibration),
+    *(*security.PROBES, installation.machine, installation.state, installation.users, installation.unit),
+)
+"""UART and board first: what looks for the gateway, on SPI, comes behind them."""
 
 
 def robot(root: Path, **sections: Any) -> CheckedRobot:
@@ -170,28 +160,21 @@ class Scene(NamedTuple):
     """`plant` returns what the probes look at; `patch` takes the place of what a test cannot plant."""
 
     name: str
-    read: Probes
     plant: Callable[[Path], CheckedRobot]
     lines: tuple[str, ...]
     patch: Mapping[str, object]
-
-    def results(self, root: Path, patch: pytest.MonkeyPatch) -> list[Result]:
-        looked_at = self.plant(root)
-        with patch.context() as patched:
-            for name, value in self.patch.items():
-                patched.setattr(name, value)
-            return [each for each in results(looked_at, self.read) if each.name == self.name]
+    probes: tuple[Probes, ...]
 
 
 def scene(
-    name: str | tuple[str, Probes],
+    name: str,
     plant: Callable[[Path], CheckedRobot],
     *lines: str,
-    patch: Mapping[str, object] | None = None,
+    patch: Mapping[str, object] = MappingProxyType({}),
+    probes: tuple[Probes, ...] = PROBES,
 ) -> Scene:
-    """The lines with this name, of its function in `OF` or the one that is given."""
-    name, read = (name, OF[name]) if isinstance(name, str) else name
-    return Scene(name, read, plant, lines, patch or {})
+    """All lines with this name."""
+    return Scene(name, plant, lines, patch, probes)
 
 
 def here(tree: Mapping[str, Any] | None = None, **sections: Any) -> Callable[[Path], CheckedRobot]:
@@ -236,7 +219,7 @@ def dated(days_left: int, *lines: str) -> Scene:
     def read(look: CheckedRobot) -> Iterator[Result | None]:
         return iter(list(security.certificates(look, NOW + (90 - days_left) * DAY))[1:2])
 
-    return scene(("certificates", read), plant, *lines)
+    return scene("certificates", plant, *lines, probes=(read,))
 
 
 def unit(**properties: str) -> Callable[[Path], CheckedRobot]:
@@ -356,7 +339,7 @@ SLCAN = here(power={"interface": "slcan", "channel": "/dev/null"})
 BUS = "gateway.onboard.check.wire.open_bus"
 MOUNT = "gateway.onboard.check.installation.mount_of"
 PORT = "gateway.onboard.check.security.bind_fault"
-UNIT = ("systemd unit", installation.unit)
+UNIT = "systemd unit"
 NULL = uart("/dev/null")
 
 
@@ -374,7 +357,9 @@ def served(plant: Callable[[Path], CheckedRobot]) -> Callable[[Path], CheckedRob
     return but(plant, service=(9, 9))
 
 
-A_BOARD = SimpleNamespace(name="x", built_in=None, capabilities=Capabilities(), plugin=Opened(), has_uart=False)
+A_BOARD = SimpleNamespace(
+    name="x", built_in=None, capabilities=Capabilities(), plugin=Opened(), has_uart=False, framed=False
+)
 BOARD = but(here(), settings=SimpleNamespace(**{**vars(Settings()), "wire": A_BOARD}))
 """A wire that is not built in."""
 
@@ -534,7 +519,11 @@ IDS = [f"{each.name}: {(*each.lines, 'nothing')[0]}" for each in SCENES]
 @pytest.mark.parametrize("planted", SCENES, ids=IDS)
 def test_what_is_planted_is_a_line(planted: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each expected line has its parts, with … between, in this order. A remedy's commands are this program's."""
-    lines = planted.results(tmp_path, monkeypatch)
+    looked_at = planted.plant(tmp_path)
+    for name, value in planted.patch.items():
+        monkeypatch.setattr(name, value)
+    lines = [each for each in results(looked_at, *planted.probes) if each.name == planted.name]
+    monkeypatch.undo()
     found = [f"{each.verdict} {each.name}: {each.sentence} → {each.fix}" for each in lines]
     assert len(found) == len(planted.lines), found
     for line, parts in zip(found, planted.lines, strict=True):

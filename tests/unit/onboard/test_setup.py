@@ -183,15 +183,6 @@ def test_a_new_pi(computer: Computer) -> None:
     assert computer.files() == changed
 
 
-def test_after_the_reboot_it_starts_the_service_and_checks(computer: Computer) -> None:
-    computer.write("/dev/spidev0.0", "")
-    assert computer.says(framing="plain")[-2:] == ["start the service", "(check)"]
-    assert computer.systemd.calls[-1] == "restart hexapod-gateway"
-    calls = list(computer.systemd.calls)
-    assert "the service runs with this setup" in computer.says()
-    assert computer.systemd.calls == calls
-
-
 @pytest.mark.parametrize(
     ("state", "files", "options", "line"),
     [

@@ -10,7 +10,7 @@ from gateway.people.client import pace as pace_module
 from gateway.people.client import payloads as payloads_module
 from gateway.people.client import silence as silence_module
 from gateway.people.client.live import Receiver
-from gateway.people.client.pace import MOST_DEG, RADIANS_S, SILENCE_S, Doubt, Radians
+from gateway.people.client.pace import MOST_DEG, RADIANS_S, Radians
 from gateway.people.client.patience import ATTEMPT_S, OTHER_WAY_S, Patience, Query, QuestionStep
 from gateway.people.client.silence import WHY_EVERY_S, Silence
 from gateway.people.commands.options import Reach
@@ -81,17 +81,6 @@ def test_another_way_is_searched_for_once_and_at_once_where_the_link_is_lost() -
     lost.ended(query, 0.01)
     assert lost.step(0.01) is QuestionStep.OTHER_WAY
     assert lost.step(0.01) is QuestionStep.WAIT
-
-
-# ---- the grid of a stream's setpoints: no drift, no bursts, what was missed is counted; and when the gateway is asked
-
-
-def test_a_gateway_that_publishes_nothing_for_half_a_second_is_asked() -> None:
-    doubt, begun_s = Doubt(0.25), 1000.0
-    doubt.received(begun_s)
-    for late_s, is_there in ((SILENCE_S - 0.001, False), (SILENCE_S, True)):
-        doubt.sent(begun_s + late_s)  # the program goes on
-        assert doubt.is_there(begun_s + late_s) is is_there
 
 
 def test_radians_are_suspected_once_and_never_of_a_program_that_has_sent_degrees() -> None:

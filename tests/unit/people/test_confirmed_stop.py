@@ -56,17 +56,6 @@ def test_one_that_lasts_is_asked_for_until_then_whatever_the_clock_shows() -> No
     assert (press.over, press.attempts) == (True, 3)
 
 
-def test_a_press_outlives_its_page_and_those_of_many_pages_are_one() -> None:
-    stop = Stop()
-    for number, page in enumerate([f"page {number}" for number in range(100)]):
-        stop.presses(number, page=page)
-        stop.leave(page)
-    press, stays = stop.ended(stop.begins(), 1, answered=False), stop.presses(7, page="stays")
-    assert [(each.id, each.page) for each in press] == [(99, None)]
-    assert ids(stop.ended(stop.begins(1), 2, answered=True)) == [99, 7]
-    assert stays.over
-
-
 def test_a_page_that_leans_on_it_keeps_its_newest_and_takes_nothing_from_others() -> None:
     stop = Stop()
     stop.presses(1, page="other")
