@@ -59,12 +59,6 @@ FAULTS = (
     Fault("an emptied file of check's own", ": >$own/gateway/text.py", "gateway/text.py"),
     Fault("a module that was not installed", "echo >$own/json.py", "and not installed with it: /usr/lib"),
     Fault("a file for root only", "chmod 600 $own/gateway/people/commands/decode.py", "not readable by all"),
-    Fault(
-        "no Python that it runs with",
-        "mv /usr/bin/python3.11 /usr/bin/gone; systemctl kill --signal=KILL $service",
-        "no Python that it runs with is here",
-        by_hand="mv /usr/bin/gone /usr/bin/python3.11; systemctl reset-failed $service; systemctl restart $service",
-    ),
     # user and groups
     Fault("no user", "systemctl stop $service; userdel $service", f"there is no user {NAME}"),
     # units
@@ -80,11 +74,6 @@ FAULTS = (
         f"/etc/systemd/system/{NAME}.service is not this",
     ),
     Fault("a stopped service", "systemctl stop $service", "is enabled and inactive"),
-    Fault(
-        "a failed service",
-        "echo x >>$toml; systemctl restart $service || true; cp /root/gateway.toml $toml",
-        "has failed (exit-code)",
-    ),
     # drop-ins
     Fault(
         "a simulated controller left",

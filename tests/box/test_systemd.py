@@ -30,6 +30,13 @@ def has_started(data: bytes) -> bool:
     return any(command.op is Op.START for _, command in decode(data).servos)
 
 
+def hold_for_a_moment(robot: InstalledGateway) -> None:
+    """Hold leg 3 in motion; the client that does is killed."""
+    before = len(robot.bed.transfers)
+    with Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "60"), {"PATH": "/usr/local/bin:/usr/bin"}):
+        robot.bed.wait_for(lambda seen: any(has_started(each.data) for each in seen[before:]))
+
+
 @pytest.mark.parametrize("unit", [UNIT, UNIT.with_name("hexapod-console.service")], ids=lambda unit: unit.stem)
 def test_exposure(unit: Path) -> None:
     """At most 2.0, as `systemd-analyze security` counts it."""
@@ -194,9 +201,7 @@ def test_stop_servos_beside_the_service(robot: InstalledGateway) -> None:
     """By root and by somebody in the group spi, beside the sandboxed service: it takes its servos as stopped."""
     robot.unit.systemctl("start")
     for user in ((), ("setpriv", "--reuid=65534", "--regid=spi", "--clear-groups")):
-        before = len(robot.bed.transfers)
-        with Child(robot.box.command(NAME, *MOVE_LEG_3, "--hold", "60"), {"PATH": "/usr/local/bin:/usr/bin"}):
-            robot.bed.wait_for(lambda seen, before=before: any(has_started(each.data) for each in seen[before:]))
+        hold_for_a_moment(robot)
         with robot.journal() as journal:
             robot.box.write("/box-out/stop.toml", 'spi.framing = "plain"\n')
             command = (f"/usr/bin/{NAME}", "stop-servos", "--config", "/box-out/stop.toml")

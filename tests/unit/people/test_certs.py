@@ -248,21 +248,11 @@ def list_of(folder: Path, number: int, *shut_out: str) -> RevocationList:
     return revocation.sign(load_ca(folder), number, entries, NOW)
 
 
-def test_a_list_comes_back_as_it_was_signed_and_a_changed_one_does_not(folder: Path) -> None:
-    cas = certs.files.read_certificates(folder / "ca.pem")
-    made = list_of(folder, 5, "operator-00", "operator-07")
-    assert revocation.parse(made.pem, cas) == made
-    for text in (b"", b"no list", made.pem[:200], (folder / "ca.pem").read_bytes()):
-        with pytest.raises(ConfigError, match="no list of"):
-            revocation.parse(text, cas)
-    with pytest.raises(revocation.ForeignListError, match="not signed by a CA of this robot"):
-        revocation.parse(revocation.sign(OTHER_CA, 6, made.entries, NOW).pem, cas)
-
-
 @pytest.mark.filterwarnings("ignore:.*RFC 5280")
 def test_of_a_list_with_one_bit_changed_only_what_the_ca_signed_is_taken(folder: Path) -> None:
     """An operator sends it to the service, which no exception of a parser may end."""
     cas, made = certs.files.read_certificates(folder / "ca.pem"), list_of(folder, 5, "operator-00")
+    assert revocation.parse(made.pem, cas) == made
     for changed in with_one_bit_changed(made.pem):
         with suppress(ConfigError):
             assert revocation.parse(changed, cas)._replace(pem=made.pem) == made
