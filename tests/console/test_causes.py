@@ -85,33 +85,6 @@ def test_who_moves_the_legs_without_the_lease_is_named(visitor: Visitor, gateway
     expect(page["driver"]).to_have_text("nobody")
 
 
-def test_the_person_who_pressed_stop_all_is_named_and_a_stopped_robot_looks_stopped(
-    visitor: Visitor, gateway: Gateway
-) -> None:
-    anna, bert = visitor.open(), visitor.open()
-    anna.get_lease()
-    expect_grey(anna, grey=False)
-    expect_grey(bert, grey=True)
-    name = bert["driver"].inner_text().removesuffix(", not verified")
-    bert["stop-all"].click()
-    expect(bert["stop-line"]).to_have_text(re.compile(r"STOPPED by you, \d\d:\d\d"))
-    expect(anna["stop-line"]).to_have_text(re.compile(r"STOPPED by \S+ \(page \d+\), \d\d:\d\d"))
-    with gateway.client() as robot:
-        stopper = robot.state().estop_source or ""
-    assert re.fullmatch(r"(?!root).+ \(page \d+\)", stopper)
-    assert stopper != name
-    expect(anna["stop-next"]).to_have_text("When all are clear, reset.")
-    expect(anna["stop"]).to_have_attribute("data-tone", "stopped")
-    expect_grey(anna, grey=True)
-    anna["stop-known"].click()
-    expect(anna.said).to_have_text(f"STOP ALL by {stopper}: nothing runs until a reset.")
-    bert["stop-known"].click()
-    expect(bert.said).to_contain_text("6 Stops written within")
-    anna["reset"].click()
-    anna["question-yes"].click()
-    expect_grey(anna, grey=False)
-
-
 def test_each_cause_has_words_and_none_sends_a_phone_to_a_terminal(visitor: Visitor) -> None:
     page = visitor.open()
     worded = page.module(
@@ -133,8 +106,11 @@ def test_a_driver_who_loads_the_page_anew_still_is_you_and_another_page_is_not(v
             page["reset"].click()
             page["question-yes"].click()
             page.get_lease()
+            expect_grey(page, grey=False)
         page["stop-all"].click()
         expect(page["stop-line"]).to_have_text(re.compile("STOPPED by you, "))
+        expect(page["stop-next"]).to_have_text("When all are clear, reset.")
+        expect_grey(page, grey=True)
         page.page.reload()
         page.expect_live()
         expect(page["stop-line"]).to_have_text(re.compile(f"STOPPED {stopper}"))

@@ -176,6 +176,7 @@ def test_a_console_that_is_killed_stops_the_legs_and_the_next_one_has_its_pages(
         console.close()
         expect_stopped(written, 1, 4)
         expect(page.said).to_contain_text("the connection to the console is lost")
+        expect(page["quality"]).to_have_attribute("data-bars", "0")
         expect(page["stop-known"]).to_contain_text("NOT CONNECTED: use the switch")
         page.page.keyboard.press("Escape")
         expect(page["stop-known"]).to_contain_text("asked again once connected")

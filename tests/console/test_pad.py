@@ -3,10 +3,9 @@
 from typing import Final
 
 import pytest
-from playwright.sync_api import CDPSession, expect
+from playwright.sync_api import expect
 
 from tests.console.browser import COUNTS, PHONE, WISHES, Opened, Visitor, walks
-from tests.support.fixtures import client_fixture
 
 pytestmark = pytest.mark.browser
 
@@ -49,20 +48,10 @@ class Thumb:
         )
 
 
-robot = client_fixture("watcher")
-
-
 def driving(visitor: Visitor) -> Opened:
     page = visitor.open(script=WISHES + COUNTS, **PHONE)
     page.get_lease()
     return page
-
-
-def pushing(page: Opened, down: int) -> Thumb:
-    """A thumb that has pushed the pad back, or ahead, until it walks."""
-    thumb = Thumb(page)
-    walks(page, lambda _: thumb.push(down))
-    return thumb
 
 
 def test_a_thumb_that_lands_anywhere_on_the_pad_pushes_from_there(visitor: Visitor) -> None:
@@ -81,7 +70,10 @@ def test_a_thumb_that_lands_anywhere_on_the_pad_pushes_from_there(visitor: Visit
 
 def test_a_phone_that_is_turned_while_it_walks_stands_still(visitor: Visitor) -> None:
     page = driving(visitor)
-    thumb = pushing(page, -20)
+    page.page.wait_for_function("() => window.wakes === 1")  # its screen stays on
+    thumb = Thumb(page)
+    walks(page, lambda _: thumb.push(-20))
+    page.page.evaluate("window.shakes = []")
     page.page.set_viewport_size({"width": 640, "height": 360})
     page.page.wait_for_function("() => innerWidth === 640")
     page.page.evaluate("window.wishes = []")
@@ -90,46 +82,4 @@ def test_a_phone_that_is_turned_while_it_walks_stands_still(visitor: Visitor) ->
     page.page.wait_for_function(STANDS_AGAIN)
     expect(page.said).to_have_text("It stands still: the page moved under the thumb.")
     expect(page["pad"]).to_have_attribute("data-held", "no")
-
-
-def throttle(devtools: CDPSession, bytes_a_second: int) -> None:
-    """What the page receives; -1: as fast as it comes."""
-    devtools.send("Network.enable")
-    speeds = {"downloadThroughput": bytes_a_second, "uploadThroughput": -1}
-    devtools.send("Network.emulateNetworkConditions", {"offline": False, "latency": 0, **speeds})
-
-
-@pytest.mark.nightly
-def test_a_network_that_is_throttled_while_it_walks_stands_still_until_a_new_press(visitor: Visitor) -> None:
-    page = driving(visitor)
-    thumb = pushing(page, -20)
-    devtools = page.devtools()
-    throttle(devtools, 1500)
-    expect(page["pad"]).to_have_attribute("data-held", "no")
-    expect(page["quality"]).to_have_attribute("data-bars", "0")
-    expect(page.said).to_contain_text("It stands still")
-    page.page.evaluate("window.wishes = []")
-    throttle(devtools, -1)
-    page.expect_live()
-    thumb.move(0, -30)
-    expect(page["walk-known"]).not_to_contain_text("It walks")
-    assert not page.page.evaluate("window.wishes.some((each) => each.forward_m_s || each.left_m_s)")
-    expect(page["quality"]).not_to_have_attribute("data-bars", "0")
-    expect(page["driver"]).to_have_text("you")
-    walks(page, lambda _: thumb.push(-20))
-
-
-@pytest.mark.nightly
-def test_a_driver_has_a_screen_that_stays_on_and_feels_what_ends_a_walk(visitor: Visitor) -> None:
-    page = driving(visitor)
-    page.page.wait_for_function("() => window.wakes === 1")
-    thumb = pushing(page, -20)
-    page.page.evaluate("window.shakes = []")
-    thumb.cancel()
-    page.page.wait_for_function("() => window.shakes.length === 1")
-    page.hide()
-    page.show()
-    page.page.wait_for_function("() => window.wakes === 2")
-    page.page.evaluate("window.shakes = []")
-    page["stop-all"].tap()
-    page.page.wait_for_function("() => window.shakes.length > 0")
+    assert page.page.evaluate("window.shakes.length") > 0
