@@ -162,6 +162,8 @@ def test_a_cut_link_stops_the_legs_and_what_waited_moves_nothing(
         link.fix()
     page.expect_live()
     expect_stopped(written, 1, 4)
+    for number in ("number-lag", "number-latency"):
+        expect(page[number]).to_have_text(re.compile(r"^[\d.]+ · [\d.]+ · [\d.]+ ms$"))
 
 
 def test_a_console_that_is_killed_stops_the_legs_and_the_next_one_has_its_pages(

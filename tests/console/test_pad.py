@@ -17,9 +17,9 @@ STANDS_AGAIN: Final = (
 class Thumb:
     """One finger on a page, in pixels from the middle of a pad as it was when it landed."""
 
-    def __init__(self, page: Opened, pad: str = "pad") -> None:
+    def __init__(self, page: Opened) -> None:
         self._devtools = page.devtools()
-        box = page[pad].bounding_box()
+        box = page["pad"].bounding_box()
         assert box is not None
         self._x, self._y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         self.land()
