@@ -104,7 +104,9 @@ window.change = (message) => {
 """What the console says of a power board, while the gateway behind it has none."""
 
 
-def test_a_stop_that_the_board_does_not_confirm_is_red_and_one_that_it_confirms_has_its_time(visitor: Visitor) -> None:
+def test_a_stop_that_the_board_does_not_confirm_is_red_on_both_pages_and_one_that_it_confirms_has_its_time(
+    visitor: Visitor,
+) -> None:
     page = visitor.open(script=CHANGES + BOARD % json.dumps(FED))
     page["stop-all"].click()
     expect(page["stop-known"]).to_contain_text("6 Stops written within")
@@ -118,13 +120,9 @@ def test_a_stop_that_the_board_does_not_confirm_is_red_and_one_that_it_confirms_
     assert page.violations() == {}
     page.page.evaluate("(said) => (window.board = said)", FED)
     expect(page["stop"]).to_have_attribute("data-tone", "stopped")
-
-
-def test_the_button_of_a_robot_whose_stop_is_not_confirmed_is_red(visitor: Visitor) -> None:
-    page = visitor.open(script=CHANGES + BOARD % json.dumps(FED))
     page.go_to_button()
     page["button"].click()
-    expect(page["word"]).to_have_text("STOP")
+    expect(page["word"]).to_have_text("STOPPED")
     page.page.evaluate("(said) => (window.board = said)", NOT_CONFIRMED)
     expect(page["word"]).to_have_text("CUT POWER")
     expect(page["known"]).to_have_text(UNCONFIRMED)
