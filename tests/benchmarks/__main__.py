@@ -30,18 +30,16 @@ import zenoh
 
 from gateway.model.framing import Framing
 from gateway.zenoh_config import client_config
-from schemas.keys import LEASE, LEGS_COMMAND, leg_command
-from schemas.lease import LeaseAck
+from schemas.keys import LEGS_COMMAND, leg_command
 from schemas.robot import LEGS
-from tests.benchmarks.processes import cpu_ns, never_delay, program, say
+from tests.benchmarks.processes import cpu_ns, never_delay, say
 from tests.support.child import Child
 from tests.support.gateway_process import COMMAND, READY, free_port, write_settings
 
 NAIVE, GATEWAY, RELEASE = "naive", "gateway", "release"
 SLICES, SLICE_S, HZ = 8, 1.0, 50
+SENDER: Final = {"source": "publisher"}
 TIMEOUT_MS, IDLE_S = 10_000, 5.0
-FLOOD_HZ = 1500
-"""What a naive script still keeps up with: its backlog would be in the next slice."""
 _SOURCE: Final = Path(__file__).with_name("instant_spidev.c")
 _NOTES_AT, _NOTE = 4096, struct.Struct("<QB15s8x")
 _LEAST_CDEG, _ANGLES = 4_00, 176_00
@@ -55,11 +53,6 @@ class Stream:
     name: str
     whole: bool = False
     """All legs in one message, as the client's stream sends them."""
-    lease: bool = False
-    asks: bool = False
-    """Each message is a query, which the gateway answers once the controller has it; the naive script answers none."""
-    flood: bool = False
-    """Beside it another program sends leg 6 FLOOD_HZ messages a second."""
     framing: Framing = Framing.PLAIN
     cpu_aim: float | None = None
     p50_aim: float | None = None
@@ -69,11 +62,7 @@ class Stream:
 STREAMS: Final = (
     Stream("six legs, a message each", cpu_aim=2.2, p50_aim=1.5, short=True),
     Stream("legs/cmd", whole=True, cpu_aim=2.7, p50_aim=1.4, short=True),
-    Stream("a walk's legs/cmd, with its lease", whole=True, lease=True),
-    Stream("legs/cmd, acknowledged", whole=True, asks=True),
     Stream("six legs, length-prefixed", framing=Framing.LENGTH_PREFIXED),
-    Stream("legs/cmd, length-prefixed", whole=True, framing=Framing.LENGTH_PREFIXED),
-    Stream("six legs, beside a flood", flood=True),
 )
 
 
@@ -126,7 +115,6 @@ class Runner:
                 "spi": {"framing": stream.framing},
                 "limits": {"leg_rate_hz": 250},
                 "watchdog": {"timeout_ms": TIMEOUT_MS},
-                "lease": {"ttl_ms": 10_000},
                 "state": {"path": str(folder / "state")},
             }
             config = write_settings(folder / "gateway.toml", settings)
@@ -138,31 +126,22 @@ class Runner:
         self.pid = child.pid
         file = stack.enter_context(notes.open("r+b"))
         self._notes = stack.enter_context(mmap.mmap(file.fileno(), 0))
-        self._flood = program("publisher", endpoint, "--legs", "6", "--hz", str(FLOOD_HZ)) if stream.flood else None
-        if self._flood is not None:
-            stack.callback(self._flood.close)
-            self._flood.wait_for_output("ready")
-        self._session = stack.enter_context(zenoh.open(client_config(endpoint)))
-        token = _acquired(self._session) if stream.lease and name != NAIVE else None
-        self._more = {"source": "publisher"} | ({"lease": token} if token else {})
-        self._legs = LEGS[:-1] if stream.flood else LEGS
-        keys = [LEGS_COMMAND] if stream.whole else [leg_command(leg) for leg in self._legs]
+        session = stack.enter_context(zenoh.open(client_config(endpoint)))
+        keys = [LEGS_COMMAND] if stream.whole else [leg_command(leg) for leg in LEGS]
         self._publishers = [
-            self._session.declare_publisher(
+            session.declare_publisher(
                 key, encoding="application/json", congestion_control=zenoh.CongestionControl.DROP, express=True
             )
             for key in keys
         ]
         for leg in LEGS:
-            self._session.put(leg_command(leg), json.dumps(_leg("start", 0) | self._more), encoding="application/json")
+            session.put(leg_command(leg), json.dumps(_leg("start", 0) | SENDER), encoding="application/json")
             time.sleep(0.05)
         time.sleep(0.5)
 
     def slice(self, seconds: float, *, counts: bool) -> None:
         """Publish for that long, and note what it cost."""
         sent_ns: dict[int, int] = {}
-        if self._flood is not None:
-            self._flood.tell(str(seconds))
         first, begun_ns, begun_cpu_ns = self._seen(), time.monotonic_ns(), cpu_ns(self.pid)
         period_s = 1 / HZ / len(self._publishers)
         messages = round(seconds / period_s)
@@ -175,8 +154,6 @@ class Runner:
             sent_ns[cdeg] = self._send(number % len(self._publishers), cdeg)
         time.sleep(0.05)
         took_ns, used_ns = time.monotonic_ns() - begun_ns, cpu_ns(self.pid) - begun_cpu_ns
-        if self._flood is not None:
-            self._flood.wait_for_output("done")
         if not counts:
             return
         self.figures.cpu_us.append(used_ns / 1000 / messages)
@@ -191,15 +168,9 @@ class Runner:
     def _send(self, index: int, cdeg: int) -> int:
         """Send the next message. Returns when."""
         now = time.monotonic_ns()
-        sender = {**self._more, "sent_ms": now / 1e6}
-        if not self._stream.whole:
-            self._publishers[index].put(json.dumps(_leg("set", cdeg) | sender))
-            return now
-        payload = json.dumps({"legs": {str(leg): _leg("set", cdeg) for leg in LEGS}, **sender})
-        if self._stream.asks and self.name != NAIVE:
-            self._session.get(LEGS_COMMAND, lambda _: None, payload=payload, encoding="application/json")
-        else:
-            self._publishers[index].put(payload)
+        set_leg = _leg("set", cdeg)
+        payload = {"legs": dict.fromkeys(map(str, LEGS), set_leg)} if self._stream.whole else set_leg
+        self._publishers[index].put(json.dumps({**payload, **SENDER, "sent_ms": now / 1e6}))
         return now
 
     def _seen(self) -> int:
@@ -215,14 +186,6 @@ class Runner:
 def _leg(op: str, cdeg: int) -> dict[str, Any]:
     """A leg's setpoint that carries a number in joint 1's angle."""
     return {"servos": [{"op": op, "angle_deg": each} for each in (cdeg / 100, 90, 90)]}
-
-
-def _acquired(session: zenoh.Session) -> str:
-    """The token of the lease, which nobody else must hold."""
-    for reply in session.get(LEASE, payload='{"do": "acquire", "source": "publisher"}', timeout=5):
-        if reply.ok is not None:
-            return str(LeaseAck.model_validate_json(reply.ok.payload.to_bytes()).lease)
-    raise RuntimeError("no answer")
 
 
 def duel(folder: Path, *, short: bool, release: Path | None) -> list[Row]:
