@@ -1,16 +1,13 @@
-"""Stop buttons on a real gateway: programs that are one, attacks, certificates, and a restart."""
+"""Stop buttons on a real gateway: programs that are one, certificates, and a restart."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
-import zenoh
 
 from gateway import certs
 from gateway.client import Client, RejectedError
-from gateway.people.client.requests import Identity
 from schemas import keys
-from schemas.button import ButtonAck, signed_text
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.fixtures import client_fixture, gateway_fixture
@@ -18,7 +15,6 @@ from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.meanwhile import meanwhile
 from tests.support.secured import Secured
-from tests.zenoh.test_lease import answer
 
 TIMEOUT_MS = 2000
 POSE = (90, 45, 120)
@@ -30,11 +26,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
 gateway = gateway_fixture(SETTINGS)
 
 robot = client_fixture("kitchen")
-
-
-def ask(session: zenoh.Session, do: str, **fields: Any) -> ButtonAck:
-    """One request as any Zenoh program sends it."""
-    return ButtonAck.model_validate_json(answer(session, keys.BUTTON, do=do, **fields))
 
 
 def test_a_program_is_a_button_and_its_silence_stops_all_legs(robot: Client) -> None:
@@ -75,32 +66,19 @@ def test_after_a_restart_all_register_anew_and_nothing_moves_before(tmp_path: Pa
 
 def test_with_a_ca_the_name_is_proved_and_the_role_button_moves_nothing(tmp_path: Path) -> None:
     with Secured(tmp_path, {"buttons": {"required": 1, "timeout_ms": 5000}}) as secured:
-        for name in ("kitchen", "door"):
-            certs.folder.issue(secured.folder, name, "button")
-        with secured.client("kitchen") as kitchen, secured.client("anna") as anna, secured.client("otto") as otto:
-            with kitchen.button("whoever") as button, anna.button() as hers:
-                assert (button.name, hers.name) == ("kitchen", "anna"), "a certificate's person, whatever is asked for"
-                assert hers.alive().alive == 1
-                assert button.alive().alive == 2
-                assert anna.start_leg(3, POSE).accepted
-                assert button.press().stop_frames == len(LEGS)
-                assert kitchen.state().estop_source == "kitchen"
-                assert not list(kitchen.session.get(keys.leg_command(3), payload=b"{}", timeout=1))
-                assert not list(otto.session.get(keys.BUTTON, payload=b'{"do":"challenge"}', timeout=1))
-            _no_other_name(kitchen.session, secured.folder)
-
-
-def _no_other_name(session: zenoh.Session, folder: Path) -> None:
-    """The kitchen's certificate registers no door, and an overheard proof serves nobody."""
-    identity = Identity(folder / "kitchen.pem", folder / "kitchen.key")
-    nonce = ask(session, "challenge").nonce
-    assert nonce is not None
-    stolen = identity.prove("register", "door", nonce, signed_text)
-    denied = ask(session, "register", source="door", proof=stolen)
-    assert (denied.reason, denied.detail) == (Reason.BUTTON_DENIED, "source is not the person of proof.certificate")
-    assert "has been used" in str(ask(session, "register", source="door", proof=stolen).detail)
-    nonce = ask(session, "challenge").nonce
-    assert nonce is not None
-    for_the_lease = identity.prove("register", "kitchen", nonce)
-    assert "signature" in str(ask(session, "register", source="kitchen", proof=for_the_lease).detail)
-    assert "proof is missing" in str(ask(session, "register", source="kitchen").detail)
+        certs.folder.issue(secured.folder, "kitchen", "button")
+        with (
+            secured.client("kitchen") as kitchen,
+            secured.client("anna") as anna,
+            secured.client("otto") as otto,
+            kitchen.button("whoever") as button,
+            anna.button() as hers,
+        ):
+            assert (button.name, hers.name) == ("kitchen", "anna"), "a certificate's person, whatever is asked for"
+            assert hers.alive().alive == 1
+            assert button.alive().alive == 2
+            assert anna.start_leg(3, POSE).accepted
+            assert button.press().stop_frames == len(LEGS)
+            assert kitchen.state().estop_source == "kitchen"
+            assert not list(kitchen.session.get(keys.leg_command(3), payload=b"{}", timeout=1))
+            assert not list(otto.session.get(keys.BUTTON, payload=b'{"do":"challenge"}', timeout=1))

@@ -5,7 +5,7 @@ import signal
 import sys
 from collections import ChainMap
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -128,10 +128,12 @@ def test_ctrl_c_stops_the_servo(gateway: Gateway, client: Client, after: Op) -> 
 def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gateway, client: Client) -> None:
     heard = frames(client)
     with moving(gateway, heard) as child:
+        assert client.servo(12, "start", 90, check=False).reason == Reason.NOT_HOLDER, "it has the lease"
         assert client.stop().accepted
         assert child.wait() == 1, str(child)
     assert "a set was rejected: servo_stopped: " in child.stderr
     assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
+    assert client.state().lease.holder is None
 
 
 def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], client: Client) -> None:
@@ -146,23 +148,6 @@ def test_a_robot_that_is_not_at_rest_is_left_alone(move: Callable[..., Ended], c
     assert end.returncode == 2, str(end)
     assert "drives, and nothing is moved" in end.stderr
     assert servo_frames(heard) == []
-
-
-def test_it_moves_under_the_lease(tmp_path: Path) -> None:
-    """So that nobody else moves the robot meanwhile, and a robot that requires a lease can be tried."""
-    settings: dict[str, dict[str, object]] = {
-        "telemetry": {"frames": True},
-        "watchdog": {"timeout_ms": 9000},
-        "lease": {"required": True},
-    }
-    with ExitStack() as stack:
-        gateway = stack.enter_context(Gateway(tmp_path, settings))
-        client = stack.enter_context(gateway.client())
-        heard = frames(client)
-        with moving(gateway, heard) as child:
-            assert client.servo(12, "start", 90, check=False).reason == Reason.NOT_HOLDER
-            assert child.wait() == 0, str(child)
-        assert client.state().lease.holder is None
 
 
 # ---- a robot that starts and stops as a whole

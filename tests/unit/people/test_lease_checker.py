@@ -229,11 +229,11 @@ def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(names: tuple[st
     conductor = SimpleNamespace(settings=Settings.of({"buttons": {"names": names}}))
     desk = Desk(ButtonAnswers(cast(Conductor, conductor), Proofs(CHECKER, lambda: NOW, watching=True)))
     made = proof(nonce=desk.nonce(), watching="anna/phone")
-    for each in (None, made, made):
+    for each in (None, proof(do="register", nonce=desk.nonce()), made, made):
         desk.claim("register", each, "anna/phone")
     found = [(each.source, each.holder, each.counts) for each in desk.requests]
     assert found == [("anna/phone", "operator anna", counts)]
-    assert [why[:2] for why in desk.rejected] == [("anna/phone", Reason.BUTTON_DENIED)] * 2
+    assert [why[:2] for why in desk.rejected] == [("anna/phone", Reason.BUTTON_DENIED)] * 3
 
 
 @pytest.mark.parametrize(
