@@ -7,7 +7,7 @@ With `--ask` it asks in place of publishing, and waits for no answer. It prints 
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import zenoh
@@ -17,9 +17,10 @@ from tests.support.child import Child
 
 
 @contextmanager
-def flooding(endpoint: str, key: str, payload: str, *options: str) -> Iterator[None]:
-    """Such a program, which has begun."""
-    with Child([sys.executable, "-m", "tests.attack.flood", endpoint, key, payload, *options], os.environ) as child:
+def flooding(endpoint: str, key: str, payload: str, *options: str, prefix: Sequence[str] = ()) -> Iterator[None]:
+    """Such a program, which has begun; `prefix` goes before its command."""
+    program = [*prefix, sys.executable, "-m", "tests.attack.flood", endpoint, key, payload, *options]
+    with Child(program, os.environ) as child:
         child.wait_for_output("flooding")
         yield
 

@@ -1,29 +1,65 @@
-"""The robot and a laptop as programs in their namespaces."""
+"""The robot and its laptops: what a test sees of the one, and has the others do."""
 
-import json
+import itertools
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final
 
-from gateway.client import Client
-from schemas.telemetry import Cause, Event, FrameRecord
+import zenoh
+from zenoh.handlers import RingChannel
+
+from gateway.client import Client, leg_payload
+from schemas.keys import ALIVE, EVENT, FRAME, STATE, leg_command
+from schemas.telemetry import Ack, Cause, Event, FrameRecord
 from tests.net.namespaces import Network
 from tests.support.child import Child
 from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
+from tests.support.meanwhile import meanwhile
 
-PORT = 7447
-ANSWER_S = 20
-TIMEOUT_MS = 500.0
+PORT: Final = 7447
+NICE: Final = -10
+"""Laptops would have processors of their own, so they come before the rest of this machine."""
+PERIOD_S: Final = 0.02
+LATE_S: Final = 20
+TIMEOUT_MS: Final = 500.0
 """Twice the default, since a laptop on a busy machine may itself be silent for longer than that."""
-LEASE_MS = 5000
+LEASE_MS: Final = 5000
 """How long a laptop waits for a sign of life from the gateway before it opens a new session."""
+RELAY: Final = """
+import socket, sys, threading
+from contextlib import suppress
+def forward(source, sink):
+    with suppress(OSError):
+        while data := source.recv(65536):
+            sink.sendall(data)
+    for each in (source, sink):
+        with suppress(OSError):
+            each.shutdown(socket.SHUT_RDWR)
+def relay(near):
+    try:
+        far = socket.create_connection((sys.argv[2], int(sys.argv[3])), timeout=1)
+    except OSError:
+        near.close()
+        return
+    far.settimeout(None)
+    for way in ((near, far), (far, near)):
+        threading.Thread(target=forward, args=way).start()
+listener = socket.socket(socket.AF_UNIX)
+listener.bind(sys.argv[1])
+listener.listen()
+print("relays", flush=True)
+while True:
+    threading.Thread(target=relay, args=listener.accept()[:1]).start()
+"""
+"""Connects whoever comes to a Unix socket with the robot."""
 
 
 class RobotHost(Closing):
@@ -44,7 +80,7 @@ class RobotHost(Closing):
         settings: dict[str, dict[str, Any]] = {
             "zenoh": {"listen": [*listen, observer], "allow_insecure": True, "config": str(file)},
             "telemetry": {"frames": True},
-            "limits": {"leg_rate_hz": 1000, "max_age_ms": 0},
+            "limits": {"leg_rate_hz": 1000, "max_age_ms": 0, "takeover_deg_s": 0},
             "watchdog": {"timeout_ms": TIMEOUT_MS},
         }
         with ExitStack() as opened:
@@ -136,43 +172,82 @@ def _leg(frame: FrameRecord) -> int:
 
 
 class LaptopHost(Closing):
-    """A publisher in its namespace; see `tests.net.publisher` for what can be asked of it."""
+    """A client of this process, with at most one stream. Its link begins at a relay in the laptop's namespace.
 
-    def __init__(self, network: Network, number: int) -> None:
-        """Start it; it is connected when it is first used, or after `ready`."""
+    It also subscribes to all that the gateway reports.
+    """
+
+    def __init__(self, network: Network, number: int, folder: Path) -> None:
         self.source = f"laptop {number}"
-        endpoint = f"tcp/{network.robot_address(number)}:{PORT}"
-        command = [*network.laptop(number), sys.executable, "-m", "tests.net.publisher", endpoint, self.source]
-        self.child = Child(command, os.environ)
+        near = folder / "relay.sock"
+        first = ("nice", "-n", str(NICE), *network.laptop(number), sys.executable, "-c", RELAY)
+        self.relay = Child([*first, str(near), network.robot_address(number), str(PORT)], os.environ)
+        self.relay.wait_for_output("relays")
+        self.client = Client(f"unixsock-stream/{near}", source=self.source, timeout_s=LATE_S)
+        self.sent = 0
+        """Setpoints of all its streams."""
+        self.answers: list[tuple[float, Ack]] = []
+        """To those of the last acknowledged stream, and when they came (monotonic, s)."""
+        self._step = itertools.count()
+        self._stream = ExitStack()
+        self._reach = {True: threading.Event(), False: threading.Event()}
+        session = self.client.session
+        self._declared: list[Any] = [
+            *(session.declare_subscriber(key, RingChannel(1)) for key in (STATE, EVENT, FRAME)),
+            session.liveliness().declare_subscriber(ALIVE, self._take_alive, history=True),
+        ]
 
     def close(self) -> None:
-        self.child.close()
-
-    def ready(self) -> Self:
-        """Wait until it is connected."""
-        self.child.wait_for_line(0, ANSWER_S)
-        return self
-
-    def ask(self, what: str, *arguments: object, **named: object) -> Any:
-        """What it answers. Raises AssertionError where that is an error."""
-        self.ready()
-        answer = json.loads(self.child.ask(json.dumps([what, arguments, named]), ANSWER_S))
-        assert "error" not in answer, f"{what}: {answer['error']}"
-        return answer["ok"]
-
-    def wait_for_answer(self) -> None:
-        """Wait until the gateway answers again; what was asked of a session that ended meanwhile is lost."""
-        for _ in range(3):
-            with suppress(AssertionError):
-                self.ask("wait_for_reach", within=True)
-                self.ask("request", "state")
-                return
-        raise AssertionError(f"{self.source} hears nothing of the gateway")
+        self.pause()
+        self.client.close()
+        self.relay.close()
 
     def start(self, *legs: int) -> None:
         """Energise these legs."""
-        assert self.ask("start", *legs) == [True] * len(legs)
+        assert all(self.client.start_leg(leg, *self._pose(), check=False).accepted for leg in legs)
 
     def stream(self, *legs: int) -> None:
-        """From now on 50 setpoints a second for each of these legs."""
-        self.ask("stream", *legs)
+        """From now on, 50 times a second, fire and forget: a setpoint for each of these legs."""
+
+        def publish() -> None:
+            for leg in legs:
+                self.client.publish(leg_command(leg), leg_payload("set", self._pose()))
+                self.sent += 1
+
+        self._stream.enter_context(meanwhile(publish, PERIOD_S))
+
+    def ask(self, *legs: int) -> None:
+        """From now on, 50 times a second, an acknowledged setpoint for one of these legs after the other."""
+        self.answers.clear()
+        each = itertools.cycle(legs)
+
+        def ask() -> None:
+            answer = self.client.set_leg(next(each), *self._pose(), check=False)
+            self.answers.append((time.monotonic(), answer))
+            self.sent += 1
+
+        self._stream.enter_context(meanwhile(ask, PERIOD_S))
+
+    def wait_until_sent(self, more: int) -> None:
+        """Wait until so many more have been sent."""
+        enough, give_up_s = self.sent + more, time.monotonic() + LATE_S
+        while self.sent < enough:
+            assert time.monotonic() < give_up_s, f"{self.source} has sent {self.sent}, not {enough}"
+            time.sleep(PERIOD_S)
+
+    def pause(self) -> None:
+        """No more of its streams."""
+        self._stream.close()
+
+    def wait_for_reach(self, *, within: bool) -> None:
+        """Wait until Zenoh has given the gateway up, or has found it again."""
+        assert self._reach[within].wait(LATE_S), f"{self.source}, within reach: not {within}"
+
+    def _take_alive(self, sample: zenoh.Sample) -> None:
+        alive = sample.kind == zenoh.SampleKind.PUT
+        self._reach[not alive].clear()
+        self._reach[alive].set()
+
+    def _pose(self) -> tuple[float, float, float]:
+        """Never the same twice in a row."""
+        return (45 + next(self._step) % 9000 / 100, 60, 90)

@@ -3,7 +3,7 @@
     with Network(laptops=2) as network:
         endpoint = f"tcp/{network.robot_address(0)}:7447"
         gateway = Gateway(folder, {"zenoh": {"listen": [endpoint], "allow_insecure": True}}, prefix=network.robot)
-        laptop = Child([*network.laptop(0), sys.executable, "-m", "tests.net.publisher", …], os.environ)
+        laptop = Child([*network.laptop(0), *COMMAND, "status", "--follow", "--connect", endpoint], os.environ)
         network.cut(0)
         network.fix(0)
 
