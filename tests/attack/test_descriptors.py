@@ -2,7 +2,6 @@
 
 import socket
 import time
-from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
@@ -18,17 +17,11 @@ from tests.hil.bed import SpiTestbed
 from tests.hil.wire import STOPS
 from tests.support.heard import states
 from tests.support.secured import HOST, Secured
+from tests.support.waiting import wait_until
 
 LIMIT = NEEDED + 60
 """Enough to start, and few enough to be taken quickly."""
 FEW = ["prlimit", f"--nofile={LIMIT}:{LIMIT}"]
-
-
-def wait_until(holds: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    give_up_s = time.monotonic() + timeout_s
-    while not holds():
-        assert time.monotonic() < give_up_s, "it did not come about"
-        time.sleep(0.005)
 
 
 # ---- silent connections

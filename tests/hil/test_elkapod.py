@@ -5,8 +5,7 @@ Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from tests.support.controllers import Elkapod
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states
+from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.hil
 
@@ -72,14 +72,6 @@ class ElkapodBed(SpiTestbed):
             "controller": {"uart": str(self.uart), "silent_ms": 2000, **sections.get("controller", {})},
         }
 
-    def wait_until(self, holds: Callable[[], bool], timeout_s: float) -> None:
-        """Until something holds that a frame can change: it is looked at behind each."""
-        deadline_s = time.monotonic() + timeout_s
-        while not holds():
-            if time.monotonic() > deadline_s:
-                raise TimeoutError(f"waited {timeout_s} s")
-            self.follow(len(self.events), 0.1)
-
     def _play(self) -> None:
         seen = 0
         while (events := self.follow(seen, BEAT_S)) is not None:
@@ -118,7 +110,7 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
     ack = client.start_legs(POSE, check=False)
     assert ack.accepted, ack
     robot.wait_for_message(START, since=begun, timeout_s=LATE_S)
-    robot.wait_until(lambda: robot.controller.energised == ALL, LATE_S)
+    wait_until(lambda: robot.controller.energised == ALL, within_s=LATE_S)
 
 
 # ---- start
@@ -136,7 +128,7 @@ def test_it_begins_with_shutdowns_and_clocks_frames_in_which_nothing_moves(robot
     assert {(each.mode, each.speed_hz, each.bits_per_word, each.segments) for each in frames} == {(2, 1_000_000, 8, 1)}
     # Never more often than asked for: one that was late is not made up for.
     assert frames[-1].monotonic_ns - first.monotonic_ns >= (len(frames) - 2) * 19_000_000
-    robot.wait_until(lambda: bool(client.state().controller.alive), LATE_S)
+    wait_until(lambda: bool(client.state().controller.alive), within_s=LATE_S)
     assert client.state().wire.name == "elkapod-2025"
     assert not robot.controller.corruptions
 

@@ -17,6 +17,7 @@ from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import EACH_FRAMING, LATE_S, Replay, Wire, moving, settings_for, start
 from tests.support.gateway_process import COMMAND, write_settings
+from tests.support.waiting import wait_until
 
 pytestmark = pytest.mark.hil
 
@@ -54,10 +55,7 @@ def trial(bed: SpiTestbed, framing: Framing, client: Client, seed: int) -> float
     ) is None and time.monotonic() < deadline_s:
         time.sleep(0.05)
     bed.heal()
-    deadline_s = time.monotonic() + LATE_S
-    while not client.reset(check=False).accepted:  # until the last repeats are written
-        assert time.monotonic() < deadline_s, "the bus did not recover"
-        time.sleep(0.12)
+    wait_until(lambda: client.reset(check=False).accepted, "the last repeats are written", LATE_S)
     return found
 
 

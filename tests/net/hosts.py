@@ -23,6 +23,7 @@ from tests.support.closing import Closing
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events, frames, states
 from tests.support.meanwhile import meanwhile
+from tests.support.waiting import wait_until
 
 PORT: Final = 7447
 NICE: Final = -10
@@ -230,10 +231,8 @@ class LaptopHost(Closing):
 
     def wait_until_sent(self, more: int) -> None:
         """Wait until so many more have been sent."""
-        enough, give_up_s = self.sent + more, time.monotonic() + LATE_S
-        while self.sent < enough:
-            assert time.monotonic() < give_up_s, f"{self.source} has sent {self.sent}, not {enough}"
-            time.sleep(PERIOD_S)
+        enough = self.sent + more
+        wait_until(lambda: self.sent >= enough, f"{self.source} sends {more} more")
 
     def pause(self) -> None:
         """No more of its streams."""

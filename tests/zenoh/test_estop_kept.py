@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,6 +15,7 @@ from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.gateway_process import Gateway
 from tests.support.heard import events
+from tests.support.waiting import wait_until
 
 LATE_S = 15.0
 
@@ -25,13 +24,6 @@ def start(folder: Path) -> Gateway:
     """One after the other, on the same state directory."""
     (folder / "state").mkdir(exist_ok=True)
     return Gateway(folder, env={"HEXAPOD_STATE__PATH": str(folder / "state")})
-
-
-def until(condition: Callable[[], bool]) -> None:
-    give_up_s = time.monotonic() + LATE_S
-    while not condition():
-        assert time.monotonic() < give_up_s
-        time.sleep(0.001)
 
 
 def press(client: Client, source: str = "anna") -> int:
@@ -57,7 +49,7 @@ def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_g
         assert press(client, "anna") == 1
         since = client.state().estop_since
         if how is signal.SIGKILL:  # an end in order waits for the write
-            until(lambda: is_kept(state, 1))
+            wait_until(lambda: is_kept(state, 1))
         first.child.send_signal(how)
         first.child.wait(LATE_S)
     assert is_kept(state, 1)
@@ -68,7 +60,7 @@ def test_it_is_engaged_again_however_the_gateway_ended_and_a_reset_ends_it_for_g
         assert client.start_leg(3, 90, 90, 90, check=False).reason is Reason.ESTOPPED
         second.child.wait_for_output("is still engaged")
         assert client.ask(keys.RESET, {"estop": 1}).accepted
-        until(lambda: not (state / ESTOP_FILE).exists())
+        wait_until(lambda: not (state / ESTOP_FILE).exists())
         second.child.kill()
     with start(tmp_path) as third, third.client() as client:
         found = client.state()

@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from tests.support.console_process import LINK
 from tests.support.descendants import MARK, Run
 from tests.support.gateway_process import COMMAND, READY, free_port
 from tests.support.heard import frames
+from tests.support.waiting import wait_until
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -68,10 +68,7 @@ def test_make_run_keeps_an_incident_finds_a_port_and_ends_all(tmp_path: Path, mo
             child.terminate()
             child.wait(20)
             assert "Traceback" not in child.stderr
-            end_s = time.monotonic() + 10
-            while run.processes() and time.monotonic() < end_s:  # make itself does not wait
-                time.sleep(0.02)
-            assert run.processes() == set()
+            wait_until(lambda: not run.processes(), "all have ended: make itself does not wait", 10)
         finally:
             run.close()
             child.close()

@@ -1,6 +1,5 @@
 """The right edge knows whether anybody listens, and what a robot measures is published then."""
 
-import time
 from contextlib import closing
 from queue import SimpleQueue
 
@@ -15,6 +14,7 @@ from schemas.keys import STATE, TELEMETRY
 from schemas.telemetry import Telemetry
 from tests.support.fixtures import gateway_fixture
 from tests.support.gateway_process import Gateway, free_port
+from tests.support.waiting import wait_until
 
 gateway = gateway_fixture({"wire": {"name": "elkapod-2025"}})
 
@@ -26,23 +26,15 @@ def test_it_knows_whether_anyone_listens() -> None:
     with closing(open_session(service_config(ZenohSettings(listen=(endpoint,))))) as session:
         unknown_keys = UnknownKeys(session)  # which hears all of hexapod/, and counts for nobody
         outbox.open(session)
-        assert comes_to_say(outbox, listened_to=False)
+        assert not outbox.anyone_listens(STATE)
         with closing(open_session(client_config(endpoint))) as laptop:
             for key in (STATE, "hexapod/**"):
                 subscriber = laptop.declare_subscriber(key, RingChannel(1))
-                assert comes_to_say(outbox, listened_to=True)
+                wait_until(lambda: outbox.anyone_listens(STATE))
                 subscriber.undeclare()
-                assert comes_to_say(outbox, listened_to=False)
+                wait_until(lambda: not outbox.anyone_listens(STATE))
         assert unknown_keys.poll() is None
         outbox.close()
-
-
-def comes_to_say(outbox: ZenohOutbox, *, listened_to: bool) -> bool:
-    """It says what it saw when it was last asked."""
-    give_up_s = time.monotonic() + 10
-    while outbox.anyone_listens(STATE) is not listened_to and time.monotonic() < give_up_s:
-        time.sleep(0.001)
-    return outbox.anyone_listens(STATE) is listened_to
 
 
 def test_what_is_measured_is_published_while_somebody_listens_and_answered(gateway: Gateway) -> None:

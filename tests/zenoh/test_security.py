@@ -5,7 +5,6 @@ And every way in which a laptop does not reach the robot: one line names the ste
 
 import datetime as dt
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -24,6 +23,7 @@ from tests.support.command import Ended, run_here
 from tests.support.gateway_process import Gateway, free_port
 from tests.support.heard import events
 from tests.support.secured import HOST, Secured
+from tests.support.waiting import wait_until
 
 TLS, TIMEOUT = "transport/link/tls", "connect/timeout_ms"
 
@@ -119,10 +119,7 @@ def test_a_link_ends_when_its_certificate_expires(secured: Secured) -> None:
     made = dt.datetime.now(dt.UTC) - dt.timedelta(days=1, seconds=-5)
     with closing(zenoh.open(forged(secured, "operator-41", made))) as session:
         assert list(session.get(keys.STATE))
-        give_up_s = time.monotonic() + 60
-        while session.info.links():
-            assert time.monotonic() < give_up_s
-            time.sleep(0.01)
+        wait_until(lambda: not session.info.links(), "its end", 60)
         assert not list(session.get(keys.STATE, timeout=1))
 
 

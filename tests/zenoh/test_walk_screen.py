@@ -19,6 +19,7 @@ from tests.support.closing import Closing
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import states
+from tests.support.waiting import wait_until
 
 pytestmark = [pytest.mark.full, pytest.mark.attended]
 
@@ -100,28 +101,28 @@ def test_the_stop_key_works_when_the_terminal_takes_no_more_and_so_does_the_end(
     with Terminal(gateway.endpoint) as terminal:
         # Its first bytes say that keys come one by one now; the rest stays unread, and fills the pty's 4 KB.
         assert os.read(terminal.end, 1)
-        wait_for_stuck_writer(terminal.process.pid)
+        wait_until(lambda: is_stuck(terminal.process.pid), "its drawing blocks")
         terminal.press(" ")
         seen.wait(lambda state: state.mode is Mode.ESTOPPED)
-        deadline = time.monotonic() + LATE_S
-        while terminal.process.poll() is None and time.monotonic() < deadline:
-            terminal.press("\x03")  # Ctrl-C; one that is read together with the stop does not count
-            with suppress(subprocess.TimeoutExpired):
-                terminal.process.wait(0.2)
-        assert terminal.process.returncode is not None
+        wait_until(lambda: ends_at_ctrl_c(terminal), "its end")
 
 
-def wait_for_stuck_writer(pid: int) -> None:
-    """Until a thread of the process waits in the terminal's write, as its kernel stack or wait channel says."""
-    deadline = time.monotonic() + LATE_S
-    while time.monotonic() < deadline:
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
-                number, descriptor = [*(task / "syscall").read_text(encoding="ascii").split(), "", ""][:2]
-                if number == str(_WRITE) and int(descriptor, 16) == 1:
-                    return
-        time.sleep(0.05)
-    raise TimeoutError("its drawing never blocked")
+def ends_at_ctrl_c(terminal: Terminal) -> bool:
+    """One that is read together with the stop does not count."""
+    terminal.press("\x03")
+    with suppress(subprocess.TimeoutExpired):
+        terminal.process.wait(0.2)
+    return terminal.process.returncode is not None
+
+
+def is_stuck(pid: int) -> bool:
+    """Whether a thread of the process waits in the terminal's write, as its kernel stack or wait channel says."""
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(FileNotFoundError, ProcessLookupError):  # a thread that has ended meanwhile
+            number, descriptor = [*(task / "syscall").read_text(encoding="ascii").split(), "", ""][:2]
+            if number == str(_WRITE) and int(descriptor, 16) == 1:
+                return True
+    return False
 
 
 _WRITE = {"x86_64": 1, "aarch64": 64}.get(os.uname().machine, 1)

@@ -13,6 +13,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import BUFSIZ, KernelDevice
 from tests.kernel.inside import wire
 from tests.support.child import Child
+from tests.support.waiting import wait_until
 
 SPEED_HZ = 2_500_000
 OURS = (SPEED_HZ, 8, 0)
@@ -132,7 +133,7 @@ def killed() -> str:
         wire.give(xfer_sleep_us=100_000)
         wire.forget()
         writer.tell("go")
-        wire.wait_until(lambda: any(each.kind == wire.END for each in wire.records()), "the first transfer")
+        wait_until(lambda: any(each.kind == wire.END for each in wire.records()), "the first transfer")
         writer.send_signal(signal.SIGKILL)
         before = len(wire.passed())
         writer.wait(30)

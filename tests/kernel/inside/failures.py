@@ -8,6 +8,7 @@ import time
 from gateway.model.framing import Framing
 from tests.kernel.inside import wire
 from tests.kernel.inside.batches import BATCH, STOPS, bus, program
+from tests.support.waiting import wait_until
 
 GIVEN_UP_NS = 200_000_000
 """What Linux waits at least for a transfer that never ends."""
@@ -58,7 +59,7 @@ def hangs() -> str:
         wire.forget()
         wire.give(hang_in=1, hang_ms=HANG_MS)
         hung.tell("go")
-        wire.wait_until(lambda: any(each.kind == wire.BEGIN for each in wire.records()), "the transfer")
+        wait_until(lambda: any(each.kind == wire.BEGIN for each in wire.records()), "the transfer")
         hung.send_signal(signal.SIGKILL)
         stopper.tell("go")
         time.sleep(HANG_MS / 3000)

@@ -13,9 +13,10 @@ import can
 
 from gateway.model.power_board import ALL, CanFrame, set_supply
 from gateway.simulation.board import SimulatedBoard
-from tests.kernel.inside import wire
 from tests.kernel.inside.robot import Robot, robot
 from tests.support.child import Child
+from tests.support.heard import servos_on
+from tests.support.waiting import wait_until
 
 OURS: Final = "can0"
 THEIRS: Final = "board0"
@@ -83,13 +84,13 @@ def until_alive(ours: Robot) -> None:
         power = ours.client.state().power
         return power is not None and power.alive
 
-    wire.wait_until(alive, "the board answers", WITHIN_S)
+    wait_until(alive, "the board answers", WITHIN_S)
 
 
 def started(ours: Robot, theirs: CanBoard) -> None:
     """Start all servos: each is fed."""
     ours.start()
-    wire.wait_until(lambda: theirs.fed == ALL and supplied(ours) == ALL.bit_count(), "all fed", WITHIN_S)
+    wait_until(lambda: theirs.fed == ALL and supplied(ours) == ALL.bit_count(), "all fed", WITHIN_S)
 
 
 def supplied(ours: Robot) -> int:
@@ -118,10 +119,10 @@ def others() -> str:
         with can.Bus(channel=OURS, interface="socketcan", ignore_config=True) as bus:
             mask = set_supply(ALL & ~1)
             bus.send(can.Message(arbitration_id=mask.id, is_extended_id=False, data=mask.data))
-        wire.wait_until(
+        wait_until(
             lambda: any("another program" in each.detail for each in ours.events("power_fault")), "its event", WITHIN_S
         )
-        wire.wait_until(lambda: not theirs.fed & 0b111, "the leg whose servo it took is off", WITHIN_S)
+        wait_until(lambda: not theirs.fed & 0b111, "the leg whose servo it took is off", WITHIN_S)
         ours.gateway.child.kill()
         command = [sys.executable, "-m", "gateway", "stop-servos", "--config", str(ours.gateway.config)]
         with Child(command, os.environ) as child:
@@ -135,16 +136,11 @@ def down() -> str:
     with robot_with_board() as (ours, theirs):
         started(ours, theirs)
         link("set", OURS, "down")
-        wire.wait_until(lambda: bool(ours.events("power_unconfirmed")), "the event", WITHIN_S)
+        wait_until(lambda: bool(ours.events("power_unconfirmed")), "the event", WITHIN_S)
         detail = ours.events("power_unconfirmed")[0].detail
-        wire.wait_until(lambda: not running(ours), "all stopped", WITHIN_S)
+        wait_until(lambda: not servos_on(ours.client.state()), "all stopped", WITHIN_S)
         link("set", OURS, "up")
         until_alive(ours)
-        assert not running(ours), "a start is needed"
+        assert not servos_on(ours.client.state()), "a start is needed"
         assert theirs.fed == 0
     return f"{detail}; what ran is stopped; once it is up nothing is fed, and nothing runs"
-
-
-def running(ours: Robot) -> bool:
-    """Whether any servo is, as the state has it."""
-    return any(each.running for leg in ours.client.state().legs for each in leg.servos)

@@ -13,6 +13,7 @@ from schemas import keys
 from tests.kernel.inside import wire
 from tests.kernel.inside.batches import OURS
 from tests.kernel.inside.robot import robot
+from tests.support.waiting import wait_until
 
 WRITE_MODE: Final = 0x40016B01
 WRITE_SPEED: Final = 0x40046B04
@@ -25,7 +26,7 @@ def stops() -> list[wire.Transfer]:
 
 
 def wait_for_six(within_s: float = 30) -> None:
-    wire.wait_until(lambda: {each.data for each in stops()} == set(wire.STOPS), "six Stops", within_s)
+    wait_until(lambda: {each.data for each in stops()} == set(wire.STOPS), "six Stops", within_s)
 
 
 def emergency_stop(framing: Framing) -> str:
@@ -36,7 +37,7 @@ def emergency_stop(framing: Framing) -> str:
         wire.forget()
         ours.client.publish(keys.ESTOP, {})
         wait_for_six()
-        wire.wait_until(lambda: bool(ours.events("estop_engaged")), "the event")
+        wait_until(lambda: bool(ours.events("estop_engaged")), "the event")
         first = next(message for message in wire.messages() if wire.STOPS[0] in message.data)
     assert first.data == frames(wire.STOPS), f"the first run is {[data.hex() for data in first.data]}"
     assert {each.setting for each in first.transfers} == {OURS}
@@ -78,7 +79,7 @@ def meddled(request: int, value: bytes) -> str:
         if request == WRITE_SPEED:
             return f"all Stops left with {OURS}"
         another_hand(request, value)
-        wire.wait_until(lambda: bool(ours.events("bus_meddled")), "the event bus_meddled", 10)
+        wait_until(lambda: bool(ours.events("bus_meddled")), "the event bus_meddled", 10)
         detail = ours.events("bus_meddled")[0].detail
     return f"all Stops left with {OURS}; the event: {detail}"
 
@@ -112,16 +113,16 @@ def unbound() -> str:
         wire.give(xfer_sleep_us=20_000)
         wire.forget()
         ours.client.publish(keys.LEGS_COMMAND, all_set)
-        wire.wait_until(lambda: bool(wire.records()), "a transfer")
+        wait_until(lambda: bool(wire.records()), "a transfer")
         (DRIVER / "unbind").write_text("spi0.0")
         wire.give(xfer_sleep_us=0)
         assert not Path(wire.DEVICE).exists(), "the device is still there"
         ours.client.publish(keys.LEGS_COMMAND, all_set)
-        wire.wait_until(lambda: bool(ours.events("bus_fault")), "the event bus_fault")
+        wait_until(lambda: bool(ours.events("bus_fault")), "the event bus_fault")
         wire.forget()
         (DRIVER / "bind").write_text("spi0.0")
         wait_for_six()
-        wire.wait_until(lambda: bool(ours.events("bus_recovered")), "the event bus_recovered")
+        wait_until(lambda: bool(ours.events("bus_recovered")), "the event bus_recovered")
         sent = [each.data for each in wire.passed()]
         detail = ours.events("bus_fault")[0].detail
         ours.start()

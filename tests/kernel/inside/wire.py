@@ -1,10 +1,8 @@
 """The module's log and parameters: what the controller was asked to do, message by message."""
 
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import monotonic, sleep
 from typing import Final, NamedTuple
 
 DEVICE: Final = "/dev/spidev0.0"
@@ -132,14 +130,6 @@ def passed() -> list[Transfer]:
 def lost() -> list[Record]:
     """All that Linux gave up on."""
     return [each for each in records() if each.kind == LOST]
-
-
-def wait_until(holds: Callable[[], bool], what: str, within_s: float = 30) -> None:
-    """Look at the machine until it holds. Raises AssertionError."""
-    deadline_s = monotonic() + within_s
-    while not holds():
-        assert monotonic() < deadline_s, f"not within {within_s:g} s: {what}"
-        sleep(0.02)
 
 
 # ---- the bytes of the protocol, written down here once more, so that the gateway's code is not its own witness
