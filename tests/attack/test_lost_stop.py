@@ -8,7 +8,7 @@ import pytest
 
 from gateway.client import leg_payload
 from schemas.keys import leg_command
-from tests.attack.flood import flooding
+from tests.benchmarks.processes import flooding
 from tests.support.gateway_process import Gateway
 
 SETTINGS: dict[str, dict[str, Any]] = {"watchdog": {"timeout_ms": 10_000}}

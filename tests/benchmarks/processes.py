@@ -2,16 +2,16 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tests.support.child import Child
 
 
-def program(name: str, *arguments: str) -> Child:
-    """Another program of the benchmarks, in a process of its own."""
-    return Child([sys.executable, "-m", f"tests.benchmarks.{name}", *arguments], os.environ)
+def program(name: str, *arguments: str, prefix: Sequence[str] = ()) -> Child:
+    """Another program of the benchmarks, in a process of its own; `prefix` goes before its command."""
+    return Child([*prefix, sys.executable, "-m", f"tests.benchmarks.{name}", *arguments], os.environ)
 
 
 @contextmanager
@@ -21,6 +21,14 @@ def publishing(endpoint: str, *options: str) -> Iterator[Child]:
         publisher.wait_for_output("ready")
         publisher.tell(str(1e6))
         yield publisher
+
+
+@contextmanager
+def flooding(endpoint: str, key: str, payload: str, *options: str, prefix: Sequence[str] = ()) -> Iterator[None]:
+    """A program that publishes this as fast as it can, to the end; with `--ask` it asks in place of publishing."""
+    with program("publisher", endpoint, "--flood", key, payload, *options, prefix=prefix) as flood:
+        flood.wait_for_output("flooding")
+        yield
 
 
 def cpu_ns(pid: int) -> int:

@@ -1,9 +1,11 @@
 """Publishes setpoints for legs, spread evenly over time, as the shipped client would send them.
 
     python -m tests.benchmarks.publisher ENDPOINT --legs 1 2 3 --hz 50
+    python -m tests.benchmarks.publisher ENDPOINT --flood KEY PAYLOAD [--ask]
 
 It prints `ready` once it is connected, or listens for gateways that dial it (`--listen`). Then each line on its
-standard input is a number of seconds to publish for; it answers `done`.
+standard input is a number of seconds to publish for; it answers `done`. A flood has no end, and as questions
+(`--ask`) it waits for no answer.
 """
 
 import argparse
@@ -38,16 +40,33 @@ def publish(publishers: "itertools.cycle[zenoh.Publisher]", pause_s: float, dura
         next(publishers).put(f'{payload(number)[:-1]},"source":"publisher","sent_ms":{now_s * 1e3}}}')
 
 
+def flood(session: zenoh.Session, key: str, payload: str, *, ask: bool) -> None:
+    """As fast as it can, for ever. It prints `flooding` once it is fast."""
+    publisher = session.declare_publisher(key, encoding="application/json")
+    querier = session.declare_querier(key, timeout=0.05, congestion_control=zenoh.CongestionControl.DROP)
+    for count in itertools.count():
+        if ask:
+            querier.get(zenoh.handlers.RingChannel(1), payload=payload)
+        else:
+            publisher.put(payload)
+        if count == 1000 * ask:
+            print("flooding", flush=True)
+
+
 def main() -> None:
     """Publish whenever a line comes."""
     parser = argparse.ArgumentParser(description="Publish setpoints for legs.")
     parser.add_argument("endpoint")
-    parser.add_argument("--legs", type=int, nargs="+", required=True)
-    parser.add_argument("--hz", type=float, required=True, help="messages a second for each leg")
+    parser.add_argument("--legs", type=int, nargs="+")
+    parser.add_argument("--hz", type=float, help="messages a second for each leg")
+    parser.add_argument("--flood", nargs=2, metavar=("KEY", "PAYLOAD"))
+    parser.add_argument("--ask", action="store_true")
     parser.add_argument("--listen", action="store_true", help="wait for gateways that dial this endpoint")
     options = parser.parse_args()
     settings = ZenohSettings(listen=(options.endpoint,))
     with zenoh.open(service_config(settings) if options.listen else client_config(options.endpoint)) as session:
+        if options.flood:
+            flood(session, *options.flood, ask=options.ask)
         publishers = itertools.cycle(
             session.declare_publisher(leg_command(leg), encoding="application/json", express=True)
             for leg in options.legs

@@ -7,15 +7,14 @@ on the places of the bytes, and then all values are gone through that the two pl
 
 from collections.abc import Iterator
 from functools import cache
-from itertools import pairwise, product
+from itertools import product
 from typing import Final, NamedTuple
 
 from gateway.model.frames import ONE_LEG_LEN, ONE_SERVO_LEN, OneServo, Op, ServoOp, servo_ids_of
 from schemas.robot import LEGS, SERVO_IDS
 
 RECORDS: Final = {(14, 1): (2, 6, 10), (6, 2): (2,)}
-OPERATIONS: Final = frozenset({1, 2, 3})
-KILLS: Final = frozenset(product((0, 1, 2, 3, 10), OPERATIONS))
+KILLS: Final = frozenset(product((0, 1, 2, 3, 10), (1, 2, 3)))
 """Ids, each with the operation behind it: the table index 252 to 255."""
 FOLLOWERS: Final = (0, ONE_SERVO_LEN, ONE_LEG_LEN)
 """The byte behind a frame: a zero, of the preamble or of the timeout, or an announcement."""
@@ -104,11 +103,3 @@ def worst(stream: list[Place], avoid_cdeg: Avoid) -> frozenset[tuple[int, int]]:
             pairs = together(body[at], body[at + 1], avoid_cdeg)
             killing |= pairs & KILLS
     return frozenset(killing)
-
-
-def neighbours(avoid_cdeg: Avoid) -> Iterator[frozenset[tuple[int, int]]]:
-    """All that two bytes next to each other can be, anywhere in a stream of announced frames and zeros."""
-    for servos in (1, 3):
-        for first, second in pairwise(announced(servos)):
-            yield together(first, second, avoid_cdeg)
-    yield frozenset(product((0,), FOLLOWERS))

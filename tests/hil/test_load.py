@@ -23,8 +23,7 @@ from gateway.client import leg_payload
 from gateway.zenoh_config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS
-from tests.attack.flood import flooding
-from tests.benchmarks.processes import program
+from tests.benchmarks.processes import flooding, program
 from tests.benchmarks.publisher import payload
 from tests.hil.bed import SpiTestbed
 from tests.support.child import Child
