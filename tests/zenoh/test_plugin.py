@@ -17,7 +17,7 @@ from schemas.telemetry import Mode
 from tests.support.child import Child
 from tests.support.fixtures import patient
 from tests.support.gateway_process import Gateway
-from tests.support.heard import events, states
+from tests.support.heard import states
 
 NAME: Final = "to-file"
 WIRE: Final = """
@@ -35,13 +35,9 @@ class ToFile(ServoWire):
         self._path = options["path"]
 
     def open(self):
-        if os.path.exists(self._path + ".unplugged"):
-            raise OSError(6, "no such device")
         self._file = open(self._path, "a")
 
     def apply(self, changes):
-        if os.path.exists(self._path + ".unplugged"):
-            raise OSError(5, "it does not answer")
         if os.path.exists(self._path + ".mistake"):
             raise RuntimeError("a mistake in the plug-in")
         while os.path.exists(self._path + ".hangs"):
@@ -75,8 +71,7 @@ class Installed:
         self.settings = patient(wire={"name": NAME, "path": str(self.path)})
         self.env = {**os.environ, "PYTHONPATH": str(folder), "RUNTIME_DIRECTORY": str(folder)}
         """Of a program that finds it."""
-        names = ("unplugged", "mistake", "hangs", "hung")
-        self.unplugged, self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in names)
+        self.mistake, self.hangs, self.hung = (folder / f"written.{name}" for name in ("mistake", "hangs", "hung"))
         (folder / "to_file.py").write_text(WIRE)
         described = folder / "to_file-1.0.dist-info"  # as if pip had installed it
         described.mkdir()
@@ -129,23 +124,6 @@ def test_it_starts_moves_and_stops_servos_stops_first_and_alone(plugin: Installe
         assert stopped[0].changes.keys() == {*SERVO_IDS}, "not only those that ran"
         assert all(each.stops for each in stopped)
         assert client.reset().accepted
-
-
-def test_unplugged_it_is_opened_again_and_hears_all_stops_before_anything_else(
-    plugin: Installed, gateway: Gateway
-) -> None:
-    with gateway.client() as client:
-        heard = events(client)
-        client.start_leg(3, *LEG_3.values())
-        plugin.unplugged.touch()
-        since = len(plugin.calls())
-        heard.wait(lambda event: event.kind == "bus_fault" and f"{NAME}: " in (event.detail or ""))
-        assert not client.start_leg(3, *LEG_3.values(), check=False).accepted
-        plugin.unplugged.unlink()
-        heard.wait(lambda event: event.kind == "bus_recovered")
-        client.start_leg(3, *LEG_3.values())
-        assert set(plugin.calls(since)[0].changes) == {*SERVO_IDS}
-        assert plugin.calls(since)[0].stops
 
 
 def test_stop_servos_goes_through_it_in_a_process_of_its_own(plugin: Installed, gateway: Gateway) -> None:

@@ -1,5 +1,6 @@
 """A plug-in (`gateway.wire`) that does what no wire should: a Stop, and a rule, never depend on its author's care."""
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint
@@ -7,7 +8,7 @@ from typing import ClassVar
 
 import pytest
 
-from gateway.errors import ConfigError
+from gateway.errors import ConfigError, SpiError
 from gateway.host import wire_plugins
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import stop_leg
@@ -57,6 +58,20 @@ def test_one_that_cannot_be_opened_for_a_bug_gets_stops_all_the_same(monkeypatch
     with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
         PluginBus(WireSettings("exits", {})).open()
     assert Exits.stopped == {11}, "up to the servo for which it exits"
+
+
+def test_one_that_is_unplugged_is_a_fault_until_it_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus = PluginBus(WireSettings("exits", {}))
+    bus.open()
+    with monkeypatch.context() as unplugged:
+        for method in ("open", "apply"):
+            unplugged.setattr(Exits, method, lambda *_: os.stat("/nowhere"))
+        assert str(bus.write([stop_leg(2)]).fault) == "exits: No such file or directory"
+        with pytest.raises(SpiError, match="exits: No such file"):
+            bus.open()
+    bus.open()
+    assert bus.write([stop_leg(2)]).fault is None
+    assert Exits.stopped == {21, 22, 23}
 
 
 def test_one_that_exits_where_it_is_made_is_a_sentence() -> None:
