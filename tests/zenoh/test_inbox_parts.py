@@ -7,6 +7,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable
+from contextlib import closing
 from functools import partial
 from queue import SimpleQueue
 from types import SimpleNamespace
@@ -15,12 +16,16 @@ from typing import Any
 import pytest
 import zenoh
 
+from gateway.host.settings_table import ZenohSettings
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.inbox import OTHER_DEPTH, POLL_AFTER_FLOOD, Inbox
 from gateway.robot.zenoh_io.questions import POLL_AGAIN_S
 from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH
+from gateway.robot.zenoh_io.session import service_config
+from gateway.zenoh_config import open_session
 from schemas.keys import ESTOP, LEASE, leg_command, servo_command
+from tests.support.gateway_process import free_port
 from tests.support.interleaved import Sample
 
 LEG_1 = leg_command(1)
@@ -76,6 +81,13 @@ class Held:
 
     async def close(self) -> None:
         await asyncio.to_thread(self.inbox.close)
+
+
+@pytest.fixture
+async def session() -> AsyncIterator[zenoh.Session]:
+    """As the service opens it."""
+    with closing(open_session(service_config(ZenohSettings(listen=(f"tcp/127.0.0.1:{free_port()}",))))) as opened:
+        yield opened
 
 
 @pytest.fixture
