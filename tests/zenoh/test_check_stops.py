@@ -1,10 +1,9 @@
 """`check --stops` passes on a gateway that works, finds each planted mistake by its step, and ends stopped."""
 
 import json
-import os
 import signal
 import sys
-import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -121,46 +120,20 @@ def test_where_the_lease_is_taken_from_it_all_legs_are_stopped(gateway: Gateway)
 
 # ---- the step that kills the service (with a real systemd: tests/box/test_check_stops.py)
 
-SYSTEMCTL = """#!/bin/sh
-[ -z "{load}" ] && echo System has not been booted with systemd >&2 && exit 1
-echo "$@" >> {folder}/asked
-case $1 in
-kill) kill -9 {pid} ;;
-show) echo "LoadState={load}"
-    echo "ExecMainStartTimestampMonotonic=$(($(cut -d. -f1 /proc/uptime) - {ago}))000000"
-    echo "InvocationID=$(grep -c kill {folder}/asked)"
-    echo "ExecStopPost={{ path=/opt/x ; argv[]=/opt/x stop-servos ; pid=7 ; {ended} }}"
-    echo "ExecStopPost={{ path=/bin/cat ; argv[]=/bin/cat ; pid=8 ; code=exited ; status=0 }}" ;;
-esac
-"""
-
-
-@pytest.fixture
-def systemctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """A systemctl of the test's own, which shows this, and kills this process."""
-
-    def install(pid: int, load: str = "loaded", ago: int = 0, ended: str = "") -> None:
-        program = tmp_path / "systemctl"
-        program.write_text(SYSTEMCTL.format(folder=tmp_path, pid=pid, ended=ended, load=load, ago=ago))
-        program.chmod(0o755)
-        monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-
-    return install
-
 
 @pytest.mark.parametrize(
-    ("load", "ago", "says"),
+    ("shown", "says"),
     [
-        ("", 0, "this machine has no hexapod-gateway.service"),
-        ("not-found", 0, "this machine has no hexapod-gateway.service"),
-        ("loaded", -1000, "hexapod-gateway.service of this machine is not the gateway that answers"),
+        ({}, "this machine has no hexapod-gateway.service"),
+        ({"LoadState": "not-found"}, "this machine has no hexapod-gateway.service"),
+        ({"LoadState": "loaded"}, "hexapod-gateway.service of this machine is not the gateway that answers"),
     ],
 )
 def test_a_laptop_skips_the_step_that_kills_the_service(
-    gateway: Gateway, systemctl: Callable[..., None], load: str, ago: int, says: str
+    gateway: Gateway, monkeypatch: pytest.MonkeyPatch, shown: dict[str, str], says: str
 ) -> None:
     """Also one that has a service of its own, which would die in the place of the robot's."""
-    systemctl(gateway.child.pid, load, ago)
+    monkeypatch.setattr(stops, "shown", lambda _: shown)
     done = gateway.run("check", "--stops", "--yes", "--restart", "--only", "restart")
     assert done.returncode == 0, str(done)
     assert f"SKIPPED  restart        {says}" in done.stdout
@@ -170,24 +143,30 @@ def test_a_laptop_skips_the_step_that_kills_the_service(
 
 @pytest.mark.parametrize("ended", ["code=exited ; status=3", "code=(null) ; status=0/0"], ids=["failed", "not run"])
 def test_a_stop_servos_that_did_not_stop_after_the_end_fails(
-    tmp_path: Path, systemctl: Callable[..., None], ended: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: str
 ) -> None:
     """As systemd 252 shows it; the test is in the place of systemd, which starts the service again."""
     settings = {**FRAMES, "zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"]}}
+    asked: list[tuple[str, ...]] = []
     with ExitStack() as stack:
         first = stack.enter_context(Gateway(tmp_path, settings))
-        systemctl(first.child.pid, ended=ended)
+        shown = {
+            "LoadState": "loaded",
+            "ExecMainStartTimestampMonotonic": f"{time.monotonic_ns() // 1000}",
+            "ExecStopPost": f"{{ path=/opt/x ; argv[]=/opt/x stop-servos ; pid=7 ; {ended} }} "
+            "{ path=/bin/cat ; argv[]=/bin/cat ; pid=8 ; code=exited ; status=0 }",
+        }
 
-        def start_again() -> None:
-            first.child.wait(20)
+        def run(*words: str) -> None:
+            asked.append(words)
+            first.child.kill()
             stack.enter_context(Gateway(tmp_path, settings, wait=False))
 
-        systemd = threading.Thread(target=start_again)
-        systemd.start()
+        monkeypatch.setattr(stops, "shown", lambda _: {**shown, "InvocationID": str(len(asked))})
+        monkeypatch.setattr(stops, "_run", run)
         done = first.run("check", "--stops", "--restart", "--only", "restart", timeout_s=60)
-        systemd.join()
-        assert done.stdout.startswith("FAIL     restart        stop-servos did not stop the servos"), str(done)
-    assert "kill --signal=KILL hexapod-gateway.service" in (tmp_path / "asked").read_text()
+    assert done.stdout.startswith("FAIL     restart        stop-servos did not stop the servos"), str(done)
+    assert asked == [("systemctl", "kill", "--signal=KILL", "hexapod-gateway.service")]
 
 
 # ---- the steps for a power board: what it confirms, and one of its two ways unplugged
