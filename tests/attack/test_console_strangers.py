@@ -107,7 +107,6 @@ async def attack(kind: Kind, port: int) -> None:
 
 @contextmanager
 def strangers(kind: str, port: int) -> Iterator[None]:
-    """Connections without a session to a console of this machine."""
     program = [sys.executable, "-m", "tests.attack.test_console_strangers", kind, str(port)]
     with Child(program, os.environ) as child:
         child.wait_for_output("made ", 20)

@@ -48,8 +48,6 @@ _LEAST_CDEG, _ANGLES = 4_00, 176_00
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """One kind of traffic."""
-
     name: str
     whole: bool = False
     """All legs in one message, as the client's stream sends them."""
@@ -89,7 +87,6 @@ def row(name: str, gateway: str, naive: str, aim: str = "", met: bool | None = N
 
 
 def as_text(rows: list[Row]) -> str:
-    """Columns that line up."""
     cells = [("figure", "gateway", "naive script", "aim", ""), *rows]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
@@ -264,7 +261,6 @@ def _rows_of_release(stream: Stream, found: dict[str, Figures]) -> Iterator[Row]
 
 
 def machine() -> str:
-    """The machine in words."""
     cpu = next(
         (line.partition(": ")[2] for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
         platform.machine(),

@@ -16,7 +16,6 @@ spi.max_speed_hz = 2_500_000
 
 
 def write(leg: int, servos: list[dict[str, Any]]) -> None:
-    """Write a leg's command as a ONE LEG frame."""
     frame = [14, 1]
     for joint, servo in enumerate(servos, start=1):
         angle = servo.get("angle_deg", 0)
@@ -27,12 +26,10 @@ def write(leg: int, servos: list[dict[str, Any]]) -> None:
 
 
 def on_command(sample: zenoh.Sample) -> None:
-    """One leg."""
     write(int(str(sample.key_expr).split("/")[2]), json.loads(sample.payload.to_bytes())["servos"])
 
 
 def on_legs(sample: zenoh.Sample) -> None:
-    """Several legs in one message."""
     for leg, command in json.loads(sample.payload.to_bytes())["legs"].items():
         write(int(leg), command["servos"])
 

@@ -53,12 +53,10 @@ def rss_kb(pid: int, field: str = "VmRSS") -> int:
 
 
 def threads(pid: int) -> int:
-    """Threads that live now."""
     return _status(pid, "Threads")
 
 
 def fds(pid: int) -> int:
-    """Open file descriptors."""
     return len(os.listdir(f"/proc/{pid}/fd"))
 
 
@@ -68,5 +66,4 @@ def _status(pid: int, name: str) -> int:
 
 
 def say(text: str) -> None:
-    """One line of progress."""
     print(f"… {text}", file=sys.stderr, flush=True)

@@ -54,7 +54,6 @@ def flood(session: zenoh.Session, key: str, payload: str, *, ask: bool) -> None:
 
 
 def main() -> None:
-    """Publish whenever a line comes."""
     parser = argparse.ArgumentParser(description="Publish setpoints for legs.")
     parser.add_argument("endpoint")
     parser.add_argument("--legs", type=int, nargs="+")

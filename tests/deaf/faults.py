@@ -19,8 +19,6 @@ from tests.support.robot import MS, Robot
 
 
 class Written(NamedTuple):
-    """A transfer as it was recorded."""
-
     at_ns: int
     data: bytes
     repeat: bool
@@ -91,7 +89,6 @@ class Watcher:
     """Servos that do what no frame said."""
 
     def saw(self, now_ns: int, data: bytes, *, repeat: bool) -> None:
-        """What was written just now."""
         executed, self._executed = self.controller.executed - self._executed, self.controller.executed
         if len(data) == 1 and not executed:
             return
@@ -230,7 +227,6 @@ def _played(log: list[Written], faults: Iterable[Fault], tick_phase_ns: int = 0)
 
 
 def _states(log: list[Written], clock: _Clock, controller: Controller) -> list[State]:
-    """The servos after each transfer."""
     states: list[State] = []
     for written in log:
         clock.now_ns = written.at_ns

@@ -13,8 +13,6 @@ SEED = 8
 
 
 class Message(NamedTuple):
-    """What is put on which key, and when."""
-
     at_ms: float
     key: str
     payload: bytes

@@ -77,7 +77,6 @@ class Transfer:
 
     @property
     def delivered(self) -> bool:
-        """Whether the controller got it."""
         return self.errno == 0
 
 
@@ -150,7 +149,6 @@ class SpiTestbed(Closing):
 
     @property
     def environment(self) -> dict[str, str]:
-        """The variables by which a program sees the emulated device."""
         assert self._ready is not None
         return dict(self._ready)
 
@@ -179,7 +177,6 @@ class SpiTestbed(Closing):
 
     @property
     def settings(self) -> list[Setting]:
-        """The settings made up to now, in order."""
         return [event for event in self.events if isinstance(event, Setting)]
 
     def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 20.0) -> list[Transfer]:
@@ -240,7 +237,6 @@ class SpiTestbed(Closing):
         self._command("set", ignores_cs_change=True)
 
     def heal(self) -> None:
-        """No more errors."""
         self._command("set", left=0, share=0.0)
 
     def block(self) -> None:
@@ -260,7 +256,6 @@ class SpiTestbed(Closing):
         self._command("restore_node")
 
     def attach_uart(self, path: Path) -> None:
-        """From now on there is a UART at this path."""
         self._command("attach_uart", path=str(path))
 
     def tell(self, name: str, data: bytes) -> None:

@@ -324,7 +324,6 @@ class Testbed:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What a child needs to see the emulated device."""
         preload = [PRELOAD, *filter(None, [os.environ.get("LD_PRELOAD")])]
         return {"UMOCKDEV_DIR": str(self.root), "LD_PRELOAD": ":".join(preload)}
 
@@ -351,7 +350,6 @@ class Testbed:
         self._node.chmod(0o660)
 
     def close(self) -> None:
-        """Remove what lies in the file system."""
         shutil.rmtree(self.root, ignore_errors=True)
 
 

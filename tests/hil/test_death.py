@@ -46,7 +46,6 @@ def stop_servos(bed: SpiTestbed, config: Path) -> list[Transfer]:
 
 
 def newest_opening(bed: SpiTestbed) -> int:
-    """The number of the device's newest opening."""
     return max((each.opening for each in bed.transfers), default=0)
 
 

@@ -133,7 +133,6 @@ class Wire:
 
 
 def settings_for(wire: Wire, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Settings for this wire."""
     spi = {"framing": wire.framing, **sections.pop("spi", {})}
     return {"watchdog": QUIET, **sections, "spi": spi}
 
@@ -163,7 +162,6 @@ class Replay:
                 self.give(transfer.data, transfer.monotonic_ns)
 
     def give(self, data: bytes, now_ns: int) -> None:
-        """One transfer."""
         self.now_ns = now_ns
         self.controller.take(data[: data[0]] if self._selects else data)
 

@@ -44,7 +44,6 @@ class Exchange:
     code: CodeType
 
     def __call__(self) -> None:
-        """Do it."""
         for function in self.functions:
             function.__code__ = self.code
 

@@ -39,7 +39,6 @@ class Accepted(NamedTuple):
     operators: frozenset[str]
 
     def takes(self, mutant: Mutant) -> bool:
-        """Whether it accepts this one."""
         return self.first <= mutant.line <= self.last and mutant.operator in self.operators
 
 

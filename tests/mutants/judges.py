@@ -4,7 +4,6 @@ from typing import Final
 
 
 def _tests(folder: str, names: str) -> tuple[str, ...]:
-    """These test files of a folder."""
     return tuple(f"tests/{folder}/test_{name}.py" for name in names.split())
 
 

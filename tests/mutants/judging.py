@@ -44,8 +44,6 @@ TEST_MAY_TAKE_S: Final = 20
 
 
 class Outcome(StrEnum):
-    """What became of a mutant."""
-
     KILLED = "killed"
     TIMED_OUT = "timed out"
     SURVIVED = "survived"
@@ -304,7 +302,6 @@ class _Loaded(_Tests):
 
     @pytest.hookimpl
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
-        """A test has ended."""
         if self.noted is not None:
             os.write(self.noted, f"{json.dumps([nodeid, self.took_s, sorted(self.now)])}\n".encode())
             self.now.clear()

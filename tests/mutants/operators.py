@@ -21,8 +21,6 @@ SCALED_FROM: Final = 256
 
 
 class Operator(Protocol):
-    """One kind of fault."""
-
     def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
         """Where it can be made in this node; the same place twice, where it can be made there in two ways."""
 
@@ -179,6 +177,5 @@ _OURS: Final[dict[str, Operator]] = {
 
 
 def operators() -> dict[str, Operator]:
-    """All of them by name."""
     provider = OperatorProvider()
     return {name: provider[name]() for name in _NAMES} | _OURS

@@ -111,7 +111,6 @@ class RobotHost(Closing):
 
     @property
     def rejected(self) -> int:
-        """How many commands it has rejected."""
         return self.client.state().commands.rejected
 
     @property
@@ -141,7 +140,6 @@ class RobotHost(Closing):
         return [self._late_ms(leg) for leg in legs]
 
     def wait_for_event(self, condition: Callable[[Event], bool]) -> Event:
-        """Wait for such an event."""
         return self.events.wait(lambda event: event.time > self._since and condition(event))
 
     def _wait(self, condition: Callable[[FrameRecord], bool], count: int) -> None:
@@ -204,7 +202,6 @@ class LaptopHost(Closing):
         self.relay.close()
 
     def start(self, *legs: int) -> None:
-        """Energise these legs."""
         assert all(self.client.start_leg(leg, *self._pose(), check=False).accepted for leg in legs)
 
     def stream(self, *legs: int) -> None:
@@ -230,7 +227,6 @@ class LaptopHost(Closing):
         self._stream.enter_context(meanwhile(ask, PERIOD_S))
 
     def wait_until_sent(self, more: int) -> None:
-        """Wait until so many more have been sent."""
         enough = self.sent + more
         wait_until(lambda: self.sent >= enough, f"{self.source} sends {more} more")
 

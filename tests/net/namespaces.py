@@ -94,7 +94,6 @@ class Network(Closing):
         _run("ip", "-n", self._robot, "link", "set", _link(laptop), "down")
 
     def fix(self, laptop: int) -> None:
-        """The link is back."""
         _run("ip", "-n", self._robot, "link", "set", _link(laptop), "up")
 
 

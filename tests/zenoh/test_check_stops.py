@@ -236,7 +236,6 @@ def test_spi_unplugged(board: RecordedBoard, check: Check, loose: str, code: int
     fed_when: dict[str, int] = {}
 
     def fed() -> int:
-        """The mask of what the board feeds."""
         return next((each.mask for each in reversed(board.noted) if each.what == "fed"), 0)
 
     def answer(question: str) -> str:

@@ -104,7 +104,6 @@ def walks(page: Page, pad: Pad) -> None:
 
 
 def is_free(page: Page) -> None:
-    """Wait until the robot rests and nobody drives."""
     page.state(lambda state: state["mode"] == "idle" and state["lease"]["holder"] is None)
 
 

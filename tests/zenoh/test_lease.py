@@ -36,7 +36,6 @@ def ask(session: zenoh.Session, do: str, source: str | None = None, **more: Any)
 
 
 def command(session: zenoh.Session, payload: dict[str, Any], lease: str | None = None) -> Ack:
-    """An acknowledged command for leg 3."""
     return Ack.model_validate_json(answer(session, LEG_3, **payload, lease=lease))
 
 

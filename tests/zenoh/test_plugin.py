@@ -59,7 +59,6 @@ class Call(NamedTuple):
 
     @property
     def stops(self) -> bool:
-        """Whether all are Stops."""
         return set(self.changes.values()) == {None}
 
 

@@ -33,7 +33,6 @@ def bus(framing: Framing) -> closing[Bus]:
 
 
 def program(text: str, *arguments: str) -> Child:
-    """Another Python program."""
     return Child([sys.executable, "-c", text, *arguments], {"PATH": "/usr/bin:/bin"})
 
 

@@ -88,13 +88,11 @@ def until_alive(ours: Robot) -> None:
 
 
 def started(ours: Robot, theirs: CanBoard) -> None:
-    """Start all servos: each is fed."""
     ours.start()
     wait_until(lambda: theirs.fed == ALL and supplied(ours) == ALL.bit_count(), "all fed", WITHIN_S)
 
 
 def supplied(ours: Robot) -> int:
-    """So many servos are fed, as the state has it."""
     power = ours.client.state().power
     return 0 if power is None else len(power.supplied)
 

@@ -24,7 +24,6 @@ class Robot:
         self._heard = events(client)
 
     def events(self, kind: str) -> list[Event]:
-        """All of a kind so far."""
         return [each for each in self._heard.all if str(each.kind) == kind]
 
     def start(self) -> None:

@@ -21,7 +21,6 @@ DRIVER: Final = Path("/sys/bus/spi/drivers/spidev")
 
 
 def stops() -> list[wire.Transfer]:
-    """All Stops that reached the controller."""
     return [each for each in wire.passed() if each.data in wire.STOPS]
 
 

@@ -50,7 +50,6 @@ class Transfer:
 
     @property
     def setting(self) -> tuple[int, int, int]:
-        """With which speed, bits and mode it left."""
         return self.speed_hz, self.bits, self.mode
 
 
@@ -75,13 +74,11 @@ def forget() -> None:
 
 
 def give(**parameters: int) -> None:
-    """Set parameters of the module."""
     for name, value in parameters.items():
         (PARAMETERS / name).write_text(str(value))
 
 
 def heal() -> None:
-    """No fault any more."""
     give(**dict.fromkeys(_FAULTS, 0), fail_count=1, lose_count=1)
 
 
