@@ -104,22 +104,16 @@ def test_estop_says_how_soon_reset_leaves_it_and_both_name_the_person(gateway: G
     assert reset.source == f"{me()[:40]} (hexapod-gateway reset)"
 
 
-def test_a_user_whose_name_is_no_utf_8_stops_and_resets(gateway: Gateway, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LOGNAME", "an\udce9")
-    for command in ("stop", "estop", "reset"):
-        end = gateway.run(command)
-        assert end.returncode == 0, end
-
-
 @pytest.mark.parametrize(
     ("prefix", "environment", "said"),
     [
         # A limit for files is one for shared memory, too; as is a full or read-only /dev/shm.
         pytest.param(["sh", "-c", 'ulimit -f 0; exec "$@"', "sh"], {}, "µs of", id="without room in /dev/shm"),
         pytest.param([], {"PYTHONIOENCODING": "ascii"}, "\\xb5s of", id="a terminal without the characters"),
+        pytest.param([], {"LOGNAME": "an\udce9"}, "µs of", id="a user whose name is no UTF-8"),
     ],
 )
-def test_a_stop_needs_no_room_and_no_characters(
+def test_a_stop_needs_no_room_no_characters_and_no_name(
     gateway: Gateway, prefix: list[str], environment: dict[str, str], said: str
 ) -> None:
     command = [*prefix, *COMMAND, "estop", "--connect", gateway.endpoint]

@@ -89,12 +89,12 @@ def until_alive(ours: Robot) -> None:
 
 def started(ours: Robot, theirs: CanBoard) -> None:
     ours.start()
-    wait_until(lambda: theirs.fed == ALL and supplied(ours) == ALL.bit_count(), "all fed", WITHIN_S)
 
+    def fed() -> bool:
+        power = ours.client.state().power
+        return theirs.fed == ALL and power is not None and len(power.supplied) == ALL.bit_count()
 
-def supplied(ours: Robot) -> int:
-    power = ours.client.state().power
-    return 0 if power is None else len(power.supplied)
+    wait_until(fed, "all fed", WITHIN_S)
 
 
 def estop() -> str:
