@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from tests.benchmarks.processes import never_delay
 from tests.support.child import Child
@@ -92,17 +92,8 @@ class Setting:
     """The number of the program's opening of the device, from 1."""
 
 
-@dataclass(frozen=True)
-class Message:
-    """A program has written this to the UART; seen there before any later transfer."""
-
-    monotonic_ns: int
-    data: bytes
-
-
-Event = Transfer | Setting | Message
-KINDS = {kind.__name__: kind for kind in (Transfer, Setting, Message)}
-E = TypeVar("E", Transfer, Message)
+Event = Transfer | Setting
+KINDS = {kind.__name__: kind for kind in (Transfer, Setting)}
 
 
 class SpiTestbed(Closing):
@@ -181,7 +172,16 @@ class SpiTestbed(Closing):
 
     def wait_for(self, predicate: Callable[[list[Transfer]], bool], timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until `predicate` holds for the transfers; these. Raises TimeoutError that lists what did arrive."""
-        return self._wait_for(Transfer, predicate, 0, timeout_s)
+        found: list[Transfer] = []
+
+        def holds() -> bool:
+            found[:] = [event for event in self._events if isinstance(event, Transfer)]
+            return predicate(found)
+
+        if not self._wait(holds, timeout_s):
+            arrived = "\n".join(map(str, self._events[-20:])) or "nothing"
+            raise TimeoutError(f"waited {timeout_s} s; arrived:\n{arrived}")
+        return found
 
     def wait_for_count(self, count: int, timeout_s: float = 20.0) -> list[Transfer]:
         """Wait until at least `count` transfers have arrived since the start; all of them."""
@@ -194,22 +194,6 @@ class SpiTestbed(Closing):
             return [transfer for transfer in transfers[since:] if transfer.data == data and transfer.delivered]
 
         return found(self.wait_for(lambda transfers: bool(found(transfers)), timeout_s))[0]
-
-    def wait_for_message(self, data: bytes, *, since: int = 0, timeout_s: float = 20.0) -> None:
-        """Wait for just this message on the UART, at index `since` of all events or later."""
-        self._wait_for(Message, lambda messages: any(each.data == data for each in messages), since, timeout_s)
-
-    def _wait_for(self, kind: type[E], predicate: Callable[[list[E]], bool], since: int, timeout_s: float) -> list[E]:
-        found: list[E] = []
-
-        def holds() -> bool:
-            found[:] = [event for event in self._events[since:] if isinstance(event, kind)]
-            return predicate(found)
-
-        if not self._wait(holds, timeout_s):
-            arrived = "\n".join(map(str, self._events[-20:])) or "nothing"
-            raise TimeoutError(f"waited {timeout_s} s; arrived:\n{arrived}")
-        return found
 
     def follow(self, since: int, timeout_s: float) -> list[Event] | None:
         """The events from index `since` on, as soon as there is one; none in time: []. None: there are no more."""
@@ -255,13 +239,10 @@ class SpiTestbed(Closing):
         """The device is back, as a new node; ends `remove_node`."""
         self._command("restore_node")
 
-    def attach_uart(self, path: Path) -> None:
-        self._command("attach_uart", path=str(path))
-
-    def tell(self, name: str, data: bytes) -> None:
-        """`answer` or `send_uart`, without waiting until it holds."""
+    def answer(self, data: bytes) -> None:
+        """What later transfers read; without waiting until it holds."""
         with self._changed:
-            self._send(0, name, data=data.hex())
+            self._send(0, "answer", data=data.hex())
 
     def _send(self, number: int, name: str, **arguments: object) -> None:
         self._channel.sendall(json.dumps({"id": number, "do": name, **arguments}).encode() + b"\n")

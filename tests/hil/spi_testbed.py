@@ -12,15 +12,13 @@ bytes, of which each transfer takes a multiple of 128. A transfer's pause is mad
 those with `cs_change` it is then released for 10 µs, whatever pause was asked for. Each such cycle, its pause included,
 is an event of its own, with the time at which it begins. A call lasts as long as the wire needs, and no other call
 comes into it. MISO reads the bytes of the last `answer`, from the first on with each message, and zeros behind them:
-what a controller sends was made ready before. A UART is there once it is attached; what a program writes to it is an
-event, too.
+what a controller sends was made ready before.
 """
 
 import errno
 import json
 import os
 import random
-import select
 import shutil
 import signal
 import socket
@@ -28,7 +26,6 @@ import struct
 import sys
 import threading
 import time
-import tty
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -51,8 +48,6 @@ SETTINGS = {NR_MODE: "mode", NR_LSB_FIRST: "lsb_first", NR_BITS: "bits", NR_SPEE
 # struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, nbits and padding.
 SEGMENT = struct.Struct("=QQIIHBBBBBB")
 
-MESSAGE_BYTES = 10  # a program writes messages of this length to the UART; several may come at once
-
 
 class Segment(NamedTuple):
     """What counts of it. A speed and bits of 0 are the device's own."""
@@ -65,43 +60,6 @@ class Segment(NamedTuple):
 
 
 Emit = Callable[[dict[str, object]], None]
-
-
-class PseudoUart:
-    """The controller's end of a pair of pseudo terminals, once attached. The program's end is a link to a terminal."""
-
-    def __init__(self, arrived: Callable[[int, bytes], None]) -> None:
-        """`arrived` gets each message of the program as it comes, and when."""
-        self._arrived = arrived
-        self._lock = threading.Lock()
-        self._ours = -1
-
-    def attach(self, path: str) -> None:
-        """From now on there is a terminal at this path, in which nothing is waiting."""
-        self._ours, theirs = os.openpty()  # theirs is kept open here, so the controller's end outlives each program
-        tty.setraw(theirs)
-        os.set_blocking(self._ours, False)
-        Path(path).symlink_to(os.ttyname(theirs))
-        threading.Thread(target=self._read, daemon=True).start()
-
-    def send(self, data: str) -> None:
-        """The controller sends these bytes (hex). What no program reads is lost, once the kernel keeps no more."""
-        with self._lock, suppress(BlockingIOError):
-            os.write(self._ours, bytes.fromhex(data))
-
-    def drain(self) -> None:
-        """Take what has come up to now."""
-        with self._lock, suppress(BlockingIOError):
-            data = os.read(self._ours, 4096) if self._ours != -1 else b""
-            now_ns = time.monotonic_ns()
-            for place in range(0, len(data), MESSAGE_BYTES):
-                self._arrived(now_ns, data[place : place + MESSAGE_BYTES])
-
-    def _read(self) -> None:
-        poll = select.poll()
-        poll.register(self._ours, select.POLLIN)
-        while poll.poll():
-            self.drain()
 
 
 class SpiController:
@@ -120,7 +78,6 @@ class SpiController:
         }
         self._chance = random.Random()  # noqa: S311  (faults, no secrets)
         self._calls = 0
-        self.uart = PseudoUart(lambda now_ns, data: emit({"is": "Message", "monotonic_ns": now_ns, "data": data.hex()}))
         self._held: list[Callable[[], None]] = []
 
     def set(self, **faults: Any) -> None:
@@ -160,7 +117,6 @@ class SpiController:
         return self._openings[client]
 
     def handle_ioctl(self, _base: object, client: Any) -> bool:
-        self.uart.drain()
         now_ns = time.monotonic_ns()
         request = client.get_request()
         size, magic, number = request >> 16 & 0x3FFF, request >> 8 & 0xFF, request & 0xFF
@@ -316,8 +272,6 @@ class Testbed:
             "set": self._controller.set,
             "release": self._controller.release,
             "answer": lambda data: self._controller.set(answer=data),
-            "attach_uart": self._controller.uart.attach,
-            "send_uart": self._controller.uart.send,
             "remove_node": self.remove_node,
             "restore_node": self.restore_node,
         }

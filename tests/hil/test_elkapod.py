@@ -4,8 +4,12 @@ What is said over SPI and over the UART is one stream in order. Only a start tha
 Stop is a shutdown on the UART, and no frame has an angle that nobody commanded.
 """
 
+import os
 import threading
+import time
+import tty
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -16,7 +20,7 @@ from gateway.client import Client
 from gateway.model.elkapod import SHUTDOWN, START, angles_of
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
-from tests.hil.bed import Message, Setting, SpiTestbed, Transfer
+from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S
 from tests.support.controllers import Elkapod
 from tests.support.fixtures import client_fixture
@@ -50,7 +54,10 @@ class ElkapodBed(SpiTestbed):
         super().__init__()
         self.uart = folder / "ttyAMA1"
         self.controller = Elkapod()
-        self.attach_uart(self.uart)
+        self._line, theirs = os.openpty()  # theirs stays open here, so that the controller's end outlives each program
+        tty.setraw(theirs)
+        os.set_blocking(self._line, False)
+        self.uart.symlink_to(os.ttyname(theirs))
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
 
@@ -59,10 +66,11 @@ class ElkapodBed(SpiTestbed):
         self._player.join()
         return ended
 
-    def said_since(self, since: int = 0) -> list[str]:
-        """From event `since` on: "frame", and "start" or "shutdown" on the UART. Raises KeyError for other bytes."""
-        said = [event for event in self.events[since:] if not isinstance(event, Setting)]
-        return [WORDS[event.data] if isinstance(event, Message) else "frame" for event in said]
+    def said_since(self, since_ns: int = 0) -> list[str]:
+        """Since then (monotonic): "frame", and "start" or "shutdown" on the UART."""
+        said = [(at_ns, WORDS[message]) for at_ns, message in self.controller.messages]
+        said += [(transfer.monotonic_ns, "frame") for transfer in self.transfers]
+        return [word for at_ns, word in sorted(said) if at_ns > since_ns]
 
     def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""
@@ -76,16 +84,14 @@ class ElkapodBed(SpiTestbed):
         seen = 0
         while (events := self.follow(seen, BEAT_S)) is not None:
             seen += len(events)
-            try:
+            with suppress(BlockingIOError):
+                self.controller.write(os.read(self._line, 4096))
+            with suppress(BlockingIOError):  # what no program reads is lost, once the kernel keeps no more
+                os.write(self._line, self.controller.read())
+            with suppress(OSError):  # the emulation has ended
                 for event in events:
-                    if isinstance(event, Message):
-                        self.controller.write(event.data)
-                    elif isinstance(event, Transfer) and event.delivered:
-                        self.tell("answer", self.controller.exchange(event.data))
-                if beats := self.controller.read():
-                    self.tell("send_uart", beats)
-            except OSError:  # the emulation has ended
-                return
+                    if isinstance(event, Transfer) and event.delivered:
+                        self.answer(self.controller.exchange(event.data))
 
 
 @pytest.fixture
@@ -106,10 +112,10 @@ client = client_fixture(None)
 def start_all(robot: ElkapodBed, client: Client) -> None:
     """The whole robot, as soon as its frames are clocked; returns once the controller has it."""
     robot.wait_for_count(1, LATE_S)
-    begun = len(robot.events)
+    begun_ns = time.monotonic_ns()
     ack = client.start_legs(POSE, check=False)
     assert ack.accepted, ack
-    robot.wait_for_message(START, since=begun, timeout_s=LATE_S)
+    wait_until(lambda: "start" in robot.said_since(begun_ns), within_s=LATE_S)
     wait_until(lambda: robot.controller.energised == ALL, within_s=LATE_S)
 
 
@@ -143,10 +149,10 @@ def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
     start_all(robot, client)
     command = [*COMMAND, "stop-servos", "--config", str(gateway.config)]
     for count in range(2):
-        since = len(robot.events)
+        since_ns = time.monotonic_ns()
         child = robot.spawn(command)
         assert child.wait(LATE_S) == 0, str(child)
-        said = robot.said_since(since)
+        said = robot.said_since(since_ns)
         assert said.count("shutdown") >= ROUNDS
         assert "start" not in said
         assert robot.controller.energised == frozenset()
@@ -168,13 +174,13 @@ def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client)
     robot.block()
     robot.wait_for(lambda transfers: any(each.held for each in transfers), LATE_S)
     seen.wait(lambda _: True, count=len(seen.all) + 3)  # the service goes on with all that it does now and then
-    since = len(robot.events)
+    since_ns = time.monotonic_ns()
     assert client.estop().accepted
-    robot.wait_for_message(SHUTDOWN, since=since, timeout_s=LATE_S)
-    assert "frame" not in robot.said_since(since), "it still hangs"
+    wait_until(lambda: "shutdown" in robot.said_since(since_ns), within_s=LATE_S)
+    assert "frame" not in robot.said_since(since_ns), "it still hangs"
     assert robot.controller.energised == frozenset()
     robot.release()
-    robot.wait_for(lambda _: robot.said_since(since).count("shutdown") >= ROUNDS, LATE_S)
+    wait_until(lambda: robot.said_since(since_ns).count("shutdown") >= ROUNDS, within_s=LATE_S)
     robot.wait_for_count(len(robot.transfers) + ENOUGH)
-    assert "start" not in robot.said_since(since)
+    assert "start" not in robot.said_since(since_ns)
     assert robot.controller.energised == frozenset()
