@@ -64,10 +64,6 @@ SERVO_OVERCURRENT: Final = 2
 OVERTEMPERATURE: Final = 4
 SUPPLY_LOW: Final = 8
 """Codes of errors."""
-UNREADABLE: Final = 0
-"""The code of an error whose frame does not fit the table: it may concern any output."""
-TWO_BOARDS: Final = -1  # mutants accepted (Step): no board's byte is negative
-"""Two boards answer, so their outputs are unknown. No board sends this code."""
 
 
 class Supplied(NamedTuple):
@@ -76,25 +72,22 @@ class Supplied(NamedTuple):
     mask: int
 
 
-class Currents(NamedTuple):
-    """The currents of three outputs from `first` (1, 4, … 16) on, in mA."""
-
-    first: int
-    ma: tuple[int, int, int]
-
-
-class Rails(NamedTuple):
-    """The answer to a question about the board's rails: its identifier, and values in mA, mV or °C."""
+class BoardValues(NamedTuple):
+    """The answer to a question about currents or rails: the question's identifier, and values in mA, mV or °C."""
 
     question: int
     values: tuple[int, ...]
 
 
 class BoardError(NamedTuple):
-    """An error of the board; `mask` names outputs for SERVO_OVERCURRENT, converters for the other codes."""
+    """An error of the board: its code, a sentence, and the mask of outputs without supply until it is deleted."""
 
     code: int
-    mask: int = 0
+    why: str
+    outputs: int
+
+
+UNREADABLE: Final = BoardError(0, "the power board reports an error that cannot be read", ALL)
 
 
 class BoardNotice(enum.Enum):
@@ -110,7 +103,7 @@ class BoardNotice(enum.Enum):
     """Somebody has asked the board to switch the whole robot off, which it does 1 s later."""
 
 
-Answer = Supplied | Currents | Rails | BoardError | BoardNotice
+Answer = Supplied | BoardValues | BoardError | BoardNotice
 _LAYOUTS: Final = {
     **{question.id: struct.Struct(">3H") for question in ASK_CURRENTS},
     MANIPULATOR_5V_3V3_MA: struct.Struct(">3H"),
@@ -152,41 +145,24 @@ def read(frame: CanFrame) -> Answer | None:
             return _error(data)
         case 0x97 | 0x69 | 0x67:
             return None if data else BoardNotice(identifier)
-        case _:
-            return _measured(identifier - 1, data)
-
-
-def _measured(question: int, data: bytes) -> Currents | Rails | None:
-    layout = _LAYOUTS.get(question)
+    layout = _LAYOUTS.get(identifier - 1)
     if layout is None or len(data) != layout.size:
         return None
-    values = layout.unpack(data)
-    if question >= MANIPULATOR_5V_3V3_MA:
-        return Rails(question, values)
-    one, two, three = values
-    return Currents(1 + 3 * ((question - ASK_CURRENTS[0].id) // 2), (one, two, three))
+    return BoardValues(identifier - 1, layout.unpack(data))
 
 
-def _error(data: bytes) -> BoardError | BoardNotice:
+def _error(data: bytes) -> BoardError | BoardNotice:  # mutants accepted (Step): no error has a sixth bit
     if not data:
         return BoardNotice.NO_ERROR
-    mask = int.from_bytes(data[1:], "big")
-    most = ALL if data[0] == SERVO_OVERCURRENT else _CONVERTERS
-    readable = len(data) == _ERROR_BYTES.get(data[0]) and mask <= most
-    return BoardError(data[0], mask) if readable else BoardError(UNREADABLE)
-
-
-def explained(error: BoardError) -> tuple[str, int]:  # mutants accepted (Step): no error has a sixth bit
-    """Return an error in words, and the outputs that have no supply until it is deleted."""
-    if error.code == SERVO_OVERCURRENT:
-        return "overcurrent: the power board has switched these servos off", error.mask
-    if error.code == SUPPLY_LOW:
-        return "the power board's supply is too low", 0
-    if error.code == UNREADABLE:
-        return "the power board reports an error that cannot be read", ALL
-    if error.code == TWO_BOARDS:
-        return "two power boards answer on this bus; unplug one of them, and reset", ALL
-    numbers = [number for number in range(1, 6) if error.mask >> (number - 1) & 1]
-    mask = sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers)
-    cause = "overcurrent" if error.code == CONVERTER_OVERCURRENT else "overtemperature"
-    return f"{cause}: the power board has switched off its converter {' and '.join(map(str, numbers))}", mask
+    code, mask = data[0], int.from_bytes(data[1:], "big")
+    most = ALL if code == SERVO_OVERCURRENT else _CONVERTERS
+    if len(data) != _ERROR_BYTES.get(code) or mask > most:
+        return UNREADABLE
+    if code == SERVO_OVERCURRENT:
+        return BoardError(code, "overcurrent: the power board has switched these servos off", mask)
+    if code == SUPPLY_LOW:
+        return BoardError(code, "the power board's supply is too low", 0)
+    numbers = [number for number in range(1, 6) if mask >> (number - 1) & 1]
+    cause = "overcurrent" if code == CONVERTER_OVERCURRENT else "overtemperature"
+    why = f"{cause}: the power board has switched off its converter {' and '.join(map(str, numbers))}"
+    return BoardError(code, why, sum(_OUTPUTS_OF_CONVERTER[number - 1] for number in numbers))

@@ -65,7 +65,7 @@ class Link:
         return [((at_ns - since_ns) / NS_PER_MS, int.from_bytes(frame.data, "big")) for at_ns, frame in found]
 
     def events(self, kind: Kind) -> list[tuple[int, News]]:
-        return [(at_ns, item) for at_ns, item in self.told if isinstance(item, News) and item.kind is kind]
+        return [(at_ns, item) for at_ns, item in self.told if isinstance(item, News) and item.kind == kind]
 
     def confirmations(self) -> Iterator[Confirmed]:
         return (item for _, item in self.told if isinstance(item, Confirmed))

@@ -14,15 +14,24 @@
 
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from gateway.allowance import NS_PER_MS
-from gateway.model import power_board
-from gateway.model.power_board import BoardError, BoardNotice, CanFrame, Currents, Rails, Supplied
+from gateway.model.power_board import (
+    ASK_CURRENTS,
+    SET_SUPPLY,
+    BoardError,
+    BoardNotice,
+    BoardValues,
+    CanFrame,
+    Supplied,
+    mask_of,
+    read,
+    set_supply,
+)
 from gateway.robot.power.errors import BoardErrors
 from gateway.robot.power.offs import Confirmed, OutputsOff
 from gateway.robot.power.questions import BoardQuestions
-from schemas.telemetry import Kind
 
 REPEAT_NS: Final = 20 * NS_PER_MS
 """The period of masks until each off is confirmed."""
@@ -39,19 +48,23 @@ STEP_NS: Final = 54 * NS_PER_MS  # mutants accepted (Step): none is the only rig
 LASTS_NS: Final = 1000 * NS_PER_MS
 """A state that is reported once has ended after this long without its frames; the next frame reports it again."""
 
-_OFF_PRESSED: Final = "somebody pressed the power board's off button"
-_GOING_OFF: Final = "somebody has asked the power board to switch the whole robot off, and it does so in 1 s"
+_OFF: Final = {
+    BoardNotice.OFF_PRESSED: "somebody pressed the power board's off button",
+    BoardNotice.GOING_OFF: "somebody has asked the power board to switch the whole robot off, and it does so in 1 s",
+}
+_TWO: Final = "two power boards answer on this bus; unplug one of them"
 _AT_ONCE: Final = 6
 """Outputs that go on at a time."""
 _NONE: Final = frozenset[int]()
-NOTHING: Final = -1
-"""Smaller than every mask's number."""
+
+
+_Kind = Literal["off_button", "power_fault", "power_unconfirmed"]
 
 
 class News(NamedTuple):
-    """An event to publish: kind, sentence, and the servos concerned."""
+    """An event to publish: its kind, a sentence, and the servos concerned."""
 
-    kind: Kind
+    kind: _Kind
     detail: str
     servos: frozenset[int] = frozenset()
 
@@ -67,7 +80,7 @@ class Status(NamedTuple):
     lost: frozenset[int] = frozenset()
     """Wanted but not powered, though the gateway has not cut them."""
     refused: Mapping[int, str] = {}
-    """The servos that the board blocks, and why."""
+    """The servos that stay off until `clear_errors`, and why."""
     fed: frozenset[int] = frozenset()
     """Confirmed to be powered since they were last wanted."""
     changes: int = 0
@@ -82,32 +95,33 @@ class Status(NamedTuple):
 class PowerBoard:
     """One board, used by one thread at a time. All times are of one monotonic clock, in ns."""
 
-    # mutants accepted (Delete_USub, Forget, Step): set before it is read
+    # mutants accepted (Step): set before it is read
     def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
         """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)
         self._news: deque[News | Confirmed] = deque()
-        # The wanted state. Nothing is sent before the first `want` or `cut`.
-        self._begun = self._cut = False
+        # The wanted state.
+        self._cut = False
         self._changes = 0
         self._wanted = self._lost = _NONE
         self._unknown = _NONE
         """Lost to a silence: perhaps still powered, for landing. Only the owner's wish puts them off in a mask."""
         # The sent state. A restarted board powers nothing, which is mask 0, too.
         self._sent = _NONE
-        self._number = self._on_number = 0
-        """The number of the newest mask, and of the newest one that switches an output on."""
-        self._sent_ns: int | None = None
+        self._number = 0
+        """The number of the newest mask."""
+        self._sent_ns = 0
         self._leave_ns: int | None = None
         self._repeat_until_ns = 0
-        self._answer_ns = -REST_NS
+        self._answer_ns = 0
         """When the board last sent its mask."""
         self._rest_ns = 0
         """When the board's counter comes to rest."""
-        self._on_until_ns = 0
         self._off = OutputsOff(confirm_ns)
         self._unconfirmed = False
-        self._started_ns: int | None = None
+        """Whether a missing confirmation was reported."""
+        self._reports_ns = 0
+        """From when on a missing confirmation is reported."""
         # The answered state.
         self.alive = False
         self._answered_ns: int | None = None
@@ -118,7 +132,7 @@ class PowerBoard:
         self._rails: dict[int, tuple[int, ...]] = {}
         self._questions = BoardQuestions()
         self._errors = BoardErrors()
-        self._seen_ns: dict[str, int] = {}
+        self._seen_ns: dict[object, int] = {}
         """When each state that is reported once was last seen."""
 
     # ---- requests of the owner
@@ -128,17 +142,13 @@ class PowerBoard:
 
         `number` numbers this change, for `status`.
         """
-        self._begun, self._changes = True, number
-        self._lost &= servos
+        self._changes = number
+        self._lost = servos & (self._lost | self._refused.keys())
         self._unknown &= servos
         if self._cut and servos:
             return
         self._cut = False
-        if servos - self._wanted:
-            self._on_until_ns = now_ns + REPEAT_FOR_NS
         self._wanted = servos
-        if self._errors.due_ns is None:
-            self._lost |= servos & self._blocked
         self._settle(now_ns)
 
     def cut(self, now_ns: int) -> None:
@@ -146,7 +156,7 @@ class PowerBoard:
 
         A mask leaves at once even if all is off, so that the board confirms the emergency stop.
         """
-        self._begun = self._cut = True
+        self._cut = True
         self._wanted = self._unknown = _NONE
         self._unconfirmed = False
         self._settle(now_ns)
@@ -168,13 +178,13 @@ class PowerBoard:
         """Record that the interface had no room for these frames. Once it has, the latest mask leaves first."""
         for frame in frames:
             self._questions.not_sent(frame)
-            if frame.id == power_board.SET_SUPPLY:
+            if frame.id == SET_SUPPLY:
                 self._anew(self._off.unconfirmed, now_ns)
                 self._leave_ns = now_ns
 
     def opened(self, now_ns: int) -> None:
         """Record that the interface was opened. Earlier questions get no answer any more."""
-        self._started_ns = now_ns if self._started_ns is None else self._started_ns
+        self._reports_ns = self._reports_ns or now_ns + START_NS
         self._questions.opened(now_ns)
         self._anew(self._off.unconfirmed, now_ns)
 
@@ -188,7 +198,7 @@ class PowerBoard:
     @property
     def confirmed(self) -> bool:
         """Whether the board has confirmed every off."""
-        return self._begun and not self._off.unconfirmed and not self._errors.two_boards
+        return not self._off.unconfirmed and not self._questions.two_boards
 
     @property
     def status(self) -> Status:
@@ -197,7 +207,7 @@ class PowerBoard:
             self._shown,
             self.confirmed,
             self._lost,
-            {self._servos[place]: why for place, why in self._errors.blocked.items()},
+            self._refused,
             frozenset(self._fed),
             self._changes,
             self._answered_ns,
@@ -216,11 +226,11 @@ class PowerBoard:
     # mutants accepted (Forget): a mask is read as no answer; only time is lost
     def receive(self, frame: CanFrame, now_ns: int) -> None:
         """Take a frame from the bus. Malformed frames, and frames of no concern, change nothing."""
-        foreign = power_board.mask_of(frame) if frame.id == power_board.SET_SUPPLY else None
+        foreign = mask_of(frame) if frame.id == SET_SUPPLY else None
         if foreign is not None:
             self._meddled(self._named(foreign), now_ns)
         self._questions.asked_by_another(frame, now_ns)
-        answer = power_board.read(frame)
+        answer = read(frame)
         if answer is None:
             return
         if not self.alive:
@@ -231,36 +241,30 @@ class PowerBoard:
         match answer:
             case Supplied(mask):
                 self._answered_mask(self._named(mask), now_ns)
-            case Currents(first, ma):
-                self._milliamperes.update(zip(self._servos[first - 1 : first + 2], ma, strict=True))
-            case Rails(question, values):
-                self._rails[question] = values
-                self._questions.answered_about_rails(CanFrame(question), now_ns)
-                if self._questions.two_boards:
-                    self._failed(BoardError(power_board.TWO_BOARDS), now_ns)
-            case BoardError():
-                self._failed(answer, now_ns)
+            case BoardValues(identifier, values):
+                self._measured(CanFrame(identifier), values, now_ns)
+            case BoardError(code, why, outputs):
+                servos = self._named(outputs)
+                more, begins = self._errors.shown(code, servos, why, now_ns), self._begins(answer, now_ns)
+                if more or begins:
+                    self._lose(servos, why, now_ns, "power_fault" if begins else None)
             case BoardNotice.NO_ERROR:
                 self._errors.none_left()
             case BoardNotice.CLEARED:
                 self._errors.deleted(now_ns)
             case BoardNotice.OFF_PRESSED | BoardNotice.GOING_OFF:
-                why = _OFF_PRESSED if answer is BoardNotice.OFF_PRESSED else _GOING_OFF
-                if self._begins(why, now_ns):
-                    self._news.append(News(Kind.OFF_BUTTON, why))
-        self.poll(now_ns)
+                if self._begins(answer, now_ns):
+                    self._news.append(News("off_button", _OFF[answer]))
 
     def poll(self, now_ns: int) -> None:  # mutants accepted (Lt_LtE): equal times
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
         late, ended = self._off.late(now_ns)
-        starts = self._started_ns is not None and now_ns - self._started_ns < START_NS
-        if late and not self._unconfirmed and not starts:
+        if late and not self._unconfirmed and now_ns >= self._reports_ns:
             self._unconfirmed = True
-            self._news.append(
-                News(Kind.POWER_UNCONFIRMED, "the power board has not confirmed that these are off", late)
-            )
+            why = "the power board has not confirmed that these are off"
+            self._news.append(News("power_unconfirmed", why, late))
         self._news += ended
 
     # ---- what is sent
@@ -271,19 +275,16 @@ class PowerBoard:
         due_ns = (self._questions.due_ns, self._mask_due_ns(), self._errors.due_ns)
         return min(each for each in due_ns if each is not None)
 
-    def next_frames(self, now_ns: int) -> list[CanFrame]:  # mutants accepted (Forget): only time is lost
+    def next_frames(self, now_ns: int) -> list[CanFrame]:
         """Return the frames to send now, in this order. They count as sent."""
-        self.poll(now_ns)
         frames: list[CanFrame] = []
         mask_ns = self._mask_due_ns()
         if mask_ns is not None and now_ns >= mask_ns:
-            frames.append(self._send(now_ns))
-            if not self.confirmed or self._on_number == self._number:
-                frames += self._questions.due_after(self._number, now_ns)
+            frames = [self._send(now_ns), *self._questions.about_rails(self._number, now_ns)]
         # An output whose error is deleted before the board has a mask without it would come on again.
-        without = self._off.have_reached(self._blocked, self._questions.reached)
-        error_frame = self._errors.next_frame(now_ns, without=without)
-        frames += [] if error_frame is None else [error_frame]
+        reached = self._questions.reached
+        without = self._off.number(self._refused, reached) <= reached
+        frames += self._errors.next_frames(now_ns, without=without)
         if now_ns >= self._questions.due_ns:
             frames += self._questions.next(self._number, now_ns)
         return frames
@@ -294,12 +295,12 @@ class PowerBoard:
         return frozenset(servo for place, servo in enumerate(self._servos) if mask >> place & 1)
 
     @property
-    def _blocked(self) -> frozenset[int]:
-        return self._named(self._errors.mask)
+    def _refused(self) -> dict[int, str]:
+        return dict.fromkeys(self._servos, _TWO) if self._questions.two_boards else self._errors.blocked
 
     @property
     def _target(self) -> frozenset[int]:
-        return self._wanted - self._lost - self._blocked
+        return self._wanted - self._lost
 
     def _settle(self, now_ns: int) -> None:
         """Apply a changed target: outputs that left it go off at once."""
@@ -316,19 +317,15 @@ class PowerBoard:
             self._leave_ns = now_ns
 
     def _mask_due_ns(self) -> int | None:  # mutants accepted (Add_Sub, Lt_LtE, Step): equal times; only time is lost
-        if not self._begun:
-            return None
         due_ns = [] if self._leave_ns is None else [self._leave_ns]
-        sent_ns = self._sent_ns or 0
         if not self.confirmed:
             # A repeat waits for the board's rest, since only the first mask has pins to switch.
-            repeat_ns = max(sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
+            repeat_ns = max(self._sent_ns + REPEAT_NS, self._answer_ns + REST_NS)
             due_ns += [repeat_ns] if repeat_ns < self._repeat_until_ns else []
         if self._next_on:
             due_ns.append(self._rest_ns)
         elif self.alive and self._target - self._fed.keys():
-            repeat_ns = max(sent_ns + REPEAT_ON_NS, self._rest_ns)
-            due_ns += [repeat_ns] if repeat_ns < self._on_until_ns else []
+            due_ns.append(max(self._sent_ns + REPEAT_ON_NS, self._rest_ns))
         return min(due_ns, default=None)
 
     @property
@@ -340,18 +337,13 @@ class PowerBoard:
 
     def _send(self, now_ns: int) -> CanFrame:  # mutants accepted (Add_Sub, Step): any numbers that grow; slack
         """Return the mask to send now, and count it as sent."""
-        before = self._sent
-        self._sent = before & self._target | (self._next_on if now_ns >= self._rest_ns else _NONE)
+        self._sent = self._sent & self._target | (self._next_on if now_ns >= self._rest_ns else _NONE)
         self._number += 1
-        if self._sent - before:
-            self._on_number = self._number
         self._sent_ns = now_ns
         self._leave_ns = None
         steps = 1 + len(self._sent - self._shown)
         self._rest_ns = max(self._rest_ns, now_ns + steps * STEP_NS + REST_NS)
-        return power_board.set_supply(
-            sum(1 << place for place, servo in enumerate(self._servos) if servo in self._sent)
-        )
+        return set_supply(sum(1 << place for place, servo in enumerate(self._servos) if servo in self._sent))
 
     # mutants accepted (Gt_GtE, Lt_LtE): equal times
     def _answered_mask(self, shown: frozenset[int], now_ns: int) -> None:
@@ -359,9 +351,9 @@ class PowerBoard:
         self._shown = shown
         self._answer_ns = now_ns
         # A mask that was on its way when this answer left will get its own answer.
-        if self._sent_ns is None or now_ns - self._sent_ns > REST_NS:
+        if now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
-        reached = NOTHING if self._errors.two_boards else self._questions.reached
+        reached = 0 if self._questions.doubles else self._questions.reached  # another board may have answered
         on_again, ended = self._off.answered(shown, reached, now_ns)
         self._news += ended
         self._anew(on_again, now_ns)
@@ -370,43 +362,43 @@ class PowerBoard:
         }
         if gone:
             self._lose(frozenset(gone), "the power board has switched these off by itself", now_ns)
-        if reached >= self._on_number:
+        if reached == self._number:
             for servo in shown & self._target & self._sent - self._fed.keys():
                 self._fed[servo] = now_ns
                 self._milliamperes.pop(servo, None)  # measured before the output was on
         if self.confirmed:
             self._unconfirmed = False
 
-    def _lose(self, servos: frozenset[int], why: str, now_ns: int, *, report: bool = True) -> None:
+    def _measured(self, question: CanFrame, values: tuple[int, ...], now_ns: int) -> None:
+        if question in ASK_CURRENTS:
+            first = len(values) * ASK_CURRENTS.index(question)
+            self._milliamperes.update(zip(self._servos[first:], values, strict=False))
+            return
+        self._rails[question.id] = values
+        before = self._questions.two_boards
+        self._questions.answered_about_rails(question, now_ns)
+        if self._questions.two_boards and not before:
+            self._lose(frozenset(self._servos), _TWO, now_ns)
+
+    def _lose(self, servos: frozenset[int], why: str, now_ns: int, report: _Kind | None = "power_fault") -> None:
         """Record servos that went off by another cause. They stay off until they are wanted again."""
         self._lost |= servos & self._wanted
         self._settle(now_ns)
-        if report:
-            self._news.append(News(Kind.POWER_FAULT, why, servos))
-
-    def _failed(self, error: BoardError, now_ns: int) -> None:
-        """Take an answer 65: the board has blocked servos or converters until the error is deleted."""
-        why, mask, new = self._errors.shown(error, now_ns)
-        begins = self._begins(f"{why} {error.mask}", now_ns)
-        if mask or (new and begins):
-            self._lose(self._named(mask), why, now_ns, report=new and begins)
+        if report is not None:
+            self._news.append(News(report, why, servos))
 
     # mutants accepted (Forget, Step): else a repeat follows
     def _meddled(self, theirs: frozenset[int], now_ns: int) -> None:
         """Answer another node's mask with ours, without the servos that it cut, even those still waiting for on."""
-        taken = self._target - theirs
-        self._lost |= taken
-        self._settle(now_ns)
-        if self._begun:
-            self._anew(theirs - self._target - self._unknown, now_ns)
-            self._repeat_until_ns = now_ns + REPEAT_FOR_NS
-            # Unlike our own masks, answers to another node wait: it may flood the bus.
-            self._leave_ns = max(now_ns, (self._sent_ns or 0) + REST_NS)
+        begins = self._begins(SET_SUPPLY, now_ns)
         why = "another program switches servos through the power board"
-        if self._begins(why, now_ns):
-            self._news.append(News(Kind.POWER_FAULT, why, taken))
+        self._lose(self._target - theirs, why, now_ns, "power_fault" if begins else None)
+        self._anew(theirs - self._target - self._unknown, now_ns)
+        self._repeat_until_ns = now_ns + REPEAT_FOR_NS
+        # Unlike our own masks, answers to another node wait: it may flood the bus.
+        self._leave_ns = max(now_ns, self._sent_ns + REST_NS)
 
-    def _begins(self, state: str, now_ns: int) -> bool:
+    def _begins(self, state: object, now_ns: int) -> bool:
         """Return whether to report a state seen now: it is new, had ended, or there was a reset since."""
         seen_ns, self._seen_ns[state] = self._seen_ns.get(state), now_ns
         return seen_ns is None or now_ns - seen_ns >= LASTS_NS
@@ -415,11 +407,7 @@ class PowerBoard:
     def _fall_silent(self, why: str, now_ns: int) -> None:
         """Record a silent board. It may have restarted with all off, so all powered servos count as lost."""
         self.alive = False
-        target = self._target
-        self._unknown |= target
-        self._lost |= target
+        self._unknown |= self._target
         self._sent = _NONE
-        self._fed.clear()
         self._milliamperes.clear()
-        self._settle(now_ns)
-        self._news.append(News(Kind.POWER_UNCONFIRMED, why, target))
+        self._lose(self._target, why, now_ns, "power_unconfirmed")

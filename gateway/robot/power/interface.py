@@ -1,6 +1,7 @@
 """The power board's interface, opened by python-can. It loads nothing else, since `stop-servos` waits for it."""
 
 import errno
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from gateway.errors import ConfigError, GatewayError
@@ -23,10 +24,6 @@ BITRATE: Final = 1_000_000
 
 class LineError(GatewayError):
     """The interface cannot be opened; the text has the reason."""
-
-
-class BusyError(GatewayError):
-    """The transmit queue is full. The frame was not sent and may be sent later."""
 
 
 def open_bus(settings: PowerSettings) -> "can.BusABC":
@@ -57,19 +54,21 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
         raise LineError(f"{settings.interface} {settings.channel} cannot be opened: {error}") from error
 
 
-def send(bus: "can.BusABC", frame: CanFrame, timeout_s: float) -> None:
-    """Send a frame. Wait for `timeout_s` at most, if the interface respects that.
+def send(bus: "can.BusABC", frames: Sequence[CanFrame], timeout_s: float) -> Sequence[CanFrame]:
+    """Send these frames in their order. Wait for `timeout_s` at most for each, if the interface respects that.
 
-    Raises BusyError if the kernel has no room for the frame; for other faults CanError or an interface's own exception.
+    Return those for which the kernel has no room now. Raises CanError, or an interface's own exception.
     """
     from can import CanOperationError, Message  # noqa: PLC0415
 
-    try:
-        bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=timeout_s)
-    except CanOperationError as error:
-        if error.error_code in (errno.ENOBUFS, errno.EAGAIN):
-            raise BusyError(str(error)) from error
-        raise
+    for place, frame in enumerate(frames):
+        try:
+            bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=timeout_s)
+        except CanOperationError as error:
+            if error.error_code not in (errno.ENOBUFS, errno.EAGAIN):
+                raise
+            return frames[place:]
+    return ()
 
 
 def received(message: "can.Message", settings: PowerSettings) -> CanFrame | None:

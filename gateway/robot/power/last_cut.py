@@ -1,27 +1,22 @@
 """`stop-servos` cuts the servos' power: it sends a mask of nothing until the power board confirms it.
 
-The imports of `PowerBoard` take longer than all Stops. This loads python-can alone.
+`PowerBoard` and python-can are loaded after the first Stops.
 """
 
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
 from gateway.host.settings_table import PowerSettings
-from gateway.model.power_board import CanFrame, Rails, Supplied, read, set_supply
-from gateway.robot.power.interface import BusyError, LineError, open_bus, received, send
-from gateway.robot.power.questions import BoardQuestions
+from gateway.model.power_board import OUTPUTS
+from gateway.robot.power.interface import open_bus, received, send
 
 if TYPE_CHECKING:
     import can
 
-REPEAT_NS: Final = 20 * NS_PER_MS
-REST_NS: Final = 5 * NS_PER_MS
-"""After an answer 6B: a mask in the same pass of the board's loop takes effect 230 passes later."""
 TRY_NS: Final = 2 * NS_PER_S  # mutants accepted (Step): none is the only right one
 """How long masks are sent and a failed interface is reopened, from the end of the first opening on."""
 LOAD_S: Final = 10.0  # mutants accepted (Step): none is the only right one
@@ -33,46 +28,6 @@ END_S: Final = 1.0  # mutants accepted (Step): none is the only right one
 _RETRY_S: Final = 0.1
 _POLL_S: Final = 0.005
 _SEND_S: Final = 0.1  # mutants accepted (Step): none is the only right one
-
-
-class LastCut:
-    """Decides what to send for all outputs off, and whether that is confirmed, on a just opened interface. Pure.
-
-    Confirmed means a 6B that shows all off, after the answer to a question sent after the first mask: an answer to
-    another node's mask may be on its way.
-    """
-
-    def __init__(self) -> None:  # mutants accepted (Step): a nanosecond
-        self._questions = BoardQuestions()
-        self._due_ns = 0
-        self.confirmed = False
-
-    # mutants accepted (GtE_Gt, Step): equal times; any number but 0
-    def next_frames(self, now_ns: int) -> list[CanFrame]:
-        """Return the frames to send now: the mask, a question whose answer proves its arrival, questions in turn."""
-        frames: list[CanFrame] = []
-        if self.confirmed:
-            return frames
-        if now_ns >= self._due_ns:
-            self._due_ns = now_ns + REPEAT_NS
-            frames = [set_supply(0), *self._questions.due_after(1, now_ns)]
-        if now_ns >= self._questions.due_ns:
-            frames += self._questions.next(1, now_ns)
-        return frames
-
-    def receive(self, frame: CanFrame, now_ns: int) -> None:
-        """Take a frame from the bus, received at `now_ns` (monotonic)."""
-        self._questions.asked_by_another(frame, now_ns)
-        answer = read(frame)
-        if answer is not None:
-            self._questions.answered(now_ns)
-        match answer:
-            case Supplied(mask):
-                proven = self._questions.reached > 0 and not self._questions.doubles  # another board may power them
-                self.confirmed = self.confirmed or (mask == 0 and proven)
-                self._due_ns = max(self._due_ns, now_ns + REST_NS)
-            case Rails(question):
-                self._questions.answered_about_rails(CanFrame(question), now_ns)
 
 
 class SupplyCut:
@@ -125,8 +80,7 @@ class SupplyCut:
                 why = str(error)
                 break
             except Exception as error:  # any exception of python-can's interfaces: only another attempt can help
-                where = "" if isinstance(error, LineError) else f"{self._settings.interface} {self._settings.channel}: "
-                why = f"{where}{error}"
+                why = str(error)
                 time.sleep(_RETRY_S)
         if not self.confirmed:
             self._say(not_confirmed(why), False)
@@ -142,14 +96,15 @@ def not_confirmed(why: str) -> str:
 
 def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:  # mutants accepted (Lt_LtE): equal times
     """Send masks until they are confirmed, or the time is over. Return whether they are confirmed."""
+    from gateway.robot.power.board import PowerBoard  # noqa: PLC0415
+
     bus._is_shutdown = True  # else, as this process ends, python-can closes a channel that a gateway may use
-    cut = LastCut()
-    while not cut.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
-        with suppress(BusyError):  # the frame is sent again
-            for frame in cut.next_frames(now_ns):
-                send(bus, frame, _SEND_S)
+    board = PowerBoard(range(1, OUTPUTS + 1), confirm_ns=TRY_NS)
+    board.cut(time.monotonic_ns())
+    while not board.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
+        board.not_sent(send(bus, board.next_frames(now_ns), _SEND_S), now_ns)
         message = bus.recv(_POLL_S)
         answer = None if message is None else received(message, settings)
         if answer is not None:
-            cut.receive(answer, time.monotonic_ns())
-    return cut.confirmed
+            board.receive(answer, time.monotonic_ns())
+    return board.confirmed

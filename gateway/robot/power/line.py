@@ -22,7 +22,7 @@ from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import News, PowerBoard, Status
-from gateway.robot.power.interface import BusyError, LineError, open_bus, received, send
+from gateway.robot.power.interface import LineError, open_bus, received, send
 from gateway.robot.power.offs import Confirmed
 
 if TYPE_CHECKING:
@@ -60,19 +60,17 @@ class PowerLine:
         failed: Callable[[Exception], None],
         *,
         opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
-        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """`on_news` is called on the receiver's thread for news or a changed status, and must not wait.
 
-        `failed` is called with an unexpected exception that ended one of the threads. `clock` is monotonic, in ns.
+        `failed` is called with an unexpected exception that ended one of the threads.
         """
         self._settings = settings
         self._board = board
         self._on_news = on_news
         self._failed = failed
         self._opener = opener
-        self._clock = clock
-        self._requests: deque[Callable[[], None]] = deque()
+        self._requests: deque[Callable[[int], None]] = deque()
         self._news: deque[News | Confirmed] = deque()
         self._lock = threading.Lock()
         """Held while the board is used, not while frames are sent or received."""
@@ -85,7 +83,7 @@ class PowerLine:
         self._closing = self._cuts = False
         self._retry_ns = 0
         self.status = Status()
-        self.polled_ns = clock()
+        self.polled_ns = time.monotonic_ns()
         """When the receiver last checked the time, by which a stuck thread is noticed."""
         self._sender = threading.Thread(target=self._run, args=(self._send,), name="power sender", daemon=True)
         self._receiver = threading.Thread(target=self._run, args=(self._receive,), name="power receiver", daemon=True)
@@ -108,24 +106,24 @@ class PowerLine:
     # ---- requests of PowerBoard, carried out as soon as possible: they never wait
 
     def want(self, servos: frozenset[int], number: int) -> None:
-        self._request(partial(self._board.want, servos, number, self._clock()))
+        self._request(partial(self._board.want, servos, number))
 
     def cut(self) -> None:
         """PowerBoard.cut, as soon as possible. The first mask leaves even before."""
         self._cuts = True
-        self._request(partial(self._board.cut, self._clock()))
+        self._request(self._board.cut)
 
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
-        self._request(partial(self._board.when_off, servos, asked_ns, token, self._clock()))
+        self._request(partial(self._board.when_off, servos, asked_ns, token))
 
     def clear_errors(self) -> None:
-        self._request(partial(self._board.clear_errors, self._clock()))
+        self._request(self._board.clear_errors)
 
     def news(self) -> list[News | Confirmed]:
         """Return the events since the last call."""
         return [self._news.popleft() for _ in range(len(self._news))]
 
-    def _request(self, request: Callable[[], None]) -> None:
+    def _request(self, request: Callable[[int], None]) -> None:
         self._requests.append(request)
         self._awake()
 
@@ -144,7 +142,7 @@ class PowerLine:
     def _take_requests(self) -> None:
         """Carry out the queued requests, in their order. The caller holds the lock."""
         while self._requests:
-            self._requests.popleft()()
+            self._requests.popleft()(time.monotonic_ns())
 
     def _open(self) -> None:
         """Try to open the interface. Raises ConfigError if it never can."""
@@ -152,14 +150,14 @@ class PowerLine:
             bus = self._opener(self._settings)
             with self._lock:
                 self._bus = bus
-                self._board.opened(self._clock())
+                self._board.opened(time.monotonic_ns())
 
     def _lose(self, bus: "can.BusABC", error: Exception) -> None:
         """Record that the interface is gone. Neither thread uses it any more."""
         with self._lock:
             if self._bus is bus:
                 self._bus = None
-                self._board.closed(f"the interface of the power board is gone: {error}", self._clock())
+                self._board.closed(f"the interface of the power board is gone: {error}", time.monotonic_ns())
         self._awake()
 
     # ---- the sender
@@ -184,7 +182,7 @@ class PowerLine:
                 self._release(bus)
                 continue
             with self._lock:
-                wait_ns = 0 if self._requests else self._board.due_ns - self._clock()
+                wait_ns = 0 if self._requests else self._board.due_ns - time.monotonic_ns()
             self._wake.acquire(timeout=max(0, wait_ns) / NS_PER_S)
 
     def _send_due(self, bus: "can.BusABC") -> None:
@@ -193,19 +191,15 @@ class PowerLine:
         try:
             if self._cuts:
                 self._cuts = False
-                with suppress(BusyError):  # the mask of `cut` follows
-                    send(bus, _NOTHING, SEND_S)
+                send(bus, [_NOTHING], SEND_S)  # without room for it, the mask of `cut` follows
                 time.sleep(STOPS_S)
             with self._lock:
                 self._take_requests()
-                frames = self._board.next_frames(self._clock())
-            try:
-                while frames:
-                    send(bus, frames[0], SEND_S)
-                    del frames[0]
-            except BusyError:
+                frames = self._board.next_frames(time.monotonic_ns())
+            left = send(bus, frames, SEND_S)
+            if left:
                 with self._lock:
-                    self._board.not_sent(frames, self._clock())
+                    self._board.not_sent(left, time.monotonic_ns())
                 time.sleep(BUSY_S)
         except (CanError, OSError, ValueError) as error:
             self._lose(bus, error)
@@ -249,7 +243,7 @@ class PowerLine:
         before = self.status
         with self._lock:
             self._take_requests()
-            now_ns = self.polled_ns = self._clock()
+            now_ns = self.polled_ns = time.monotonic_ns()
             for frame in frames:
                 self._board.receive(frame, now_ns)
             self._board.poll(now_ns)

@@ -12,10 +12,9 @@ from gateway.allowance import NS_PER_MS
 
 
 class Confirmed(NamedTuple):
-    """The answer to a `when_off`: whether the board confirmed that these servos are off, and after how many ms."""
+    """The answer to a `when_off`: after how many ms the board has confirmed these servos off; None: not in time."""
 
     token: int
-    confirmed: bool
     ms: float | None
 
 
@@ -65,19 +64,16 @@ class OutputsOff:
         for servo in servos:
             self._offs.pop(servo, None)
 
-    def have_reached(self, servos: Collection[int], reached: int) -> bool:
-        """Return whether the board has all masks that cut these servos. `reached` is the newest mask that it has."""
-        return self._newest(servos, reached) <= reached
+    def number(self, servos: Collection[int], default: int) -> int:
+        """Return the number of the mask that cuts the last of these servos, or `default` if none has to be off."""
+        return max((off.number for servo, off in self._offs.items() if servo in servos), default=default)
 
     def wait(self, servos: frozenset[int], asked_ns: int, token: int, newest: int) -> None:
         """Wait for these servos. A `Confirmed` follows, `confirm_ns` after `asked_ns` at the latest.
 
         `newest` is the number of the newest mask.
         """
-        self._waits.append(_Wait(token, servos, asked_ns, self._newest(servos, newest)))
-
-    def _newest(self, servos: Collection[int], default: int) -> int:
-        return max((off.number for servo, off in self._offs.items() if servo in servos), default=default)
+        self._waits.append(_Wait(token, servos, asked_ns, self.number(servos, newest)))
 
     def answered(self, shown: frozenset[int], reached: int, now_ns: int) -> tuple[set[int], list[Confirmed]]:
         """Take a 6B that shows the servos `shown` as on, after the masks up to `reached`.
@@ -89,11 +85,11 @@ class OutputsOff:
             off.confirmed = off.confirmed or (servo not in shown and off.number <= reached)
         ended = [wait for wait in self._waits if wait.number <= reached and shown.isdisjoint(wait.servos)]
         self._waits = [wait for wait in self._waits if wait not in ended]
-        return on_again, [Confirmed(wait.token, True, (now_ns - wait.asked_ns) / NS_PER_MS) for wait in ended]
+        return on_again, [Confirmed(wait.token, (now_ns - wait.asked_ns) / NS_PER_MS) for wait in ended]
 
     def late(self, now_ns: int) -> tuple[frozenset[int], list[Confirmed]]:
         """Return the servos that were not confirmed in time, and the answers to requests that waited too long."""
         late = frozenset(each for each in self.unconfirmed if now_ns - self._offs[each].since_ns >= self._confirm_ns)
         ended = [wait for wait in self._waits if now_ns - wait.asked_ns >= self._confirm_ns]
         self._waits = [wait for wait in self._waits if wait not in ended]
-        return late, [Confirmed(wait.token, False, None) for wait in ended]
+        return late, [Confirmed(wait.token, None) for wait in ended]

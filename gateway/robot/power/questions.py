@@ -8,6 +8,8 @@ Two answers to one question come from two boards, of which one may power servos 
 answer proves nothing: on slcan, `stop-servos` and the gateway read one terminal, and its questions are not seen here.
 """
 
+from collections import deque
+from itertools import cycle
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -26,29 +28,37 @@ DOUBLE_NS: Final = 10 * NS_PER_MS
 DOUBLES: Final = 3
 FORGOTTEN_NS: Final = 2000 * NS_PER_MS
 """An unanswered question of this age is lost in any case: else a link that lost six answers could confirm nothing."""
+_ROUND: Final = (*ASK_CURRENTS, None, *ASK_CURRENTS, ASK_ERROR)
+"""The questions in turn; None: one about rails."""
 
 
 class BoardQuestions:
-    """One question every 10 ms, and one after each mask that needs a confirmation."""
+    """One question every 10 ms, and one after each mask."""
 
-    def __init__(self) -> None:  # mutants accepted (Step): a nanosecond; a round begins elsewhere
+    def __init__(self) -> None:  # mutants accepted (Step): a nanosecond
         self.due_ns = 0
         self.reached = 0
         """The number of the newest mask that has certainly reached the board."""
         self.reached_ns = 0
         """When the question that proves this was asked."""
+        self.doubles = 0
+        """How many of the newest questions were answered twice. From DOUBLES on it stays."""
         self._answered_ns = 0
         self._unanswered = 0
-        self._turn = 0
-        self._rail_turn = 0
+        self._round = cycle(_ROUND)
+        self._rails = deque(ASK_RAILS)
+        """In the order in which they are asked."""
         self._asked: dict[CanFrame, tuple[int, int]] = {}
         """Unanswered questions about rails: when each was asked, and the number of the newest mask then."""
         self._foreign: dict[CanFrame, tuple[int, int]] = {}
         """Other nodes' questions about rails: how many are unanswered, and when the newest was received."""
         self._latest: tuple[CanFrame, int] | None = None
         """The newest answer to a known question, and when it was received; None after a second answer to it."""
-        self.doubles = 0
-        """How many of the newest questions were answered twice."""
+
+    @property
+    def two_boards(self) -> bool:
+        """Whether DOUBLES questions in a row were answered twice, since `doubles` was set to 0."""
+        return self.doubles >= DOUBLES
 
     def opened(self, now_ns: int) -> None:
         """Forget earlier questions: a new interface brings no answers to them."""
@@ -58,29 +68,18 @@ class BoardQuestions:
     def not_sent(self, question: CanFrame) -> None:
         self._asked.pop(question, None)
 
-    def next(self, newest: int, now_ns: int) -> list[CanFrame]:  # mutants accepted (Add_Sub): each is asked as often
-        """Return the question in turn, and count it as sent: six about currents, then one about rails or errors.
-
-        `newest` is the number of the newest mask.
-        """
+    def next(self, newest: int, now_ns: int) -> list[CanFrame]:
+        """Return the question in turn, if any, and count it as sent. `newest` is the number of the newest mask."""
         self.due_ns = now_ns + ASK_NS
         self._unanswered += 1
-        self._turn = (self._turn + 1) % (2 * len(ASK_CURRENTS) + 2)
-        if self._turn == 0:
-            return [ASK_ERROR]
-        if self._turn == len(ASK_CURRENTS) + 1 and (rail := self.due_after(newest, now_ns)):
-            return rail
-        return [ASK_CURRENTS[self._turn % len(ASK_CURRENTS)]]
+        question = next(self._round)
+        return self.about_rails(newest, now_ns) if question is None else [question]
 
-    # mutants accepted (Add_Sub): each is asked as often
-    def due_after(self, newest: int, now_ns: int) -> list[CanFrame]:
+    def about_rails(self, newest: int, now_ns: int) -> list[CanFrame]:
         """Return a question whose answer proves that mask number `newest` has reached the board, if one is free."""
-        if self._unanswered > LIKELY_SILENT:
-            return []
-        for step in range(len(ASK_RAILS)):
-            question = ASK_RAILS[(self._rail_turn + step) % len(ASK_RAILS)]
+        for question in tuple(self._rails) if self._unanswered <= LIKELY_SILENT else ():
+            self._rails.rotate(-1)
             if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
-                self._rail_turn += step + 1
                 self._asked[question] = (now_ns, newest)
                 return [question]
         return []
@@ -111,17 +110,14 @@ class BoardQuestions:
             asked_ns, newest = self._asked.pop(question, (0, 0))
             self.reached_ns = max(self.reached_ns, asked_ns)
             self.reached = max(self.reached, newest)
+        if self.two_boards:
+            return
         if others or ours:
             self.doubles = 0 if self._latest else self.doubles
             self._latest = (question, now_ns)
         elif self._latest and self._latest[0] == question and now_ns - self._latest[1] < DOUBLE_NS:
             self._latest = None
             self.doubles += 1
-
-    @property
-    def two_boards(self) -> bool:
-        """Whether the newest questions were each answered twice."""
-        return self.doubles >= DOUBLES
 
     def silent(self, now_ns: int) -> bool:
         """Return whether the board is silent. Call it every 10 ms.

@@ -150,7 +150,7 @@ class Conductor:
             if timer is not None:
                 timer.cancel()
         if self.supply is not None:
-            self.supply.confirmations.close()
+            self.supply.close()
         self.bus.close()
 
     # ---- what happens

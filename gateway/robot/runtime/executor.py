@@ -92,8 +92,9 @@ class Executor:
             reply(ack.model_dump_json().encode())
             return
 
-        def confirmed(whether: bool, ms: float | None) -> None:
-            reply(ack.model_copy(update={"confirmed": whether, "confirmed_ms": ms}).model_dump_json().encode())
+        def confirmed(ms: float | None) -> None:
+            found = {"confirmed": ms is not None, "confirmed_ms": ms}
+            reply(ack.model_copy(update=found).model_dump_json().encode())
 
         self.supply.confirm(stopped, request.received_ns, confirmed)
 

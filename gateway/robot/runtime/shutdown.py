@@ -128,7 +128,7 @@ async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> st
     """Return the power board's confirmation as a sentence, or that none came within REPEATS_S."""
     answered: asyncio.Future[float | None] = asyncio.get_running_loop().create_future()
 
-    def then(_confirmed: bool, ms: float | None) -> None:
+    def then(ms: float | None) -> None:
         if not answered.done():
             answered.set_result(ms)
 

@@ -15,17 +15,16 @@ import asyncio
 import json
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
-from gateway.allowance import NS_PER_MS
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.frames import legs_of
 from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import News, PowerBoard
-from gateway.robot.power.currents import IDLE_MA, CurrentRules
+from gateway.robot.power.board import PowerBoard
 from gateway.robot.power.line import PowerLine
 from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
@@ -49,80 +48,72 @@ _ALL: Final = frozenset(SERVO_IDS)
 _NONE: Final = frozenset[int]()
 
 
-# ---- answers that wait until the board confirms that servos are off
+MOST_WAITING: Final = 256
+"""Answers that wait for the board: each keeps a Zenoh query and up to 64 KiB of its receive buffer, 16 MiB together.
+With a silent board, a flood of acknowledged emergency stops would fill the memory."""
 
-MOST_ASKERS: Final = 64
-"""One for each session (`limits.MAX_SESSIONS`); together they keep 4 MiB at most."""
-MOST_QUESTIONS: Final = 32
-"""Open at a time: 25 for each leg, each servo and the whole robot, and some for servos powered and stopped again."""
+Then = Callable[[float | None], None]
+"""Called once: how many ms after the Stop was received the board has confirmed it; None: it has not."""
 
-Then = Callable[[bool, float | None], None]
-"""Called once: whether the board has confirmed it, and how many ms after the Stop was received (None: it has not)."""
+
+# ---- what the currents show
+
+IDLE_MA: Final = 150
+"""A powered servo at rest draws about 8 mA, one that bears its share of a standing robot about 200 mA (assumed)."""
+SETTLE_NS: Final = 300 * NS_PER_MS
+"""After a Stop a servo may draw current while it comes to rest. Its current is measured every 70 ms."""
+NOTHING_MA: Final = 5
+"""Below the 8 mA of a powered servo's electronics."""
+SILENT_NS: Final = 1 * NS_PER_S
+IN_A_ROW: Final = 2
+"""Measurements of a stopped servo's current before its power is cut, since one may be wrong."""
+
+
+_SENTENCES: Final = {
+    Kind.SERVO_SILENT: "servo {} runs and has drawn nothing for 1 s: it is unplugged, or broken",
+    Kind.SERVO_DRAWS: f"servo {{}} is stopped and draws {{:.0f}} mA, more than {IDLE_MA} mA",
+}
+_Finding = tuple[int, Kind, str]
+"""A servo, what its current shows, and that as a sentence."""
 
 
 @dataclass(slots=True)
-class _Question:
-    """A question whether these servos are off; for each asker, when its Stop was received (ns), and its callback."""
+class _Judged:
+    runs: bool
+    since_ns: int
+    """When it began to run, or to be stopped. If it runs: since when it draws nothing."""
+    wrong: int = 0
+    """How many of the latest measurements contradict its state."""
+    reported: bool = False
 
-    servos: frozenset[int]
-    asked_ns: int
-    askers: list[tuple[int, Then]] = field(default_factory=list)
-    takes_more: bool = True
 
+class CurrentRules:
+    """Compares the servos' currents with their state. Each finding is reported once for each start and Stop.
 
-class Confirmations:
-    """The open questions to a power board. For the owner of the state.
-
-    An open question serves everyone who asks about the same servos. A waiting answer keeps a Zenoh query and up to
-    64 KiB of its receive buffer. With a silent board, a flood of acknowledged emergency stops would fill the memory.
-    Therefore at most MOST_ASKERS wait for a question; further ones are answered at once that nothing is confirmed.
+    A stopped servo that draws current has not received its Stop. A running one without current is unplugged or broken.
     """
 
-    def __init__(self, ask: Callable[[frozenset[int], int, int], None]) -> None:
-        """`ask(servos, since_ns, token)` asks the board; its answer carries the token."""
-        self._ask = ask
-        self._token = 0
-        self._open: dict[int, _Question] = {}
+    def __init__(self) -> None:
+        self._servos: dict[int, _Judged] = {}
 
-    def wait(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
-        """Call `then` once the board has confirmed that these servos are off, or the time for that is over.
-
-        `asked_ns` is when the Stop was received. With too many questions or askers, `then` is called at once.
-        """
-        wanted = frozenset(servos)
-        question = next((each for each in self._open.values() if each.takes_more and each.servos == wanted), None)
-        full = len(self._open) >= MOST_QUESTIONS if question is None else len(question.askers) >= MOST_ASKERS
-        if full:
-            then(False, None)
-            return
-        if question is None:
-            self._token += 1
-            question = self._open[self._token] = _Question(wanted, asked_ns)
-            self._ask(wanted, asked_ns, self._token)
-        question.askers.append((asked_ns, then))
-
-    def feeds(self, servos: frozenset[int]) -> None:
-        """Record that these servos are powered again. A later Stop of them needs a new question."""
-        for each in self._open.values():
-            if not servos.isdisjoint(each.servos):
-                each.takes_more = False
-
-    def answered(self, answer: Confirmed) -> None:
-        """Take the board's answer, or the end of the time for one."""
-        question = self._open.pop(answer.token, None)
-        if question is None:
-            return
-        for asked_ns, then in question.askers:
-            ms = None if answer.ms is None else answer.ms - (asked_ns - question.asked_ns) / NS_PER_MS
-            if ms is not None and ms < 0:  # the board's answer is older than this asker's Stop
-                self.wait(question.servos, asked_ns, then)
-            else:
-                then(answer.confirmed, ms)
-
-    def close(self) -> None:
-        """Call all callbacks: nothing is confirmed."""
-        for token in tuple(self._open):
-            self.answered(Confirmed(token, confirmed=False, ms=None))
+    def measured(self, currents_ma: Mapping[int, float], running: frozenset[int], now_ns: int) -> list[_Finding]:
+        """Take new currents in mA. `running` are the servos that run. Return what to report."""
+        found: list[_Finding] = []
+        for servo_id, ma in currents_ma.items():
+            runs = servo_id in running
+            servo = self._servos.get(servo_id)
+            if servo is None or servo.runs is not runs:
+                servo = self._servos[servo_id] = _Judged(runs, now_ns)
+            wrong = ma < NOTHING_MA if runs else ma > IDLE_MA and now_ns - servo.since_ns >= SETTLE_NS
+            servo.wrong = servo.wrong + 1 if wrong else 0
+            if runs and servo.wrong < IN_A_ROW:
+                servo.since_ns = now_ns
+            if servo.reported or servo.wrong < IN_A_ROW or (runs and now_ns - servo.since_ns < SILENT_NS):
+                continue
+            servo.reported = True
+            kind = Kind.SERVO_SILENT if runs else Kind.SERVO_DRAWS
+            found.append((servo_id, kind, _SENTENCES[kind].format(servo_id, ma)))
+        return found
 
 
 # ---- the supply
@@ -148,15 +139,16 @@ class RobotSupply:
         self._trusted = ready is not None
         """Whether a powered servo was seen at rest since the last fault."""
         self._withheld: dict[int, str] = {}
-        """Servos not powered before a reset, and why: the board blocked them, or they drew current after a Stop."""
-        self._refused: Mapping[int, str] = {}
+        """Servos not powered before a reset, and why. The board blocks others (`Status.refused`)."""
         self._alive = False
         self._currents = CurrentRules()
-        self._found: list[News] = []
+        self._found: list[_Finding] = []
         self._changed = False
         """Whether a reset or a servo's current has changed something; the board reports neither."""
         self._polled_ns = self._stuck_beats = 0
-        self.confirmations = Confirmations(line.when_off)
+        self._token = 0
+        self._waiting: dict[int, Then] = {}
+        """Answers that wait for the board, by token."""
 
     # ---- what a step decides
 
@@ -188,7 +180,6 @@ class RobotSupply:
         self._changes += servos != self._asked
         self._asked = servos
         self.line.want(servos, self._changes)
-        self.confirmations.feeds(servos)
 
     def reset(self) -> None:
         """Allow blocked and cut servos to be powered again, after an accepted reset."""
@@ -228,15 +219,17 @@ class RobotSupply:
         """Take the board's news. Return the event for the supervisor, and the events to publish."""
         announcements, doubt = list[Announce](), ""
         found, self._found, self._changed = self._found, [], False
-        for each in (*self.line.news(), *found):
+        for each in self.line.news():
             if isinstance(each, Confirmed):
-                self.confirmations.answered(each)
+                self._answer(each.token, each.ms)
                 continue
-            announcements.append(Announce(each.kind, each.detail, legs=legs_of(each.servos)))
-            if each.kind is Kind.SERVO_DRAWS:
-                doubt = doubt or self._drew(each)
-            elif each.kind is Kind.POWER_UNCONFIRMED and self.line.status.alive:
+            announcements.append(Announce(Kind(each.kind), each.detail, legs=legs_of(each.servos)))
+            if each.kind == "power_unconfirmed" and self.line.status.alive:
                 doubt = each.detail
+        for servo_id, kind, detail in found:
+            announcements.append(Announce(kind, detail, legs=legs_of([servo_id])))
+            if kind is Kind.SERVO_DRAWS:
+                doubt = doubt or self._drew(servo_id, detail)
         status = self.line.status
         if self._cut and status.supplied & self._asked:
             self._cut = False
@@ -246,32 +239,44 @@ class RobotSupply:
         self._trusted = self._trusted and (status.alive or self._ready is not None)
         if self._alive and status.alive:  # another program took it, such as `stop-servos`
             self._withheld |= dict.fromkeys(lost - status.refused.keys(), _TAKEN)
-        newly = status.refused.keys() - self._refused.keys()
-        # A servo that the board, or a person at the board, has unblocked is not powered before a reset.
-        self._withheld |= {servo_id: f"{status.refused[servo_id]}; a reset feeds it again" for servo_id in newly}
-        self._alive, self._refused = status.alive, status.refused
-        refused = {**self._withheld, **status.refused}
+        self._alive = status.alive
+        refused = self._withheld | {servo: f"{why}; a reset feeds it again" for servo, why in status.refused.items()}
         fed = self._fed if self._trusted else _NONE
         return PowerSeen(status.alive, tuple(sorted(refused.items())), fed, lost, doubt), announcements
 
-    def _drew(self, news: News) -> str:
+    def _drew(self, servo_id: int, detail: str) -> str:
         """Handle a servo at rest that draws current: cut its power. Return why all must stop, or "" if not."""
-        if not self._trusted and news.servos & self._asked:
-            deaf = _DEAF.format(min(news.servos))
+        if not self._trusted and servo_id in self._asked:
+            deaf = _DEAF.format(servo_id)
             self._withheld |= dict.fromkeys(_ALL, deaf)
             return deaf
-        self._withheld |= dict.fromkeys(news.servos, _DREW)
-        return "" if news.servos & self._asked else news.detail
+        self._withheld[servo_id] = _DREW
+        return "" if servo_id in self._asked else detail
+
+    # ---- answers that wait until the board confirms that servos are off
 
     def confirm(self, servos: Collection[int], asked_ns: int, then: Then) -> None:
         """Call `then` once the board has confirmed these servos off, or the time for that is over.
 
-        If one of them was started again meanwhile, `then` is called at once. `asked_ns` is when the Stop was received.
+        `asked_ns` is when the Stop was received. If one of the servos was started again meanwhile, or too many answers
+        wait, `then` is called at once.
         """
-        if not self._asked.isdisjoint(servos):
-            then(False, None)
+        if not self._asked.isdisjoint(servos) or len(self._waiting) >= MOST_WAITING:
+            then(None)
             return
-        self.confirmations.wait(servos, asked_ns, then)
+        self._token += 1
+        self._waiting[self._token] = then
+        self.line.when_off(frozenset(servos), asked_ns, self._token)
+
+    def _answer(self, token: int, ms: float | None) -> None:
+        then = self._waiting.pop(token, None)
+        if then is not None:
+            then(ms)
+
+    def close(self) -> None:
+        """End all waiting: nothing is confirmed."""
+        for token in tuple(self._waiting):
+            self._answer(token, None)
 
     def report(self, now_ns: int) -> PowerReport:  # mutants accepted (Step): a nanosecond
         status = self.line.status

@@ -10,20 +10,13 @@ from gateway.model.power_board import (
     ALL,
     ASK_CURRENTS,
     ASK_RAILS,
-    CONVERTER_OVERCURRENT,
-    OVERTEMPERATURE,
-    SERVO_OVERCURRENT,
-    SUPPLY_LOW,
-    TWO_BOARDS,
     UNREADABLE,
     Answer,
     BoardError,
     BoardNotice,
+    BoardValues,
     CanFrame,
-    Currents,
-    Rails,
     Supplied,
-    explained,
     mask_of,
     read,
     set_supply,
@@ -47,21 +40,15 @@ def test_a_mask_has_18_bits(mask: int) -> None:
 
 
 ANSWERS: dict[str, tuple[int, str, Answer]] = {
-    "currents 1-3": (0x71, "0001 0203 ffff", Currents(1, (1, 0x203, 65535))),
-    "currents 16-18": (0x7B, "0064 00c8 012c", Currents(16, (100, 200, 300))),
-    "manipulator, 5 V, 3.3 V": (0x7D, "0001 0002 0003", Rails(0x7C, (1, 2, 3))),
-    "standby, supply": (0x7F, "0014 0bb8", Rails(0x7E, (20, 3000))),
-    "converters 1-3": (0x81, "1ce8 1ce8 1ce8", Rails(0x80, (7400, 7400, 7400))),
-    "converters 4, 5": (0x83, "1388 1388", Rails(0x82, (5000, 5000))),
-    "supply, battery": (0x85, "39d0 39d0", Rails(0x84, (14800, 14800))),
-    "temperatures": (0x87, "001e fff6 0000", Rails(0x86, (30, -10, 0))),
+    "currents 1-3": (0x71, "0001 0203 ffff", BoardValues(0x70, (1, 0x203, 65535))),
+    "currents 16-18": (0x7B, "0064 00c8 012c", BoardValues(0x7A, (100, 200, 300))),
+    "manipulator, 5 V, 3.3 V": (0x7D, "0001 0002 0003", BoardValues(0x7C, (1, 2, 3))),
+    "standby, supply": (0x7F, "0014 0bb8", BoardValues(0x7E, (20, 3000))),
+    "converters 1-3": (0x81, "1ce8 1ce8 1ce8", BoardValues(0x80, (7400, 7400, 7400))),
+    "converters 4, 5": (0x83, "1388 1388", BoardValues(0x82, (5000, 5000))),
+    "supply, battery": (0x85, "39d0 39d0", BoardValues(0x84, (14800, 14800))),
+    "temperatures": (0x87, "001e fff6 0000", BoardValues(0x86, (30, -10, 0))),
     "no error": (0x65, "", BoardNotice.NO_ERROR),
-    "servo 18": (0x65, "02 020000", BoardError(2, 1 << 17)),
-    "all converters": (0x65, "01 1f", BoardError(1, 0b11111)),
-    "all servos": (0x65, "02 03ffff", BoardError(2, ALL)),
-    "too hot, sensor 1": (0x65, "04 07", BoardError(4, 0b111)),
-    "too hot, sensor 2": (0x65, "04 10", BoardError(4, 0b10000)),
-    "supply low": (0x65, "08", BoardError(8)),
     "deleted": (0x97, "", BoardNotice.CLEARED),
     "off button": (0x69, "", BoardNotice.OFF_PRESSED),
     "going off": (0x67, "", BoardNotice.GOING_OFF),
@@ -74,7 +61,7 @@ def test_an_answer_is_read_and_one_of_another_length_is_none_or_an_unknown_error
 ) -> None:
     whole = bytes.fromhex(data)
     assert read(CanFrame(identifier, whole)) == answer
-    other = BoardError(UNREADABLE) if identifier == 0x65 else None
+    other = UNREADABLE if identifier == 0x65 else None
     assert read(CanFrame(identifier, whole + b"\0")) == other
     if len(whole) > 1:
         assert read(CanFrame(identifier, whole[:-1])) == other
@@ -83,8 +70,7 @@ def test_an_answer_is_read_and_one_of_another_length_is_none_or_an_unknown_error
 @pytest.mark.parametrize("data", ["03 01", "00", "04", "01", "08 00", "02 0001", "01 20", "04 20", "02 040000"])
 def test_an_error_frame_that_is_not_in_the_table_is_an_unknown_error_that_may_concern_every_output(data: str) -> None:
     error = read(CanFrame(0x65, bytes.fromhex(data)))
-    assert error == BoardError(UNREADABLE)
-    assert explained(BoardError(UNREADABLE)) == ("the power board reports an error that cannot be read", ALL)
+    assert error == UNREADABLE == BoardError(0, "the power board reports an error that cannot be read", ALL)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
@@ -98,30 +84,33 @@ def test_whatever_comes_is_read_or_none(identifier: int, data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "named", "outputs"),
+    ("data", "named", "outputs"),
     [
-        (BoardError(SERVO_OVERCURRENT, 0b101), "overcurrent: the power board has switched these servos off", (1, 3)),
-        (BoardError(CONVERTER_OVERCURRENT, 0b1), "overcurrent: … its converter 1", range(1, 7)),
-        (BoardError(CONVERTER_OVERCURRENT, 0b10), "overcurrent: … its converter 2", range(7, 13)),
-        (BoardError(CONVERTER_OVERCURRENT, 0b100), "overcurrent: … its converter 3", range(13, 19)),
-        (BoardError(CONVERTER_OVERCURRENT, 0b1000), "overcurrent: … its converter 4", ()),
-        (BoardError(CONVERTER_OVERCURRENT, 0b10000), "overcurrent: … its converter 5", ()),
-        (BoardError(CONVERTER_OVERCURRENT, 0b11), "overcurrent: … its converter 1 and 2", range(1, 13)),
-        (BoardError(OVERTEMPERATURE, 0b111), "overtemperature: … its converter 1 and 2 and 3", range(1, 19)),
-        (BoardError(OVERTEMPERATURE, 0b10000), "overtemperature: … its converter 5", ()),
-        (BoardError(TWO_BOARDS), "two power boards answer on this bus; … and reset", range(1, 19)),
-        (BoardError(SUPPLY_LOW), "the power board's supply is too low", ()),
+        ("02 000005", "overcurrent: the power board has switched these servos off", (1, 3)),
+        ("02 020000", "overcurrent: the power board has switched these servos off", (18,)),
+        ("02 03ffff", "overcurrent: the power board has switched these servos off", range(1, 19)),
+        ("01 01", "overcurrent: … its converter 1", range(1, 7)),
+        ("01 02", "overcurrent: … its converter 2", range(7, 13)),
+        ("01 04", "overcurrent: … its converter 3", range(13, 19)),
+        ("01 08", "overcurrent: … its converter 4", ()),
+        ("01 10", "overcurrent: … its converter 5", ()),
+        ("01 1f", "overcurrent: … its converter 1 and 2 and 3 and 4 and 5", range(1, 19)),
+        ("04 07", "overtemperature: … its converter 1 and 2 and 3", range(1, 19)),
+        ("04 10", "overtemperature: … its converter 5", ()),
+        ("08", "the power board's supply is too low", ()),
     ],
     ids=str,
 )
-def test_an_error_is_explained_and_says_which_outputs_are_off(
-    error: BoardError, named: str, outputs: Collection[int]
-) -> None:
+def test_an_error_says_what_is_off(data: str, named: str, outputs: Collection[int]) -> None:
     begin, _, end = named.rpartition("…")
-    sentence, mask = explained(error)
-    assert sentence.startswith(begin.strip())
-    assert sentence.endswith(end)
-    assert {number for number in range(1, 32) if mask >> (number - 1) & 1} == set(outputs)
+    whole = bytes.fromhex(data)
+    error = read(CanFrame(0x65, whole))
+    assert isinstance(error, BoardError)
+    assert error.code == whole[0]
+    assert error.why.startswith(begin.strip())
+    assert error.why.endswith(end)
+    assert {number for number in range(1, 32) if error.outputs >> (number - 1) & 1} == set(outputs)
+    assert read(CanFrame(0x65, whole + b"\0")) == UNREADABLE
 
 
 def test_each_question_is_named_once() -> None:

@@ -1,9 +1,12 @@
 """What is sent to the power board, and what counts as confirmed: against the simulated board, in virtual time."""
 
+import random
+
 import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import (
+    ALL,
     ASK_CURRENTS,
     ASK_RAILS,
     GOING_OFF,
@@ -13,7 +16,7 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
-from gateway.robot.power.board import News, PowerBoard, Status
+from gateway.robot.power.board import News, PowerBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
@@ -34,7 +37,7 @@ def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, 
     link.when_off(frozenset({61, 62, 63}), token=1)
     link.run(450)
     (confirmed,) = link.confirmations()
-    assert confirmed.confirmed
+    assert confirmed.ms is not None
     assert link.events(Kind.POWER_UNCONFIRMED) == []
     link.run(1100)
     assert link.fed() == ALL_SERVOS - {61, 62, 63}
@@ -137,7 +140,6 @@ def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_
 
 def test_what_had_no_room_is_sent_again_at_once_and_nothing_else() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-    assert board.status == Status()
     board.opened(0)
     board.want(NONE, 1, 0)
     for now_ns in range(10):
@@ -146,6 +148,30 @@ def test_what_had_no_room_is_sent_again_at_once_and_nothing_else() -> None:
         board.not_sent(frames[1:], now_ns)
         assert set_supply(0) not in board.next_frames(now_ns)
         board.not_sent([mask], now_ns)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_beside_a_node_that_asks_and_switches_nothing_is_confirmed_before_a_mask_has_arrived(seed: int) -> None:
+    """Of what we send next to nothing reaches the board, for up to a second; we receive all."""
+    chance = random.Random(seed)  # noqa: S311
+    link, deaf_ms, reached = fed(), chance.randrange(1000), False
+    ours, board, begun_ns = link.ours, link.board, link.now_ns
+    ours.cut(begun_ns)
+    for ms in range(2500):
+        now_ns = begun_ns + ms * NS_PER_MS
+        frames = [frame for frame in ours.next_frames(now_ns) if ms >= deaf_ms]
+        reached = reached or any(frame.id == SET_SUPPLY for frame in frames)
+        theirs = [chance.choice(ASK_RAILS)] if chance.random() < 0.2 else []
+        theirs += [set_supply(chance.choice([0, ALL]))] if chance.random() < 0.02 and ms < 1500 else []
+        for frame in theirs:
+            ours.receive(frame, now_ns)
+        for answer in [each for frame in (*frames, *theirs) for each in board.take(frame, now_ns)]:
+            ours.receive(answer, now_ns)
+        for answer in board.advance(now_ns):
+            ours.receive(answer, now_ns)
+        assert reached or not ours.confirmed
+    assert ours.confirmed
+    assert board.fed == 0
 
 
 @pytest.mark.parametrize(("identifier", "words"), [(OFF_PRESSED, "pressed"), (GOING_OFF, "has asked")])

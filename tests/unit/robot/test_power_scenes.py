@@ -99,7 +99,7 @@ SO: Final[dict[str, Callable[[Link, str, int], tuple[object, object]]]] = {
     "confirmed": lambda link, word, _: (link.ours.confirmed, word == "yes"),
     "alive": lambda link, word, _: (link.ours.alive, word == "yes"),
     "answers": lambda link, words, _: (
-        [each.confirmed for each in link.confirmations()],
+        [each.ms is not None for each in link.confirmations()],
         [w == "yes" for w in words.split()],
     ),
     "masks": lambda link, words, at_ns: ([each for _, each in link.masks(at_ns)], list(map(mask, words.split()))),
@@ -175,6 +175,7 @@ WITH_ALL_FED: Final = {
     # ---- others that switch
     "a node that floods masks is answered at a pace and reported once a second": """
         repeat 8000 0.125 other none → few-masks 250; few-faults 2""",
+    "what two boards answer confirms nothing": "second; cut; ask all; run 500 → answers no",
     "two boards on one bus are a fault and confirm nothing until a reset": """
         second; run 1000 → faults 1; fault-of all; told two power boards; refused all
         first-goes; cut; ask all; run 1000 → confirmed no; answers no  # it feeds what it fed
@@ -193,10 +194,9 @@ WITH_ALL_FED: Final = {
     # ---- the board's own faults, and its button
     "a servo that is blocked leaves the mask, and stays off when the error is deleted by hand": """
         blocks 22; run 20 → masks all-22; lost 22; refused 22; told overcurrent
-        by-hand; run 1000 → fed all-22; refused none
+        by-hand; anew all; run 1000 → fed all-22; lost 22; refused 22
+        reset; run 1000 → fed all-22; refused none
         anew all; run 1000 → fed all""",
-    "a servo that is wanted while it is blocked is to be wanted once more": """
-        blocks 11; run 100; anew all; run 100; by-hand; run 1500 → fed all-11""",
     "an error that cannot be read takes all": "hears 651001; run 20 → fed none; fault-of all; told cannot be read",
     "a low supply is reported and takes nothing": "low; run 1000 → faults 1; told too low; fed all; refused none",
     **{

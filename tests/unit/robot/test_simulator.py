@@ -11,7 +11,7 @@ from gateway.host.shared_page import ServoPage
 from gateway.model.elkapod import START
 from gateway.model.framing import Framing
 from gateway.model.power_board import CanFrame
-from gateway.robot.power.currents import IDLE_MA
+from gateway.robot.runtime.supply import IDLE_MA
 from gateway.simulation.board_port import HOLDS_MA, WAITS_MA, SimulatedAdapter, SimulatedDraw, frame_of
 from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS

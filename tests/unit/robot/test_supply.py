@@ -47,7 +47,7 @@ async def test_the_first_mask_switches_all_off_and_news_come_on_the_loop_with_th
     masks = [line for line in adapter.received if line.startswith(b"t06A")]
     assert set(masks) == {b"t06A3000000"}
     told: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
-    supply.confirm(frozenset({11}), time.monotonic_ns(), lambda confirmed, _ms: told.set_result(confirmed))
+    supply.confirm(frozenset({11}), time.monotonic_ns(), lambda ms: told.set_result(ms is not None))
     assert await asyncio.wait_for(told, 10), "within confirm_ms"
     await asyncio.to_thread(supply.line.close)
     asked = len(adapter.received)
