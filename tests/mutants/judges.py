@@ -87,7 +87,6 @@ JUDGES: Final = {
     "gateway/model/power_board.py": (*_model("power_board_bytes"), *_robot("simulated_board")),
     "gateway/robot/power/board.py": _POWER,
     "gateway/robot/power/errors.py": _robot("power_parts"),
-    "gateway/robot/power/offs.py": (*_robot("power_parts"), *_POWER),
     "gateway/robot/power/questions.py": (*_robot("power_parts"), *_POWER),
     "gateway/robot/power/last_cut.py": _robot("last_cut"),
     "gateway/robot/runtime/supply.py": _robot("power_parts power_conductor conductor supply"),

@@ -5,9 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, cast
 
 from gateway.allowance import NS_PER_S
-from gateway.robot.power.board import News, Status
+from gateway.robot.power.board import Confirmed, News, Status
 from gateway.robot.power.line import PowerLine
-from gateway.robot.power.offs import Confirmed
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S
 from tests.support.elkapod import ElkapodRobot

@@ -6,8 +6,7 @@ from itertools import count
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import SET_SUPPLY, CanFrame
-from gateway.robot.power.board import News, PowerBoard
-from gateway.robot.power.offs import Confirmed
+from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind

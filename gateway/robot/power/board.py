@@ -4,9 +4,9 @@
 - **On** waits until each off is confirmed or late, and until the board's counter is at rest, 5 ms after its answer. Six
   outputs go on at a time: the board answers once all are on. On is sent only while the board answers, since the queue
   of a broken link could deliver it later.
-- **Confirmed** means an answer 6B given after the mask had reached the board (offs.py). The board answers questions in
-  its receive interrupt, and masks later. So the 6B must follow the answer to a question sent after the mask
-  (questions.py).
+- **Confirmed** means an answer 6B that shows the servos off, given after the mask had reached the board. The board
+  answers questions in its receive interrupt, and masks later. So the 6B must follow the answer to a question sent after
+  the mask (questions.py). Masks have numbers for this.
 - **No output comes on unasked.** A board whose error is deleted powers all of its last mask again. So masks leave out
   outputs that the board has blocked, that another node has cut, or that were off after a silence, until the owner has
   dropped their servos once and wants them again.
@@ -30,7 +30,6 @@ from gateway.model.power_board import (
     set_supply,
 )
 from gateway.robot.power.errors import BoardErrors
-from gateway.robot.power.offs import Confirmed, OutputsOff
 from gateway.robot.power.questions import BoardQuestions
 
 REPEAT_NS: Final = 20 * NS_PER_MS
@@ -69,6 +68,29 @@ class News(NamedTuple):
     servos: frozenset[int] = frozenset()
 
 
+class Confirmed(NamedTuple):
+    """The answer to a `when_off`: after how many ms the board has confirmed these servos off; None: not in time."""
+
+    token: int
+    ms: float | None
+
+
+class _Off(NamedTuple):
+    """An off that is not confirmed: the number of the first mask for it, and since when."""
+
+    number: int
+    since_ns: int
+
+
+class _Wait(NamedTuple):
+    """A request that waits until these servos are confirmed off, by mask number `number` or later."""
+
+    token: int
+    servos: frozenset[int]
+    asked_ns: int
+    number: int
+
+
 class Status(NamedTuple):
     """The board's state at one time. Servos by their ids."""
 
@@ -99,6 +121,7 @@ class PowerBoard:
     def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
         """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)
+        self._confirm_ns = confirm_ns
         self._news: deque[News | Confirmed] = deque()
         # The wanted state.
         self._cut = False
@@ -106,6 +129,8 @@ class PowerBoard:
         self._wanted = self._lost = _NONE
         self._unknown = _NONE
         """Lost to a silence: perhaps still powered, for landing. Only the owner's wish puts them off in a mask."""
+        self._kept = frozenset(outputs)
+        """The servos that need not be off."""
         # The sent state. A restarted board powers nothing, which is mask 0, too.
         self._sent = _NONE
         self._number = 0
@@ -117,7 +142,9 @@ class PowerBoard:
         """When the board last sent its mask."""
         self._rest_ns = 0
         """When the board's counter comes to rest."""
-        self._off = OutputsOff(confirm_ns)
+        self._offs: dict[int, _Off] = {}
+        """Each servo that has to be off and is not confirmed."""
+        self._waits: list[_Wait] = []
         self._unconfirmed = False
         """Whether a missing confirmation was reported."""
         self._reports_ns = 0
@@ -164,9 +191,9 @@ class PowerBoard:
 
     def when_off(self, servos: frozenset[int], asked_ns: int, token: int, now_ns: int) -> None:
         """Have `news` return a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
-        self._anew(servos & self._off.servos - self._off.unconfirmed, now_ns)
+        self._anew(servos - self._kept - self._offs.keys(), now_ns)
         self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of masks that were given up
-        self._off.wait(servos, asked_ns, token, self._number)
+        self._waits.append(_Wait(token, servos, asked_ns, self._cut_by(servos, self._number)))
 
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it powers blocked servos once they are wanted again."""
@@ -179,14 +206,14 @@ class PowerBoard:
         for frame in frames:
             self._questions.not_sent(frame)
             if frame.id == SET_SUPPLY:
-                self._anew(self._off.unconfirmed, now_ns)
+                self._anew(tuple(self._offs), now_ns)
                 self._leave_ns = now_ns
 
     def opened(self, now_ns: int) -> None:
         """Record that the interface was opened. Earlier questions get no answer any more."""
         self._reports_ns = self._reports_ns or now_ns + START_NS
         self._questions.opened(now_ns)
-        self._anew(self._off.unconfirmed, now_ns)
+        self._anew(tuple(self._offs), now_ns)
 
     def closed(self, why: str, now_ns: int) -> None:
         """Record that the interface is gone, which makes the board silent."""
@@ -198,7 +225,7 @@ class PowerBoard:
     @property
     def confirmed(self) -> bool:
         """Whether the board has confirmed every off."""
-        return not self._off.unconfirmed and not self._questions.two_boards
+        return not self._offs and not self._questions.two_boards
 
     @property
     def status(self) -> Status:
@@ -235,7 +262,7 @@ class PowerBoard:
             return
         if not self.alive:
             self.alive = True
-            self._anew(self._off.unconfirmed, now_ns)
+            self._anew(tuple(self._offs), now_ns)
         self._answered_ns = now_ns
         self._questions.answered(now_ns)
         match answer:
@@ -260,12 +287,14 @@ class PowerBoard:
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
         if self._questions.silent(now_ns) and self.alive:
             self._fall_silent("the power board does not answer", now_ns)
-        late, ended = self._off.late(now_ns)
+        late = frozenset(servo for servo, off in self._offs.items() if now_ns - off.since_ns >= self._confirm_ns)
         if late and not self._unconfirmed and now_ns >= self._reports_ns:
             self._unconfirmed = True
             why = "the power board has not confirmed that these are off"
             self._news.append(News("power_unconfirmed", why, late))
-        self._news += ended
+        for wait in [each for each in self._waits if now_ns - each.asked_ns >= self._confirm_ns]:
+            self._waits.remove(wait)
+            self._news.append(Confirmed(wait.token, None))
 
     # ---- what is sent
 
@@ -283,7 +312,7 @@ class PowerBoard:
             frames = [self._send(now_ns), *self._questions.about_rails(self._number, now_ns)]
         # An output whose error is deleted before the board has a mask without it would come on again.
         reached = self._questions.reached
-        without = self._off.number(self._refused, reached) <= reached
+        without = self._cut_by(self._refused, reached) <= reached
         frames += self._errors.next_frames(now_ns, without=without)
         if now_ns >= self._questions.due_ns:
             frames += self._questions.next(self._number, now_ns)
@@ -305,16 +334,23 @@ class PowerBoard:
     def _settle(self, now_ns: int) -> None:
         """Apply a changed target: outputs that left it go off at once."""
         target = self._target
-        self._off.feed(target)
-        self._anew({*self._servos} - target - self._unknown - self._off.servos, now_ns)
+        before, self._kept = self._kept, target | self._unknown
+        self._offs = {servo: off for servo, off in self._offs.items() if servo not in target}
+        self._anew(before - self._kept, now_ns)
         self._fed = {servo: at_ns for servo, at_ns in self._fed.items() if servo in target}
 
     def _anew(self, servos: Collection[int], now_ns: int) -> None:
         """Have these servos confirmed off, by a mask that is sent next."""
-        self._off.take(servos, self._number + 1, now_ns)
+        for servo in servos:
+            off = self._offs.get(servo)
+            self._offs[servo] = _Off(self._number + 1, now_ns if off is None else off.since_ns)
         if servos:
             self._repeat_until_ns = now_ns + REPEAT_FOR_NS
             self._leave_ns = now_ns
+
+    def _cut_by(self, servos: Collection[int], default: int) -> int:
+        """Return the number of the mask that cuts the last of these servos, or `default` if all offs are confirmed."""
+        return max((off.number for servo, off in self._offs.items() if servo in servos), default=default)
 
     def _mask_due_ns(self) -> int | None:  # mutants accepted (Add_Sub, Lt_LtE, Step): equal times; only time is lost
         due_ns = [] if self._leave_ns is None else [self._leave_ns]
@@ -330,7 +366,7 @@ class PowerBoard:
 
     @property
     def _next_on(self) -> frozenset[int]:
-        waits = not self.alive or (self._off.unconfirmed and not self._unconfirmed)
+        waits = not self.alive or (self._offs and not self._unconfirmed)
         on = _NONE if waits else self._target - self._sent
         parts = (on.intersection(self._servos[at : at + _AT_ONCE]) for at in range(0, len(self._servos), _AT_ONCE))
         return next(filter(None, parts), _NONE)
@@ -354,8 +390,11 @@ class PowerBoard:
         if now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
         reached = 0 if self._questions.doubles else self._questions.reached  # another board may have answered
-        on_again, ended = self._off.answered(shown, reached, now_ns)
-        self._news += ended
+        on_again = shown - self._kept - self._offs.keys()
+        self._offs = {each: off for each, off in self._offs.items() if each in shown or off.number > reached}
+        for wait in [each for each in self._waits if each.number <= reached and shown.isdisjoint(each.servos)]:
+            self._waits.remove(wait)
+            self._news.append(Confirmed(wait.token, (now_ns - wait.asked_ns) / NS_PER_MS))
         self._anew(on_again, now_ns)
         gone = {
             servo for servo, at_ns in self._fed.items() if servo not in shown and at_ns < self._questions.reached_ns
@@ -393,7 +432,7 @@ class PowerBoard:
         begins = self._begins(SET_SUPPLY, now_ns)
         why = "another program switches servos through the power board"
         self._lose(self._target - theirs, why, now_ns, "power_fault" if begins else None)
-        self._anew(theirs - self._target - self._unknown, now_ns)
+        self._anew(theirs - self._kept, now_ns)
         self._repeat_until_ns = now_ns + REPEAT_FOR_NS
         # Unlike our own masks, answers to another node wait: it may flood the bus.
         self._leave_ns = max(now_ns, self._sent_ns + REST_NS)

@@ -21,9 +21,8 @@ from gateway.allowance import NS_PER_S
 from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.robot.power.board import News, PowerBoard, Status
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
 from gateway.robot.power.interface import LineError, open_bus, received, send
-from gateway.robot.power.offs import Confirmed
 
 if TYPE_CHECKING:
     import can

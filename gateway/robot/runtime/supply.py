@@ -24,9 +24,8 @@ from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import PowerBoard
+from gateway.robot.power.board import Confirmed, PowerBoard
 from gateway.robot.power.line import PowerLine
-from gateway.robot.power.offs import Confirmed
 from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus

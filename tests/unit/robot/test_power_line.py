@@ -16,10 +16,9 @@ from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame
-from gateway.robot.power.board import News, PowerBoard
+from gateway.robot.power.board import Confirmed, News, PowerBoard
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
-from gateway.robot.power.offs import Confirmed
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.slcan_adapter import Adapter

@@ -15,10 +15,9 @@ from gateway.model.power_board import (
     CLEAR_ERROR,
     CanFrame,
 )
-from gateway.robot.power.board import Status
+from gateway.robot.power.board import Confirmed, Status
 from gateway.robot.power.errors import BoardErrors
 from gateway.robot.power.line import PowerLine
-from gateway.robot.power.offs import Confirmed, OutputsOff
 from gateway.robot.power.questions import BoardQuestions
 from gateway.robot.runtime.supply import MOST_WAITING, CurrentRules, RobotSupply
 from schemas.telemetry import Kind
@@ -210,55 +209,6 @@ def test_none_is_deleted_while_the_board_may_feed_what_it_blocks(errors: BoardEr
     assert frames(errors, range(60, 70)) == [(60, CLEAR_ERROR)]
 
 
-# ---- Which outputs the power board has confirmed to be off, and who hears of it when
-
-
-CONFIRM_MS: Final = 150
-NONE: Final = frozenset[int]()
-ONE, TWO, TOP = frozenset({11}), frozenset({12}), frozenset({63})
-BOTH: Final = ONE | TOP
-
-
-@pytest.fixture
-def offs() -> OutputsOff:
-    return OutputsOff(CONFIRM_MS * NS_PER_MS)
-
-
-def ns(ms: float) -> int:
-    return round(ms * NS_PER_MS)
-
-
-def test_each_that_is_not_confirmed_in_time_is_late(offs: OutputsOff) -> None:
-    offs.take(BOTH, 1, ns(0))
-    offs.take(TWO, 1, ns(1))
-    assert offs.late(ns(CONFIRM_MS))[0] == BOTH
-
-
-def test_who_waits_hears_of_the_confirmation_once(offs: OutputsOff) -> None:
-    offs.take(ONE, 4, ns(0))
-    offs.take(TOP, 5, ns(0))
-    offs.wait(ONE, ns(-1), 31, newest=9)
-    offs.wait(BOTH, ns(-2), 32, newest=9)
-    assert offs.answered(NONE, 3, ns(6))[1] == []
-    assert offs.answered(TOP, 5, ns(7))[1] == [Confirmed(31, 8.0)], "the other output is still on"
-    assert offs.answered(NONE, 5, ns(8))[1] == [Confirmed(32, 10.0)]
-    assert offs.answered(NONE, 6, ns(9))[1] == []
-    assert offs.late(ns(1000))[1] == []
-
-
-def test_a_wait_for_what_is_not_off_is_for_the_newest_mask(offs: OutputsOff) -> None:
-    offs.wait(ONE, ns(0), 31, newest=9)
-    assert offs.answered(NONE, 8, ns(1))[1] == []
-    assert offs.answered(NONE, 9, ns(2))[1] == [Confirmed(31, 2.0)]
-
-
-def test_the_number_of_the_mask_that_took_the_last_of_some(offs: OutputsOff) -> None:
-    assert offs.number(BOTH, 9) == 9, "none has to be off"
-    offs.take(ONE, 4, ns(0))
-    offs.take(TOP, 5, ns(0))
-    assert [offs.number(servos, 9) for servos in (ONE, TOP, BOTH)] == [4, 5, 5]
-
-
 # ---- What currents say about Stops
 
 
@@ -273,7 +223,7 @@ class Robot:
         found: list[tuple[int, Kind, str]] = []
         end_ns = self.now_ns + round(ms * NS_PER_MS)
         while self.now_ns < end_ns:
-            found += self.rules.measured({11: ma, 12: 100.0}, frozenset({11, 12} if runs else NONE), self.now_ns)
+            found += self.rules.measured({11: ma, 12: 100.0}, frozenset({11, 12} if runs else ()), self.now_ns)
             self.now_ns += 65 * NS_PER_MS
         return found
 
@@ -304,10 +254,10 @@ def test_a_pause_of_its_silence_begins_the_second_anew() -> None:
 def test_the_second_measurement_behind_the_time_to_settle_takes_the_supply() -> None:
     rules = CurrentRules()
     end_ns = 300 * NS_PER_MS
-    early = [rules.measured({11: 151.0}, NONE, at_ns) for at_ns in range(0, end_ns, 10 * NS_PER_MS)]
+    early = [rules.measured({11: 151.0}, frozenset(), at_ns) for at_ns in range(0, end_ns, 10 * NS_PER_MS)]
     assert not any(early)
-    assert rules.measured({11: 151.0}, NONE, end_ns) == []
-    assert [kind for _, kind, _ in rules.measured({11: 151.0}, NONE, end_ns + 1)] == [Kind.SERVO_DRAWS]
+    assert rules.measured({11: 151.0}, frozenset(), end_ns) == []
+    assert [kind for _, kind, _ in rules.measured({11: 151.0}, frozenset(), end_ns + 1)] == [Kind.SERVO_DRAWS]
 
 
 def test_a_servo_that_draws_nothing_is_silent_after_a_second() -> None:
