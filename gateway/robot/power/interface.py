@@ -22,8 +22,12 @@ BITRATE: Final = 1_000_000
 """Fixed by the board's firmware."""
 
 
+AT_ONCE: Final = 64
+"""Frames that one call receives at most: at a real-time priority, a flood would occupy the processor."""
+
+
 class LineError(GatewayError):
-    """The interface cannot be opened; the text has the reason."""
+    """The interface cannot be opened, or has failed; the text has the reason."""
 
 
 def open_bus(settings: PowerSettings) -> "can.BusABC":
@@ -37,10 +41,10 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
     except ImportError as error:
         raise ConfigError(f"python-can is not installed: {install('power')}") from error
     logging.getLogger("can").setLevel(logging.ERROR)  # python-can warns of each interface that does not open
+    channel = settings.channel
     try:
         if settings.interface == "slcan":
-            return Slcan(settings.channel, bitrate=BITRATE)
-        channel = settings.channel
+            return Slcan(channel, bitrate=BITRATE)
         return can.Bus(
             channel=int(channel) if channel.isdecimal() else channel,
             interface=settings.interface,
@@ -50,35 +54,41 @@ def open_bus(settings: PowerSettings) -> "can.BusABC":
         )
     except NotImplementedError as error:
         raise ConfigError(f'power.interface = "{settings.interface}": {error}') from error
-    except (can.CanError, OSError, ValueError, TypeError) as error:
-        raise LineError(f"{settings.interface} {settings.channel} cannot be opened: {error}") from error
+    except Exception as error:  # python-can's interfaces have exceptions of their own
+        raise LineError(f"{settings.interface} {channel} cannot be opened: {error}") from error
 
 
 def send(bus: "can.BusABC", frames: Sequence[CanFrame], timeout_s: float) -> Sequence[CanFrame]:
     """Send these frames in their order. Wait for `timeout_s` at most for each, if the interface respects that.
 
-    Return those for which the kernel has no room now. Raises CanError, or an interface's own exception.
+    Return those for which the kernel has no room now. Raises LineError.
     """
-    from can import CanOperationError, Message  # noqa: PLC0415
+    from can import Message  # noqa: PLC0415
 
     for place, frame in enumerate(frames):
         try:
             bus.send(Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), timeout=timeout_s)
-        except CanOperationError as error:
-            if error.error_code not in (errno.ENOBUFS, errno.EAGAIN):
-                raise
-            return frames[place:]
+        except Exception as error:
+            if getattr(error, "error_code", None) in (errno.ENOBUFS, errno.EAGAIN):
+                return frames[place:]
+            raise LineError(str(error)) from error
     return ()
 
 
-def received(message: "can.Message", settings: PowerSettings) -> CanFrame | None:
-    """Return another node's frame, or None for an error, a remote request, or the echo of our own frame.
+def receive(bus: "can.BusABC", settings: PowerSettings, timeout_s: float) -> list[CanFrame]:
+    """Wait for `timeout_s` at most. Return other nodes' frames, without error frames, remote requests, and own echoes.
 
     Adapters such as gs_usb give echoes. socketcan gives none; there, `is_rx` is false for frames of other programs on
-    this computer, such as `stop-servos`.
+    this computer, such as `stop-servos`. Raises LineError.
     """
-    if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
-        return None
-    if not message.is_rx and settings.interface != "socketcan":
-        return None
-    return CanFrame(message.arbitration_id, bytes(message.data))
+    frames: list[CanFrame] = []
+    try:
+        message = bus.recv(timeout_s)
+        while message is not None:
+            foreign = message.is_rx or settings.interface == "socketcan"
+            if foreign and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
+                frames.append(CanFrame(message.arbitration_id, bytes(message.data)))
+            message = bus.recv(0) if len(frames) < AT_ONCE else None
+    except Exception as error:
+        raise LineError(str(error)) from error
+    return frames

@@ -12,7 +12,7 @@ from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ConfigError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import OUTPUTS
-from gateway.robot.power.interface import open_bus, received, send
+from gateway.robot.power.interface import open_bus, receive, send
 
 if TYPE_CHECKING:
     import can
@@ -103,8 +103,6 @@ def _cut(bus: "can.BusABC", settings: PowerSettings, end_ns: int) -> bool:  # mu
     board.cut(time.monotonic_ns())
     while not board.confirmed and (now_ns := time.monotonic_ns()) < end_ns:
         board.not_sent(send(bus, board.next_frames(now_ns), _SEND_S), now_ns)
-        message = bus.recv(_POLL_S)
-        answer = None if message is None else received(message, settings)
-        if answer is not None:
-            board.receive(answer, time.monotonic_ns())
+        for frame in receive(bus, settings, _POLL_S):
+            board.receive(frame, time.monotonic_ns())
     return board.confirmed

@@ -22,7 +22,7 @@ from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
-from gateway.robot.power.interface import LineError, open_bus, received, send
+from gateway.robot.power.interface import AT_ONCE, LineError, open_bus, receive, send
 
 if TYPE_CHECKING:
     import can
@@ -35,15 +35,11 @@ SEND_S: Final = 0.1
 """How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
 BUSY_S: Final = 0.002
 """Before the next attempt with a full transmit queue: ten frames, which leave within 1.3 ms at 1 Mbit/s."""
-AT_ONCE: Final = 64
-"""Frames received before the receiver pauses: at its real-time priority, a flood would occupy the processor."""
 PAUSE_S: Final = 0.001
-
+"""After AT_ONCE frames."""
 STOPS_S: Final = 0.001
 """Pause of the sender after a cut's mask, so that the Stops on SPI have the interpreter."""
 _NOTHING: Final = set_supply(0)
-
-
 _SHOWN: Final = slice(Status._fields.index("answered_ns"))
 """The fields of a status whose change is news."""
 
@@ -99,8 +95,7 @@ class PowerLine:
         self._awake()
         end_ns = time.monotonic_ns() + round(timeout_s * NS_PER_S)
         for thread in (self._sender, self._receiver):
-            if thread.is_alive():
-                thread.join(max(0, end_ns - time.monotonic_ns()) / NS_PER_S)
+            thread.join(max(0, end_ns - time.monotonic_ns()) / NS_PER_S)
 
     # ---- requests of PowerBoard, carried out as soon as possible: they never wait
 
@@ -151,7 +146,7 @@ class PowerLine:
                 self._bus = bus
                 self._board.opened(time.monotonic_ns())
 
-    def _lose(self, bus: "can.BusABC", error: Exception) -> None:
+    def _lose(self, bus: "can.BusABC | None", error: LineError) -> None:
         """Record that the interface is gone. Neither thread uses it any more."""
         with self._lock:
             if self._bus is bus:
@@ -185,8 +180,6 @@ class PowerLine:
             self._wake.acquire(timeout=max(0, wait_ns) / NS_PER_S)
 
     def _send_due(self, bus: "can.BusABC") -> None:
-        from can import CanError  # noqa: PLC0415
-
         try:
             if self._cuts:
                 self._cuts = False
@@ -200,7 +193,7 @@ class PowerLine:
                 with self._lock:
                     self._board.not_sent(left, time.monotonic_ns())
                 time.sleep(BUSY_S)
-        except (CanError, OSError, ValueError) as error:
+        except LineError as error:
             self._lose(bus, error)
 
     def _release(self, bus: "can.BusABC") -> None:
@@ -215,28 +208,18 @@ class PowerLine:
     def _receive(self) -> None:
         realtime.prefer_thread(realtime.RECEIVER_PRIORITY)
         while not self._closing:
+            frames: list[CanFrame] = []
             with self._receiving:
                 bus = self._bus
-                frames = [] if bus is None else self._frames(bus)
+                try:
+                    frames = [] if bus is None else receive(bus, self._settings, POLL_S)
+                except LineError as error:
+                    self._lose(bus, error)
             if bus is None:
                 time.sleep(POLL_S)
             self._take(frames)
             if len(frames) >= AT_ONCE:
                 time.sleep(PAUSE_S)
-
-    def _frames(self, bus: "can.BusABC") -> list[CanFrame]:
-        from can import CanError  # noqa: PLC0415
-
-        frames: list[CanFrame] = []
-        try:
-            message = bus.recv(POLL_S)
-            while message is not None:
-                frame = received(message, self._settings)
-                frames += [] if frame is None else [frame]
-                message = bus.recv(0) if len(frames) < AT_ONCE else None
-        except (CanError, OSError, ValueError) as error:
-            self._lose(bus, error)
-        return frames
 
     def _take(self, frames: list[CanFrame]) -> None:
         before = self.status

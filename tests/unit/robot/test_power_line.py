@@ -298,11 +298,13 @@ def test_an_interface_that_opens_and_sends_nothing_is_opened_ten_times_a_second_
 
 def test_a_mistake_in_the_gateway_is_reported(bus: Bus) -> None:
     owner = owner_of(bus)
-    mistake = RuntimeError("a mistake")
-    bus.fails = mistake
+    bus.to_program.append(can.Message(arbitration_id=0x97, is_extended_id=False))
+    owner.line._on_news = lambda: 1 / 0  # type: ignore[assignment]
     owner.line.start()
+    while not owner.mistakes:
+        time.sleep(0.001)
     owner.line.close()
-    assert owner.mistakes == [mistake]
+    assert isinstance(owner.mistakes[0], ZeroDivisionError)
 
 
 def test_an_interface_that_never_opens_is_an_error_of_the_settings(monkeypatch: pytest.MonkeyPatch) -> None:
