@@ -151,7 +151,6 @@ class PowerBoard:
         """From when on a missing confirmation is reported."""
         # The answered state.
         self.alive = False
-        self._answered_ns: int | None = None
         self._shown = _NONE
         self._fed: dict[int, int] = {}
         """When each servo was confirmed to be powered since it was last wanted."""
@@ -217,8 +216,7 @@ class PowerBoard:
 
     def closed(self, why: str, now_ns: int) -> None:
         """Record that the interface is gone, which makes the board silent."""
-        if self.alive:
-            self._fall_silent(why, now_ns)
+        self._fall_silent(why, now_ns)
 
     # ---- what the owner reads
 
@@ -237,7 +235,7 @@ class PowerBoard:
             self._refused,
             frozenset(self._fed),
             self._changes,
-            self._answered_ns,
+            self._questions.answered_ns,
             dict(self._milliamperes),
             dict(self._rails),
         )
@@ -263,7 +261,6 @@ class PowerBoard:
         if not self.alive:
             self.alive = True
             self._anew(tuple(self._offs), now_ns)
-        self._answered_ns = now_ns
         self._questions.answered(now_ns)
         match answer:
             case Supplied(mask):
@@ -285,7 +282,7 @@ class PowerBoard:
 
     def poll(self, now_ns: int) -> None:  # mutants accepted (Lt_LtE): equal times
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
-        if self._questions.silent(now_ns) and self.alive:
+        if self._questions.silent(now_ns):
             self._fall_silent("the power board does not answer", now_ns)
         late = frozenset(servo for servo, off in self._offs.items() if now_ns - off.since_ns >= self._confirm_ns)
         if late and not self._unconfirmed and now_ns >= self._reports_ns:
@@ -445,6 +442,8 @@ class PowerBoard:
     # mutants accepted (Forget, Step): either forgets what was fed
     def _fall_silent(self, why: str, now_ns: int) -> None:
         """Record a silent board. It may have restarted with all off, so all powered servos count as lost."""
+        if not self.alive:
+            return
         self.alive = False
         self._unknown |= self._target
         self._sent = _NONE

@@ -43,7 +43,8 @@ class BoardQuestions:
         """When the question that proves this was asked."""
         self.doubles = 0
         """How many of the newest questions were answered twice. From DOUBLES on it stays."""
-        self._answered_ns = 0
+        self.answered_ns: int | None = None
+        """When the board last answered anything."""
         self._unanswered = 0
         self._round = cycle(_ROUND)
         self._rails = deque(ASK_RAILS)
@@ -88,7 +89,7 @@ class BoardQuestions:
         return now_ns - asked_ns >= (LOST_NS if self.reached_ns > asked_ns else FORGOTTEN_NS)
 
     def answered(self, now_ns: int) -> None:
-        self._answered_ns = now_ns
+        self.answered_ns = now_ns
         self._unanswered = 0
 
     def asked_by_another(self, question: CanFrame, now_ns: int) -> None:
@@ -128,4 +129,4 @@ class BoardQuestions:
         if now_ns >= self.due_ns + 2 * ASK_NS:
             self.due_ns = now_ns - ASK_NS
             self._unanswered += 1
-        return self._unanswered >= SILENT_QUESTIONS and now_ns - self._answered_ns >= SILENT_NS
+        return self._unanswered >= SILENT_QUESTIONS and now_ns - (self.answered_ns or 0) >= SILENT_NS
