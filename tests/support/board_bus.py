@@ -15,21 +15,29 @@ _PASS_NS = 100_000
 
 
 class BoardBus(can.BusABC):
-    """All servos are fed at first. `silent`: the board answers nothing. `failures`: raised by the next openings."""
+    """All servos are fed at first."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, silent: bool = False) -> None:
+        """`silent`: the board answers nothing."""
         super().__init__("board")
         self._is_shutdown = True  # there is nothing to close
         now_ns = time.monotonic_ns()
         self.board = SimulatedBoard(now_ns - 1_000_000_000, pass_ns=_PASS_NS)
         self.board.take(set_supply(ALL), now_ns - 1_000_000_000)
         self.board.advance(now_ns)
-        self.silent = False
+        self.silent = silent
         self.failures: list[Exception] = []
+        """Raised by the next openings."""
+        self.fails: Exception | None = None
+        """Raised by each attempt to send."""
+        self.tries = 0
+        self.more: deque[can.Message] = deque()
+        """Received, as well as what the board answers."""
+        self.closed = threading.Event()
         self.sent: list[CanFrame] = []
         self.first_sent = threading.Event()
         self.hangs = threading.Event()
-        """Not set: a frame is never sent."""
+        """Not set: a frame is never sent, and the interface never closed."""
         self.hangs.set()
         self._frames: deque[CanFrame] = deque()
 
@@ -40,17 +48,30 @@ class BoardBus(can.BusABC):
         return self
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        del timeout
-        self.hangs.wait()
+        assert timeout
+        self.tries += 1
+        if self.fails is not None:
+            raise self.fails
         frame = CanFrame(msg.arbitration_id, bytes(msg.data))
         self.sent.append(frame)
+        self.hangs.wait()
         self.first_sent.set()
         self._frames += self.board.take(frame, time.monotonic_ns())
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.more:
+            return self.more.popleft(), True
         self._frames += self.board.advance(time.monotonic_ns())
         if not self._frames or self.silent:
             time.sleep(min(timeout or 0, 0.001))
             return None, True
         frame = self._frames.popleft()
         return can.Message(arbitration_id=frame.id, is_extended_id=False, data=frame.data), True
+
+    def shutdown(self) -> None:
+        self.closed.set()
+        self.hangs.wait()
+
+    def answer(self, identifier: int, data: bytes = b"", **fields: bool) -> None:
+        """Let this frame be received."""
+        self.more.append(can.Message(arbitration_id=identifier, data=data, **{"is_extended_id": False, **fields}))

@@ -4,7 +4,6 @@ import errno
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
+from tests.support.board_bus import BoardBus
 from tests.support.slcan_adapter import Adapter
 
 ALL_SERVOS = frozenset(SERVO_IDS)
@@ -124,49 +124,11 @@ def test_junk_from_the_adapter_changes_nothing(owner: Owner, adapter: Adapter) -
     assert not {"power_fault", "off_button"} & {item.kind for item in owner.news if isinstance(item, News)}
 
 
-class Bus(can.BusABC):
-    """An interface in memory, with a board that answers nothing."""
-
-    def __init__(self) -> None:
-        super().__init__("memory")
-        self.to_program: deque[can.Message] = deque()
-        self.sent: list[CanFrame] = []
-        self.hangs = threading.Event()
-        self.fails: Exception | None = None
-        self.tries = 0
-        self.ended = threading.Event()
-        self.closed = threading.Event()
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        assert timeout
-        self.tries += 1
-        if self.fails is not None:
-            raise self.fails
-        self.sent.append(CanFrame(msg.arbitration_id, bytes(msg.data)))
-        if self.hangs.is_set():
-            self.ended.wait()
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if self.to_program:
-            return self.to_program.popleft(), True
-        self.ended.wait(timeout)
-        return None, True
-
-    def shutdown(self) -> None:
-        super().shutdown()
-        self.closed.set()
-        if self.hangs.is_set():
-            self.ended.wait()
-
-    def answer(self, identifier: int, data: bytes = b"") -> None:
-        self.to_program.append(can.Message(arbitration_id=identifier, is_extended_id=False, data=data))
-
-
 @pytest.fixture
-def bus() -> Iterator[Bus]:
-    bus = Bus()
+def bus() -> Iterator[BoardBus]:
+    bus = BoardBus(silent=True)
     yield bus
-    bus.ended.set()
+    bus.hangs.set()
 
 
 def owner_of(*buses: can.BusABC, interface: str = "slcan") -> Owner:
@@ -181,7 +143,7 @@ def owner_of(*buses: can.BusABC, interface: str = "slcan") -> Owner:
     return Owner("", opener, interface)
 
 
-def started(*buses: Bus) -> Owner:
+def started(*buses: BoardBus) -> Owner:
     """Of a line that receives from the first of these interfaces."""
     owner = owner_of(*buses)
     buses[0].answer(0x69)
@@ -191,9 +153,9 @@ def started(*buses: Bus) -> Owner:
 
 
 @pytest.mark.lengthy
-def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
+def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: BoardBus) -> None:
     owner = started(bus)
-    bus.hangs.set()
+    bus.hangs.clear()
     owner.until_reported(Kind.POWER_UNCONFIRMED)
     assert not owner.line.status.alive
     for _ in range(1000):
@@ -203,28 +165,26 @@ def test_a_sender_that_hangs_delays_no_caller_and_no_report(bus: Bus) -> None:
     polled_ns = owner.line.polled_ns
     owner.line.close(timeout_s=0.01)
     assert polled_ns > 0
-    bus.ended.set()
+    bus.hangs.set()
 
 
-def test_error_frames_and_our_own_echo_are_no_answers(bus: Bus) -> None:
+def test_error_frames_and_our_own_echo_are_no_answers(bus: BoardBus) -> None:
     owner = owner_of(bus)
-    bus.to_program += [
-        can.Message(is_error_frame=True, arbitration_id=0x69, is_extended_id=False),
-        can.Message(is_remote_frame=True, arbitration_id=0x69, is_extended_id=False),
-        can.Message(is_extended_id=True, arbitration_id=0x69),
-        can.Message(is_rx=False, arbitration_id=0x6A, is_extended_id=False, data=b"\0\0\0"),
-        can.Message(arbitration_id=0x97, is_extended_id=False),
-    ]
+    bus.answer(0x69, is_error_frame=True)
+    bus.answer(0x69, is_remote_frame=True)
+    bus.answer(0x69, is_extended_id=True)
+    bus.answer(0x6A, bytes(3), is_rx=False)
+    bus.answer(0x97)
     owner.line.start()
     owner.until(lambda: owner.line.status.alive)
     assert not [item for item in owner.news if isinstance(item, News) and item.kind != "power_unconfirmed"]
     owner.line.close()
 
 
-def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus: Bus) -> None:
+def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus: BoardBus) -> None:
     """`stop-servos`, say: the kernel marks its frames as sent here, and python-can gives our own ones to nobody."""
     owner = owner_of(bus, interface="socketcan")
-    bus.to_program.append(can.Message(is_rx=False, arbitration_id=0x6A, is_extended_id=False, data=b"\0\0\0"))
+    bus.answer(0x6A, bytes(3), is_rx=False)
     owner.line.start()
     assert "another program" in owner.until_reported(Kind.POWER_FAULT).detail
     owner.line.close()
@@ -234,7 +194,7 @@ def test_on_socketcan_what_another_program_on_this_computer_sends_is_no_echo(bus
     "fault", [can.CanOperationError("No buffer space available"), OSError(100, "Network is down"), ValueError("junk")]
 )
 def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_again(fault: Exception) -> None:
-    first, second = Bus(), Bus()
+    first, second = BoardBus(silent=True), BoardBus(silent=True)
     owner = started(first, second)
     first.fails = fault
     owner.line.cut()
@@ -248,10 +208,10 @@ def test_an_interface_that_fails_is_closed_and_opened_again_and_the_mask_leaves_
     assert owner.mistakes == []
 
 
-def test_an_interface_that_hangs_at_its_end_keeps_the_receiver_from_nothing(bus: Bus) -> None:
+def test_an_interface_that_hangs_at_its_end_keeps_the_receiver_from_nothing(bus: BoardBus) -> None:
     """Else the service would end, since its thread that receives from the board counted as stuck."""
     owner = started(bus)
-    bus.hangs.set()
+    bus.hangs.clear()
     bus.fails = OSError(errno.ENODEV, "No such device")
     owner.line.cut()
     assert bus.closed.wait(MOST_S)
@@ -259,11 +219,13 @@ def test_an_interface_that_hangs_at_its_end_keeps_the_receiver_from_nothing(bus:
     while owner.line.polled_ns < closed_ns:
         assert time.monotonic_ns() - closed_ns < MOST_S * 1e9
         time.sleep(0.001)
-    bus.ended.set()
+    bus.hangs.set()
     owner.line.close()
 
 
-def test_a_full_transmit_queue_ends_nothing_and_the_mask_of_a_stop_leaves_first_once_there_is_room(bus: Bus) -> None:
+def test_a_full_transmit_queue_ends_nothing_and_the_mask_of_a_stop_leaves_first_once_there_is_room(
+    bus: BoardBus,
+) -> None:
     owner = owner_of(bus)
     bus.answer(0x97)
     owner.line.start()
@@ -285,7 +247,7 @@ def test_a_full_transmit_queue_ends_nothing_and_the_mask_of_a_stop_leaves_first_
 
 def test_an_interface_that_opens_and_sends_nothing_is_opened_ten_times_a_second_at_most() -> None:
     """The bus is off. The sender has a real-time priority, and would keep others off the processor."""
-    buses = [Bus() for _ in range(6)]
+    buses = [BoardBus(silent=True) for _ in range(6)]
     for bus in buses:
         bus.fails = can.CanOperationError("bus off")
     owner = owner_of(*buses)
@@ -296,9 +258,9 @@ def test_an_interface_that_opens_and_sends_nothing_is_opened_ten_times_a_second_
     owner.line.close()
 
 
-def test_a_mistake_in_the_gateway_is_reported(bus: Bus) -> None:
+def test_a_mistake_in_the_gateway_is_reported(bus: BoardBus) -> None:
     owner = owner_of(bus)
-    bus.to_program.append(can.Message(arbitration_id=0x97, is_extended_id=False))
+    bus.answer(0x97)
     owner.line._on_news = lambda: 1 / 0  # type: ignore[assignment]
     owner.line.start()
     while not owner.mistakes:
