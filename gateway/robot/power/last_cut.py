@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from gateway.allowance import NS_PER_MS, NS_PER_S
-from gateway.errors import ConfigError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import OUTPUTS
 from gateway.robot.power.interface import open_bus, receive, send
@@ -76,10 +75,7 @@ class SupplyCut:
                     self._tried.set()
                     end_ns = end_ns or time.monotonic_ns() + TRY_NS
                 self.confirmed = _cut(bus, self._settings, end_ns)
-            except ConfigError as error:
-                why = str(error)
-                break
-            except Exception as error:  # any exception of python-can's interfaces: only another attempt can help
+            except Exception as error:  # only another attempt can help
                 why = str(error)
                 time.sleep(_RETRY_S)
         if not self.confirmed:

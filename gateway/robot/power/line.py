@@ -17,7 +17,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from gateway.allowance import NS_PER_S
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
@@ -50,7 +50,6 @@ class PowerLine:
     def __init__(
         self,
         settings: PowerSettings,
-        board: PowerBoard,
         on_news: Callable[[], None],
         failed: Callable[[Exception], None],
         *,
@@ -61,7 +60,7 @@ class PowerLine:
         `failed` is called with an unexpected exception that ended one of the threads.
         """
         self._settings = settings
-        self._board = board
+        self._board = PowerBoard(settings.outputs, confirm_ns=round(settings.confirm_ms * NS_PER_MS))
         self._on_news = on_news
         self._failed = failed
         self._opener = opener

@@ -24,7 +24,7 @@ from gateway.robot.core.events import Announce, PowerSeen
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.power.board import Confirmed, PowerBoard
+from gateway.robot.power.board import Confirmed
 from gateway.robot.power.line import PowerLine
 from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
@@ -315,7 +315,6 @@ def supply_of(
         return None
     if channel is not None:
         power = replace(power, interface="slcan", channel=channel)
-    board = PowerBoard(power.outputs, confirm_ns=round(power.confirm_ms * NS_PER_MS))
 
     def changed() -> None:
         with owner:
@@ -326,7 +325,7 @@ def supply_of(
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             loop.call_soon_threadsafe(changed)
 
-    line = PowerLine(power, board, on_news, failed)
+    line = PowerLine(power, on_news, failed)
     supply = RobotSupply(line, settings.power.interface, wire.ready_servos if isinstance(wire, CyclicBus) else None)
     line.want(_NONE, 0)
     line.start()

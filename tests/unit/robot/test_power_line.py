@@ -10,11 +10,10 @@ from pathlib import Path
 import can
 import pytest
 
-from gateway.allowance import NS_PER_MS
 from gateway.errors import ConfigError
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import Confirmed, News
 from gateway.robot.power.interface import LineError, open_bus
 from gateway.robot.power.line import PowerLine
 from schemas.robot import SERVO_IDS
@@ -31,20 +30,17 @@ class Owner:
     """A line and what it has reported. Its interface is each of `buses` in turn; without any, that of the settings."""
 
     def __init__(self, *buses: BoardBus, interface: str = "slcan", channel: str = "") -> None:
-        settings, left = PowerSettings(interface=interface, channel=channel), list(buses)
+        settings, left = PowerSettings(interface, channel, confirm_ms=2000), list(buses)
 
         def opener(settings: PowerSettings) -> can.BusABC:
             if not left:
                 raise LineError(settings.channel)
             return left.pop(0)
 
-        board = PowerBoard(SERVO_IDS, confirm_ns=2000 * NS_PER_MS)
         self.news: list[News | Confirmed] = []
         self.mistakes: list[Exception] = []
         self._something = threading.Condition()
-        self.line = PowerLine(
-            settings, board, self._reported, self.mistakes.append, opener=opener if buses else open_bus
-        )
+        self.line = PowerLine(settings, self._reported, self.mistakes.append, opener=opener if buses else open_bus)
 
     def _reported(self) -> None:
         with self._something:
