@@ -269,9 +269,8 @@ class PowerBoard:
                 self._measured(CanFrame(identifier), values, now_ns)
             case BoardError(code, why, outputs):
                 servos = self._named(outputs)
-                more, begins = self._errors.shown(code, servos, why, now_ns), self._begins(answer, now_ns)
-                if more or begins:
-                    self._lose(servos, why, now_ns, "power_fault" if begins else None)
+                self._errors.shown(code, dict.fromkeys(servos, why), now_ns)
+                self._lose(servos, why, now_ns, "power_fault" if self._begins(answer, now_ns) else None)
             case BoardNotice.NO_ERROR:
                 self._errors.none_left()
             case BoardNotice.CLEARED:
@@ -303,6 +302,7 @@ class PowerBoard:
 
     def next_frames(self, now_ns: int) -> list[CanFrame]:
         """Return the frames to send now, in this order. They count as sent."""
+        self.poll(now_ns)  # mutants accepted (Forget): the receiver polls, too, unless it hangs
         frames: list[CanFrame] = []
         mask_ns = self._mask_due_ns()
         if mask_ns is not None and now_ns >= mask_ns:

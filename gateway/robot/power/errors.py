@@ -5,7 +5,7 @@ Outputs that the error blocked then come on at once, if they are in the board's 
 until the owner has it deleted, even if somebody deletes it at the board.
 """
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -51,16 +51,13 @@ class BoardErrors:
         frame, self._next = self._next, ASK_ERROR
         return [frame] if without or frame is ASK_ERROR else []
 
-    def shown(self, code: int, servos: Collection[int], why: str, now_ns: int) -> bool:
-        """Take an error of the board, which blocks these servos. Return whether it blocks more than before."""
-        blocked = self._blocked.setdefault(code, {})
-        more = not blocked.keys() >= set(servos)
-        blocked |= dict.fromkeys(servos, why)
+    def shown(self, code: int, blocked: Mapping[int, str], now_ns: int) -> None:
+        """Take an error of the board, which blocks these servos, each with the reason."""
+        self._blocked.setdefault(code, {}).update(blocked)
         self._shown = code
         if self._tries:
             self._next = CLEAR_ERROR
             self._due_ns = now_ns
-        return more
 
     def deleted(self, now_ns: int) -> None:
         """Record that the error shown last is deleted. Others may be left."""

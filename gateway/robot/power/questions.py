@@ -70,11 +70,11 @@ class BoardQuestions:
         self._asked.pop(question, None)
 
     def next(self, newest: int, now_ns: int) -> list[CanFrame]:
-        """Return the question in turn, if any, and count it as sent. `newest` is the number of the newest mask."""
+        """Return the question in turn, and count it as sent. `newest` is the number of the newest mask."""
         self.due_ns = now_ns + ASK_NS
         self._unanswered += 1
         question = next(self._round)
-        return self.about_rails(newest, now_ns) if question is None else [question]
+        return [question] if question else self.about_rails(newest, now_ns) or [ASK_ERROR]
 
     def about_rails(self, newest: int, now_ns: int) -> list[CanFrame]:
         """Return a question whose answer proves that mask number `newest` has reached the board, if one is free."""

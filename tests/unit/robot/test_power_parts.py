@@ -139,7 +139,7 @@ def test_two_boards_answer_each_of_three_questions_twice_within_10_ms(
 # ---- The power board's errors: what they block, and how they are deleted
 
 
-HOT: Final = "overtemperature"
+HOT: Final = dict.fromkeys((11, 12), "overtemperature")
 DRAWN: Final = "overcurrent"
 
 
@@ -154,8 +154,9 @@ def frames(errors: BoardErrors, at_ms: range, *, without: bool = True) -> list[t
 
 
 def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardErrors) -> None:
-    assert [errors.shown(2, each, DRAWN, 0) for each in ({11}, {11}, {63}, {11, 63})] == [True, False, True, False]
-    errors.shown(4, {11, 12}, HOT, 0)
+    errors.shown(2, {11: DRAWN}, 0)
+    errors.shown(2, {63: DRAWN}, 0)
+    errors.shown(4, HOT, 0)
     assert errors.blocked.keys() == {11, 12, 63}
     errors.deleted(0)
     errors.none_left()
@@ -163,12 +164,12 @@ def test_each_is_shown_and_then_deleted_until_the_board_has_none(errors: BoardEr
     errors.delete(10 * NS_PER_MS)
     assert errors.due_ns == 10 * NS_PER_MS
     assert frames(errors, range(30)) == [(10, ASK_ERROR)]
-    errors.shown(4, {11, 12}, HOT, 30 * NS_PER_MS)
+    errors.shown(4, HOT, 30 * NS_PER_MS)
     assert frames(errors, range(30, 40)) == [(30, CLEAR_ERROR)]
     errors.deleted(40 * NS_PER_MS)
     assert frames(errors, range(40, 50)) == [(40, ASK_ERROR)]
     assert errors.blocked == {11: DRAWN, 63: DRAWN}
-    errors.shown(2, {11}, DRAWN, 50 * NS_PER_MS)
+    errors.shown(2, {11: DRAWN}, 50 * NS_PER_MS)
     assert frames(errors, range(50, 60)) == [(50, CLEAR_ERROR)]
     errors.none_left()
     assert errors.blocked == {}
@@ -196,16 +197,16 @@ def test_what_was_shown_is_deleted_once(
     errors: BoardErrors, then: Callable[[BoardErrors], None], left: list[tuple[int, CanFrame]]
 ) -> None:
     errors.delete(0)
-    errors.shown(2, {11}, DRAWN, 0)
+    errors.shown(2, {11: DRAWN}, 0)
     then(errors)
     assert frames(errors, range(60)) == left
 
 
 def test_none_is_deleted_while_the_board_may_feed_what_it_blocks(errors: BoardErrors) -> None:
     errors.delete(0)
-    errors.shown(2, {11}, DRAWN, 0)
+    errors.shown(2, {11: DRAWN}, 0)
     assert frames(errors, range(60), without=False) == [(50, ASK_ERROR)]
-    errors.shown(2, {11}, DRAWN, 60 * NS_PER_MS)
+    errors.shown(2, {11: DRAWN}, 60 * NS_PER_MS)
     assert frames(errors, range(60, 70)) == [(60, CLEAR_ERROR)]
 
 
