@@ -205,13 +205,11 @@ class PowerBoard:
         for frame in frames:
             self._questions.not_sent(frame)
             if frame.id == SET_SUPPLY:
-                self._anew(tuple(self._offs), now_ns)
                 self._leave_ns = now_ns
 
     def opened(self, now_ns: int) -> None:
-        """Record that the interface was opened. Earlier questions get no answer any more."""
+        """Record that the interface was opened, which may have lost masks."""
         self._reports_ns = self._reports_ns or now_ns + START_NS
-        self._questions.opened(now_ns)
         self._anew(tuple(self._offs), now_ns)
 
     def closed(self, why: str, now_ns: int) -> None:

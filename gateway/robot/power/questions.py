@@ -61,11 +61,6 @@ class BoardQuestions:
         """Whether DOUBLES questions in a row were answered twice, since `doubles` was set to 0."""
         return self.doubles >= DOUBLES
 
-    def opened(self, now_ns: int) -> None:
-        """Forget earlier questions: a new interface brings no answers to them."""
-        self._asked.clear()
-        self.due_ns = now_ns
-
     def not_sent(self, question: CanFrame) -> None:
         self._asked.pop(question, None)
 

@@ -65,15 +65,6 @@ def test_an_ask_is_lost_once_a_later_one_was_answered_or_after_2_s() -> None:
     assert questions.about_rails(2, 300 * NS_PER_MS) == [first]
 
 
-def test_a_new_interface_answers_no_older_question() -> None:
-    questions = BoardQuestions()
-    for _ in range(6):
-        questions.about_rails(1, 0)
-    questions.opened(5)
-    assert questions.due_ns == 5
-    assert questions.about_rails(2, 5) != []
-
-
 def asked_every_10_ms(count: int) -> BoardQuestions:
     """The board answered at 1000 ms, and to none of these, of which the first left at 1000 ms."""
     questions = BoardQuestions()
@@ -94,7 +85,6 @@ def test_the_board_is_silent_once_ten_questions_and_100_ms_went_by_without_an_an
 
 def test_a_question_that_nobody_fetched_for_20_ms_counts_as_unanswered() -> None:
     questions = BoardQuestions()
-    questions.opened(0)
     questions.answered(0)
     silent = [questions.silent(at_ms * NS_PER_MS) for at_ms in range(10, 120, 10)]
     assert silent == [False] * 10 + [True]
