@@ -277,7 +277,7 @@ class PowerBoard:
                 if self._begins(answer, now_ns):
                     self._news.append(News("off_button", _OFF[answer]))
 
-    def poll(self, now_ns: int) -> None:  # mutants accepted (Lt_LtE): equal times
+    def poll(self, now_ns: int) -> None:  # mutants accepted (GtE_Gt): equal times
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
         if self._questions.silent(now_ns):
             self._fall_silent("the power board does not answer", now_ns)

@@ -17,14 +17,14 @@ CLEAR_TRIES: Final = 40
 
 
 class BoardErrors:
-    def __init__(self) -> None:  # mutants accepted (Step): `delete` sets it
+    def __init__(self) -> None:
         self._blocked: dict[int, dict[int, str]] = {}
         """For each code, the blocked servos, and why."""
-        self._shown = 0
+        self._shown = 0  # mutants accepted (Step): no error was shown
         """The code of the error shown last, which a deletion would delete."""
         self._tries = 0
-        self._due_ns = 0
-        self._next = ASK_ERROR
+        self._due_ns = 0  # mutants accepted (Forget, Step): `delete` sets it
+        self._next = ASK_ERROR  # mutants accepted (Forget): `delete` sets it
 
     @property
     def blocked(self) -> dict[int, str]:

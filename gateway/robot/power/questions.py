@@ -74,7 +74,7 @@ class BoardQuestions:
     def about_rails(self, newest: int, now_ns: int) -> list[CanFrame]:
         """Return a question whose answer proves that mask number `newest` has reached the board, if one is free."""
         for question in tuple(self._rails) if self._unanswered <= LIKELY_SILENT else ():
-            self._rails.rotate(-1)
+            self._rails.rotate(-1)  # mutants accepted (Delete_USub): each is asked as often
             if question not in self._asked or self._is_lost(self._asked[question][0], now_ns):
                 self._asked[question] = (now_ns, newest)
                 return [question]
@@ -124,4 +124,5 @@ class BoardQuestions:
         if now_ns >= self.due_ns + 2 * ASK_NS:
             self.due_ns = now_ns - ASK_NS
             self._unanswered += 1
+        # mutants accepted (Step): a nanosecond
         return self._unanswered >= SILENT_QUESTIONS and now_ns - (self.answered_ns or 0) >= SILENT_NS

@@ -9,6 +9,7 @@ from gateway.model.power_board import (
     ALL,
     ASK_CURRENTS,
     ASK_RAILS,
+    CLEAR_ERROR,
     GOING_OFF,
     OFF_PRESSED,
     SET_SUPPLY,
@@ -16,7 +17,7 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
-from gateway.robot.power.board import News, PowerBoard
+from gateway.robot.power.board import Confirmed, News, PowerBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
@@ -106,21 +107,38 @@ def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() 
 # ---- another node, and a second board
 
 
+def answer_to(question: CanFrame) -> CanFrame:
+    return CanFrame(question.id + 1, bytes(6 if question.id in (0x7C, 0x80, 0x86) else 4))
+
+
 def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
     """That question was asked before our mask, which has not reached the board."""
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
     board.receive(CanFrame(0x97), 0)
     board.cut(0)
-    asked = [frame for frame in board.next_frames(0) if frame in ASK_RAILS]
-    assert len(asked) == 1
-    answer = CanFrame(asked[0].id + 1, bytes(6 if asked[0].id in (0x7C, 0x80, 0x86) else 4))
-    board.receive(asked[0], 1)
-    board.receive(answer, 2)
+    board.when_off(ALL_SERVOS, -10, 7, 0)
+    (asked,) = (frame for frame in board.next_frames(0) if frame in ASK_RAILS)
+    board.receive(asked, 1)
+    board.receive(answer_to(asked), 2)
     board.receive(CanFrame(0x6B, bytes(3)), 3)
     assert not board.confirmed
-    board.receive(answer, 4)
+    board.receive(answer_to(asked), 4)
     board.receive(CanFrame(0x6B, bytes(3)), 5)
     assert board.confirmed, "the second answer is ours"
+    assert board.news() == [Confirmed(7, 15 / NS_PER_MS)]
+
+
+def test_no_error_is_deleted_before_the_board_has_a_mask_without_what_it_blocks() -> None:
+    board, error = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS), CanFrame(0x65, bytes.fromhex("02000001"))
+    board.want(NONE, 1, 0)
+    board.receive(error, 0)
+    board.clear_errors(0)
+    (asked,) = (frame for frame in board.next_frames(0) if frame in ASK_RAILS)
+    board.receive(error, 1)
+    assert CLEAR_ERROR not in board.next_frames(1)
+    board.receive(answer_to(asked), 2)
+    board.receive(error, 3)
+    assert CLEAR_ERROR in board.next_frames(3)
 
 
 def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:
@@ -133,7 +151,7 @@ def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_
     again = board.next_frames(2)
     assert again[0] == set_supply(0), "it is not waited for the next repeat"
     (asked,) = (frame for frame in again if frame in ASK_RAILS)
-    board.receive(CanFrame(asked.id + 1, bytes(6 if asked.id in (0x7C, 0x80, 0x86) else 4)), 3)
+    board.receive(answer_to(asked), 3)
     board.receive(CanFrame(0x6B, bytes(3)), 4)
     assert board.confirmed
 
