@@ -117,7 +117,7 @@ class Status(NamedTuple):
 class PowerBoard:
     """One board, used by one thread at a time. All times are of one monotonic clock, in ns."""
 
-    # mutants accepted (Step): set before it is read
+    # mutants accepted (Forget, Step): set before it is read
     def __init__(self, outputs: Sequence[int], *, confirm_ns: int) -> None:
         """`outputs` are the servos on outputs 1, 2 …. An off that is not confirmed within `confirm_ns` is reported."""
         self._servos = tuple(outputs)

@@ -17,7 +17,7 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
@@ -158,6 +158,7 @@ def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_
 
 def test_what_had_no_room_is_sent_again_at_once_and_nothing_else() -> None:
     board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+    assert (Status().alive, Status().confirmed) == (False, False)
     board.opened(0)
     board.want(NONE, 1, 0)
     for now_ns in range(10):

@@ -148,8 +148,8 @@ WITH_ALL_FED: Final = {
         cut; want all; run 1500 → fed none
         anew all; run 1500 → fed all; news 0""",
     "what waits to be fed waits for no off that is late": """
-        shows 11; want none; run 100 → fed none
-        want 63; run 40 → fed none
+        shows 11; want none; run 30 → fed none
+        want 63; run 110 → fed none
         run 400 → fed 63""",
     # ---- silence
     "a board that falls silent is reported within 150 ms, and feeds nothing unasked later": """
