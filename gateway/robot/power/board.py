@@ -105,7 +105,7 @@ class Status(NamedTuple):
     """The servos that stay off until `clear_errors`, and why."""
     fed: frozenset[int] = frozenset()
     """Confirmed to be powered since they were last wanted."""
-    changes: int = 0
+    changes: int = 0  # mutants accepted (Step): nothing is fed
     """The number of the newest `want`."""
     answered_ns: int | None = None
     currents_ma: Mapping[int, int] = {}
@@ -197,6 +197,7 @@ class PowerBoard:
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it powers blocked servos once they are wanted again."""
         self._errors.delete(now_ns)
+        # mutants accepted (Step): one more answer ends a row, too
         self._questions.doubles = 0  # one of two boards may have been unplugged
         self._seen_ns.clear()
 
@@ -384,6 +385,7 @@ class PowerBoard:
         # A mask that was on its way when this answer left will get its own answer.
         if now_ns - self._sent_ns > REST_NS:
             self._rest_ns = now_ns + REST_NS
+        # mutants accepted (Step): a number below all masks'
         reached = 0 if self._questions.doubles else self._questions.reached  # another board may have answered
         on_again = shown - self._kept - self._offs.keys()
         self._offs = {each: off for each, off in self._offs.items() if each in shown or off.number > reached}
@@ -407,12 +409,12 @@ class PowerBoard:
         if question in ASK_CURRENTS:
             first = len(values) * ASK_CURRENTS.index(question)
             self._milliamperes.update(zip(self._servos[first:], values, strict=False))
-            return
-        self._rails[question.id] = values
-        before = self._questions.two_boards
-        self._questions.answered_about_rails(question, now_ns)
-        if self._questions.two_boards and not before:
-            self._lose(frozenset(self._servos), _TWO, now_ns)
+        else:
+            self._rails[question.id] = values
+            before = self._questions.two_boards
+            self._questions.answered_about_rails(question, now_ns)
+            if self._questions.two_boards and not before:
+                self._lose(frozenset(self._servos), _TWO, now_ns)
 
     def _lose(self, servos: frozenset[int], why: str, now_ns: int, report: _Kind | None = "power_fault") -> None:
         """Record servos that went off by another cause. They stay off until they are wanted again."""

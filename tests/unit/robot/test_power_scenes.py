@@ -141,6 +141,7 @@ WITH_ALL_FED: Final = {
         want none; run 500 → fed none
         ask all; run 37 → answers
         run 63 → answers yes""",
+    "an off that is taken back before it was sent is none": "anew all; run 1500 → fed all; confirmed yes; news 0",
     "servos that are wanted are not confirmed off": "ask all; run 150 → answers no; masks",
     "an output that stays on is reported by its servo": """
         shows 21; cut; ask all; run 1000 → unconfirmed 1; doubt-of 21; confirmed no; answers no""",
@@ -238,6 +239,10 @@ WITH_NOTHING_FED: Final = {
         want none; run 300; deaf on → confirmed yes
         cut; run 5000 → repeats 150; unconfirmed 1
         cut; run 500 → unconfirmed 2""",
+    "nor does what two boards answer from the beginning": "second; want none; run 400 → confirmed no",
+    "an interface that opens again has the mask sent again": """
+        want none; run 300; cable off; cut; run 4000 → confirmed no
+        opened; run 1 → first none""",
     "each off that is not confirmed is reported": """
         want 11; run 300; deaf on; want none; run 300 → unconfirmed 1
         deaf off; run 300 → confirmed yes
