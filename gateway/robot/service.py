@@ -20,18 +20,15 @@ from gateway.host.mounts import forgets
 from gateway.host.settings_reader import ForStops
 from gateway.host.worker import in_thread
 from gateway.model.black_box.format import STOP_FACTS
-from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import centidegrees
-from gateway.own_command import command
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.backlog import START_WAIT_NS
-from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.host import calibration_file, stop_note
-from gateway.robot.host.disk_writer import DiskWriter, report_mistake
+from gateway.robot.host import stop_note
+from gateway.robot.host.disk_writer import report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.state_folder import StateFolder
@@ -160,7 +157,8 @@ class _Service:
         self.end, self.notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
         self.failed = partial(report_mistake, loop, "a thread failed")
         self.configure()
-        state = _state_folder(settings)
+        found = state_directory(settings.state.path)
+        state = None if found is None else StateFolder(found)
         self.bus = wires.wire(settings, simulated)
         self.supply = supply_of(settings, self.bus, simulated.board_channel, loop, owner, self.failed)
         self.outbox = ZenohOutbox()
@@ -175,11 +173,11 @@ class _Service:
             physics=simulated.body_id,
             recorder=recorder,
             owner=owner,
-            calibration_kept=_is_kept(state),
             supply=self.supply,
         )
         self.keeper = EstopKeeper(self.conductor, state, loop)
-        self.calibrations = _calibrations(settings, state, self.conductor, loop)
+        self.conductor.reports.calibration_kept = _is_kept(state)
+        self.calibrations = Calibrations(self.conductor, state)
         self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
         self.beat: asyncio.TimerHandle | None = None
 
@@ -355,11 +353,6 @@ def _answer(answer: Callable[[Reply], None], _query: zenoh.Query, _ns: int, repl
     return partial(answer, reply)
 
 
-def _state_folder(settings: Settings) -> StateFolder | None:
-    found = state_directory(settings.state.path)
-    return None if found is None else StateFolder(found)
-
-
 def _is_kept(state: StateFolder | None) -> bool:
     """Return whether the state directory survives a boot. Log a warning if a boot empties it."""
     if state is None:
@@ -373,24 +366,3 @@ def _is_kept(state: StateFolder | None) -> bool:
             kind,
         )
     return not kind
-
-
-def _calibrations(
-    settings: Settings, state: StateFolder | None, conductor: Conductor, loop: asyncio.AbstractEventLoop
-) -> Calibrations:
-    """Load the calibration from its file. Without a usable file no servo can be started, but the service runs: Stops
-    need no calibration."""
-    path = calibration_file.path_of(settings)
-    if path is None or state is None:
-        return Calibrations(conductor, None, loop)
-    calibration, fault = calibration_file.load(path)
-    conductor.supervisor.calibrating.load(calibration, fault)
-    if fault is not None:
-        logger.warning("%s; nothing is started until `%s`", fault, command(ACCEPT_DEFAULT))
-    disk = DiskWriter("keep calibration", loop, conductor.owner)
-
-    def write(calibration: RobotCalibration) -> None:
-        state.own()
-        calibration_file.write(path, calibration)
-
-    return Calibrations(conductor, lambda new, then: disk.write(partial(write, new), then), loop)

@@ -92,8 +92,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/runtime/calibrations.py": (
         ByHand(
             "a calibration counts as kept before it is on the disk",
-            "            self._keep(keep.calibration, kept)\n",
-            "            self._keep(keep.calibration, kept)\n            kept(None)\n",
+            "self._folder, keep.calibration), kept)\n",
+            "self._folder, keep.calibration), kept)\n            kept(None)\n",
         ),
     ),
     "gateway/robot/core/legs.py": (

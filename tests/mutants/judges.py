@@ -42,7 +42,7 @@ _CALIBRATION: Final = (
     *_model("calibration"),
     *_robot("supervisor_calibration supervisor_landing calibration_conductor"),
 )
-_CALIBRATION_REQUESTS: Final = (*_robot("calibration_intake calibration_conductor"), *_tests("zenoh", "calibration"))
+_CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor calibration_file"), *_tests("zenoh", "calibration"))
 _CHECKER: Final = (*_people("lease_checker"), *_robot("lease_conductor"))
 _BUS: Final = (*_robot("bus_failing bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
 _POWER: Final = _robot("power_scenes power_board power_conductor")
@@ -68,7 +68,7 @@ JUDGES: Final = {
     "gateway/robot/runtime/request_answers.py": (*_CHECKER, *_robot("lease_conductor"), *_CALIBRATION_REQUESTS),
     "gateway/robot/host/ownership.py": (*_robot("ownership"), *_tests("zenoh", "inbox_parts")),
     "gateway/robot/core/message.py": _robot("conductor_safety"),
-    "gateway/robot/core/intake.py": _robot("intake calibration_intake conductor conductor_safety"),
+    "gateway/robot/core/intake.py": _robot("intake conductor conductor_safety"),
     "gateway/model/staleness.py": _model("staleness"),
     "gateway/robot/core/speed.py": _robot("pacing supervisor_speed supervisor_takeover"),
     "gateway/robot/core/landing.py": _robot("pacing supervisor_landing"),
@@ -95,9 +95,8 @@ JUDGES: Final = {
     "gateway/robot/zenoh_io/proofs.py": _people("lease_checker"),
     "gateway/model/angle_limits.py": (*_CALIBRATION, *_robot("supervisor_speed")),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
-    "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_intake")),
-    "gateway/robot/core/calibration_intake.py": _CALIBRATION_REQUESTS,
-    "gateway/robot/core/rejections.py": _robot("intake calibration_intake conductor conductor_safety"),
+    "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor calibration_file")),
+    "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety"),
     "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,
     "gateway/robot/runtime/executor.py": (*_CONDUCTOR, *_people("recorder"), *_robot("power_conductor conductor")),

@@ -196,11 +196,11 @@ class CalibrationHistory:
         return None
 
     def _reason(self, event: Calibrate) -> Reason | None:
-        if self.on_its_way is not None or event.revision not in (None, self.whole.revision):
+        if self.on_its_way is not None or event.change.revision not in (None, self.whole.revision):
             return Reason.STALE
-        if not self.trusted and not event.accept_default:
+        if not self.trusted and not event.change.accept_default:
             return Reason.SERVO_STOPPED
-        return Reason.INVALID if self.trusted and event.accept_default else None
+        return Reason.INVALID if self.trusted and event.change.accept_default else None
 
     def kept(self, event: CalibrationSaved, effects: Sequence[Effect], alive: Collection[int]) -> Reason | None:
         """The disk has answered: why the change is rejected; None: it is in force from here on."""

@@ -85,7 +85,6 @@ _KNOWN: Final = (
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
     (_ROBOT._limits, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited _free_cdeg"),
     (_ROBOT.calibrating, "_rules _limits fault _on_its_way"),
-    (_ROBOT.calibrating, "_delay"),  # words for people, which decide nothing
     (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_rules _settled_ns _runs_left runs due_ns"),
@@ -240,7 +239,7 @@ def _calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
         limits.limited,
         calibrating.fault,
         calibrating.closed,
-        way and (_calibration_key(way.calibration), way.servos, way.event.accept_default),
+        way and (_calibration_key(way.calibration), way.servos, way.event.change.accept_default),
     )
 
 
@@ -371,16 +370,13 @@ def _changes(
     """Everything that may be asked of the calibration, and what the disk may answer."""
     revision = history.whole.revision
     for which, change in enumerate(wanted):
-        yield (
-            f"calibration {which}",
-            Calibrate(number=number, change=change, revision=revision, accept_default=not history.trusted),
-        )
+        now = {"revision": revision, "accept_default": None if history.trusted else True}
+        yield f"calibration {which}", Calibrate(number=number, change=change.model_copy(update=now))
     if wanted:
-        yield "calibration of an older one", Calibrate(number=number, change=wanted[0], revision=revision - 1)
-        yield (
-            "another default accepted",
-            Calibrate(number=number, change=CalibrationCommand(servos={}, landing={}), accept_default=history.trusted),
-        )
+        older = wanted[0].model_copy(update={"revision": revision - 1})
+        yield "calibration of an older one", Calibrate(number=number, change=older)
+        default = CalibrationCommand(servos={}, landing={}, accept_default=True if history.trusted else None)
+        yield "another default accepted", Calibrate(number=number, change=default)
     if history.on_its_way is not None:
         yield "calibration kept", CalibrationSaved(history.on_its_way.number)
         yield "calibration not kept", CalibrationSaved(history.on_its_way.number, "the disk is full")

@@ -20,8 +20,9 @@ from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.protocol import Wire
-from gateway.robot.runtime.calibrations import Calibrations, WriteAndThen
+from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
@@ -51,10 +52,9 @@ class Robot:
     """Starts without `sent_ms` leave at once, unless a test is about bursts of them; legs wait for no other, either."""
 
     def __init__(
-        self, sections: Mapping[str, Mapping[str, Any]] | None = None, keep: WriteAndThen | None = None
+        self, sections: Mapping[str, Mapping[str, Any]] | None = None, state: StateFolder | None = None
     ) -> None:
-        """`sections`: settings, and as "rules" what is no setting. `keep`: keeps its calibration; without it, it is in
-        memory only."""
+        """`sections`: settings, and as "rules" what is no setting. `state`: keeps its calibration."""
         sections = dict(sections or {})
         changed = {"start_wait_ns": self.start_wait_ns, **sections.pop("rules", {})}
         if "start_stagger_ms" not in sections.get("limits", {}):
@@ -82,7 +82,6 @@ class Robot:
             clock=self.now_ns,
             simulated=True,
             recorder=Recorder(self.settings, {}, self.now_ns, lambda: WALL_NS),
-            calibration_kept=keep is not None,
             supply=self.supply(),
         )
         self.conductor.connect(self)
@@ -90,7 +89,7 @@ class Robot:
         proofs = Proofs(None, wall_clock, lambda: next(fresh))
         self.leases = LeaseAnswers(self.conductor, proofs)
         self.buttons = ButtonAnswers(self.conductor, proofs)
-        self.calibrations = Calibrations(self.conductor, keep, self.loop)
+        self.calibrations = Calibrations(self.conductor, state)
         self._beat()
 
     def wire(self) -> Wire:

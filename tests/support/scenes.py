@@ -335,13 +335,9 @@ def change_of(words: str) -> CalibrationCommand:
 
 def _calibrate(robot: Scenes, words: str, options: Options) -> events.Calibrate:
     """`calibrate 32 trim -5 (revision 1, lease anna)`, `calibrate nothing (accept default)`."""
-    event = events.Calibrate(
-        number=robot.next_number(),
-        change=change_of(words),
-        revision=int(options["revision"]) if "revision" in options else None,
-        accept_default="accept" in options,
-        lease=options.get("lease"),
-    )
+    revision = int(options["revision"]) if "revision" in options else None
+    change = change_of(words).model_copy(update={"revision": revision, "accept_default": "accept" in options or None})
+    event = events.Calibrate(number=robot.next_number(), change=change, lease=options.get("lease"))
     event.source, event.key = "anna", "hexapod/calibration/cmd"
     return event
 

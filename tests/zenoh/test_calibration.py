@@ -197,10 +197,10 @@ def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path:
         assert "hexapod-gateway calibrate accept-default" in logged
         state = client.state()
         assert (state.mode, state.calibration.revision) == (Mode.IDLE, 4)
-        assert str(state.calibration.fault).startswith(f"{path}: end: is missing;")
+        assert str(state.calibration.fault).startswith(f"{path}: the last line is not of_revision = 4")
         assert path.read_text() == text, "a person may want to look at it"
         asked = gateway.run("calibrate", "accept-default")
-        assert (asked.returncode, f"{path}: end: is missing" in asked.stdout) == (1, True)
+        assert (asked.returncode, f"{path}: the last line is not" in asked.stdout) == (1, True)
         landing = gateway.run("calibrate", "landing", "--yes")
         assert (landing.returncode, "calibrate accept-default" in landing.stdout) == (1, True)
         assert gateway.run("calibrate", "accept-default", "--yes").returncode == 0

@@ -23,7 +23,7 @@ from gateway.onboard import computer
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
-from gateway.robot.host.calibration_file import load, path_of
+from gateway.robot.host.calibration_file import CALIBRATION_FILE, load
 from gateway.robot.power.interface import BITRATE, open_bus
 from gateway.robot.spi import ioctls, machine, outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
@@ -151,11 +151,12 @@ def framing(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def calibration(robot: CheckedRobot) -> Iterator[Result | None]:
     """The calibration. Without a usable one the service starts, but moves nothing."""
-    path = path_of(robot.settings, state_to_read)
-    if path is None:
+    folder = state_to_read(robot.settings.state.path)
+    if folder is None:
         yield first("calibration", well("is kept in memory only, until the gateway ends (state.path)"))
     else:
-        (found, fault), denied = load(path), not os.access(path.parent, os.X_OK)
+        path = folder / CALIBRATION_FILE
+        (found, fault), denied = load(path), not os.access(folder, os.X_OK)
         yield first("calibration",
             warning(fault and denied, f"you may not read {path}", "sudo hexapod-gateway check"),
             failure(fault, f"{fault}; nothing can be started",

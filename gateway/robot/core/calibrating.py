@@ -27,6 +27,7 @@ from gateway.robot.core.events import (
 from gateway.robot.core.interlock import Interlock, Why
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Kind, Reason
 
 ACCEPT_DEFAULT: Final = "calibrate accept-default"
@@ -53,8 +54,6 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self.fault: str | None = None
         """Why the calibration cannot be trusted, or None."""
         self._on_its_way: _OnItsWay | None = None
-        self._delay = ""
-        """Why the pending change is late, or ""."""
 
     @classmethod
     def of(cls, rules: Rules, limits: AngleLimits) -> Self:
@@ -75,19 +74,13 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         """Return whether the change with this number is not saved yet."""
         return self._on_its_way is not None and self._on_its_way.event.number == number
 
-    def note_delay(self, why: str) -> None:
-        """State in further rejections why the disk is late."""
-        if self._on_its_way is not None:
-            self._delay = f"; {why}"
-
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
         if self.fault is not None:
             return Reason.SERVO_STOPPED, self._untrusted()
         changing = frozenset() if self._on_its_way is None else self._on_its_way.servos
         for servo_id, _ in request.moves:
             if servo_id in changing:
-                detail = f"servo {servo_id} is being calibrated; start it once the change is saved{self._delay}"
-                return Reason.SERVO_STOPPED, detail
+                return Reason.SERVO_STOPPED, f"servo {servo_id} is being calibrated; start it once the change is saved"
         return None
 
     def take(self, event: Calibrate | CalibrationSaved, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
@@ -95,10 +88,10 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     def _change(self, event: Calibrate, legs: Legs) -> list[Effect]:
         """Check a change. The supervisor has checked the mode and other interlocks."""
-        rejection = self._why_not_now(event)
+        rejection = self._why_not_now(event.change)
         if rejection is not None:
             return [Rejected(event, *rejection)]
-        before = RobotCalibration(self.in_force.revision) if event.accept_default else self.in_force
+        before = RobotCalibration(self.in_force.revision) if event.change.accept_default else self.in_force
         try:
             calibration = changed(before, event.change)
         except CalibrationError as error:
@@ -116,16 +109,15 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self.closed = True
         return [SaveCalibration(event.number, calibration)]
 
-    def _why_not_now(self, event: Calibrate) -> Why | None:
+    def _why_not_now(self, change: CalibrationCommand) -> Why | None:
         if self._on_its_way is not None:
-            hint = self._delay or "; read the result, then change it again"
-            return Reason.STALE, f"another change of the calibration is being saved{hint}"
+            return Reason.STALE, "another change of the calibration is being saved; read it then, and change it again"
         revision = self.in_force.revision
-        if event.revision not in (None, revision):
-            return Reason.STALE, f"revision {event.revision} is changed, and {revision} is in force; look at it first"
-        if self.fault is not None and not event.accept_default:
+        if change.revision not in (None, revision):
+            return Reason.STALE, f"revision {change.revision} is changed, and {revision} is in force; look at it first"
+        if self.fault is not None and not change.accept_default:
             return Reason.SERVO_STOPPED, self._untrusted()
-        if self.fault is None and event.accept_default:
+        if self.fault is None and change.accept_default:
             return Reason.INVALID, "accept_default is for a calibration that cannot be read; this one can"
         return None
 
@@ -139,7 +131,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         if self._on_its_way is None:
             return []
         calibration, servos, asked = self._on_its_way
-        self._on_its_way, self._delay = None, ""
+        self._on_its_way = None
         landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
         if event.fault is None:
             self._limits.use(calibration)
@@ -149,6 +141,6 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
             return [Rejected(asked, Reason.INVALID, event.fault)]
         parts = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
         detail = f"calibration {calibration.revision} is in force; it changes {', '.join(parts) or 'nothing'}"
-        if asked.accept_default:
+        if asked.change.accept_default:
             detail = f"the default calibration is taken as this robot's; {detail}"
         return [Announce(Kind.CALIBRATED, detail, asked.source, asked.key), Completed(asked)]

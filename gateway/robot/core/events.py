@@ -97,14 +97,9 @@ class Reset(Request):
 
 @dataclass(slots=True, eq=False, kw_only=True)
 class Calibrate(Request):
-    """Changes the calibration with this `revision` (None: the one in force).
-
-    `accept_default` takes the default calibration, with `change`, as this robot's: for an unreadable calibration file.
-    """
+    """Changes the calibration."""
 
     change: CalibrationCommand
-    revision: int | None = None
-    accept_default: bool = False
 
     @property
     def servo_ids(self) -> Iterable[int]:

@@ -1,32 +1,26 @@
 """The calibration's two keys: publishes the calibration in force; decides, writes, then acknowledges a change."""
 
-import asyncio
 import logging
-from collections.abc import Callable
 from functools import partial
-from typing import Final
+
+from pydantic import ValidationError
 
 from gateway.model.calibration import RobotCalibration, report_of
-from gateway.robot.core import calibration_intake
+from gateway.own_command import command
+from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.core.events import Calibrate, CalibrationSaved
 from gateway.robot.core.message import Reply
-from gateway.robot.core.rejections import Rejection
-from gateway.robot.host.calibration_file import SLOW_S
-from gateway.robot.host.ownership import OwnersTimer
+from gateway.robot.core.rejections import explain, name_given_twice
+from gateway.robot.host import calibration_file
+from gateway.robot.host.calibration_file import CALIBRATION_FILE
+from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from schemas import keys
 from schemas.calibration import CalibrationCommand
 from schemas.telemetry import Ack, Reason
-
-WriteAndThen = Callable[[RobotCalibration, Callable[[str | None], None]], None]
-"""Returns at once. Calls back as owner of the state: None if the calibration is on the disk, else the fault."""
-
-HANGS: Final = (
-    f"the disk has not answered for {SLOW_S:g} s; if it stays silent, restart the gateway, and read the "
-    "calibration in force"
-)
 
 logger = logging.getLogger(__name__)
 
@@ -38,47 +32,53 @@ class Calibrations(RequestAnswers):
     ack = Ack
     pause_s = PAUSE_S
 
-    # mutants accepted (Forget): it is written anew
-    def __init__(self, conductor: Conductor, keep: WriteAndThen | None, loop: asyncio.AbstractEventLoop) -> None:
-        """`keep` writes a calibration to the disk. None: changes last until the process ends."""
+    def __init__(self, conductor: Conductor, folder: StateFolder | None) -> None:
+        """Load the calibration from `folder`. None: changes last until the process ends.
+
+        Without a usable file no servo can be started, but the service runs: Stops need no calibration.
+        """
         super().__init__(conductor)
-        self._slow = OwnersTimer(loop, conductor.owner, self._note_delay)
-        self._keep = keep
-        self._written = b""
-        self._written_of: RobotCalibration | None = None
+        self._calibrating = conductor.supervisor.calibrating
+        self._folder = folder
+        if folder is not None:
+            self._disk = DiskWriter("keep calibration", conductor.loop, conductor.owner)
+            calibration, fault = calibration_file.load(folder.path / CALIBRATION_FILE)
+            self._calibrating.load(calibration, fault)
+            if fault is not None:
+                logger.warning("%s; nothing is started until `%s`", fault, command(ACCEPT_DEFAULT))
 
     def announce_start(self) -> None:  # mutants accepted (Is_IsNot): a line in the log
         """Publish the calibration at the start. Log if it is kept in memory only."""
-        if self._keep is None:
+        if self._folder is None:
             logger.info("the calibration is kept in memory only, until this process ends (state.path)")
         self.publish()
 
     def publish(self) -> None:
         """Publish and record the calibration in force."""
-        self._conductor.recorder.calibration(self._in_force)
-        self._conductor.events.outbox.publish(keys.CALIBRATION, report_of(self._in_force))
+        self._conductor.recorder.calibration(self._calibrating.in_force)
+        self._conductor.events.outbox.publish(keys.CALIBRATION, report_of(self._calibrating.in_force))
 
-    def answer(self, reply: Reply) -> None:  # mutants accepted (Forget): it is written anew
+    def answer(self, reply: Reply) -> None:
         """Answer a `get` with the calibration in force."""
-        if self._written_of is not self._in_force:  # cached, since clients may ask at any rate
-            self._written_of = self._in_force
-            self._written = report_of(self._in_force).model_dump_json().encode()
-        reply(self._written)
+        reply(report_of(self._calibrating.in_force).model_dump_json().encode())
 
     def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
-        command = calibration_intake.read(payload)
-        if isinstance(command, Rejection):
-            return partial(self.reject, source, command.reason, command.detail, reply)
-        return partial(self.change, command, command.source or source, reply)
+        try:
+            change = CalibrationCommand.model_validate_json(payload)
+            unread = name_given_twice(payload)
+        except ValidationError as error:
+            unread = explain(error)
+        if unread is not None:
+            return partial(self.reject, source, unread.reason, unread.detail, reply)
+        return partial(self.change, change, change.source or source, reply)
 
-    def change(self, command: CalibrationCommand, source: str | None, reply: Reply) -> None:
+    def change(self, change: CalibrationCommand, source: str | None, reply: Reply) -> None:
         """Let the supervisor decide. The answer follows the write, or the rejection."""
         conductor, executor = self._conductor, self._conductor.executor
-        now_ns = conductor.record_alive()
+        now_ns = conductor.clock()
         event = Calibrate(
-            change=command, revision=command.revision, accept_default=command.accept_default is not None,
-            key=self.key, source=source, sent_ms=command.sent_ms, lease=command.lease, reply=reply,
-        )  # fmt: skip
+            change=change, key=self.key, source=source, sent_ms=change.sent_ms, lease=change.lease, reply=reply
+        )
         too_old = conductor.too_old(event, now_ns, now_ns)
         if too_old is not None:
             executor.reject(event, Reason.STALE, too_old)
@@ -88,25 +88,19 @@ class Calibrations(RequestAnswers):
         if keep is None:
             return
         kept = partial(self._kept, keep.number)
-        if self._keep is None:
+        if self._folder is None:
             kept(None)
         else:
-            self._slow.set_in(SLOW_S)
-            self._keep(keep.calibration, kept)
-
-    def _note_delay(self) -> None:
-        """Report a slow write. No other change is accepted until its result is known."""
-        self._conductor.supervisor.calibrating.note_delay(HANGS)
-        logger.warning("a change of the calibration is not kept yet: %s; running servos continue", HANGS)
+            self._disk.write(partial(_write, self._folder, keep.calibration), kept)
 
     def _kept(self, number: int, fault: str | None) -> None:
-        self._slow.cancel()
-        before = self._in_force
+        before = self._calibrating.in_force
         self._conductor.ask(CalibrationSaved(number, fault))
-        if self._in_force is not before:
+        if self._calibrating.in_force is not before:
             self.publish()
             self._conductor.reports.publish()
 
-    @property
-    def _in_force(self) -> RobotCalibration:
-        return self._conductor.supervisor.calibrating.in_force
+
+def _write(folder: StateFolder, calibration: RobotCalibration) -> None:
+    folder.own()
+    calibration_file.write(folder.path / CALIBRATION_FILE, calibration)

@@ -86,7 +86,6 @@ class Conductor:
     physics: str | None = None
     owner: Ownership = field(default_factory=Ownership)
     """Callers own the state while they call."""
-    calibration_kept: bool = False
     supply: RobotSupply | None = None
     """The power board's; None: there is no board."""
 
@@ -99,7 +98,7 @@ class Conductor:
         if supply is not None:
             supply.on_news = self.power_changed
         self._instant_ns = self.clock()
-        run = self.simulated, self.physics, self.calibration_kept
+        run = self.simulated, self.physics
         self.reports = StateReports(settings, supervisor, bus, self.events, self.telemetry, *run)
         self._messages: Messages = NoMessages()
         self._lost_key = ""

@@ -14,7 +14,6 @@ from typing import Final
 from gateway.errors import ConfigError
 from gateway.robot.core.events import Announce, EstopKept
 from gateway.robot.host import estop_file
-from gateway.robot.host.calibration_file import SLOW_S
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.estop_file import KeptEstop
 from gateway.robot.host.ownership import OwnersTimer
@@ -27,6 +26,8 @@ READ_S: Final = 2.0
 """How long the start waits for the disk. A disk answers within milliseconds, a worn card within a second."""
 PAUSE_S: Final = 0.1
 """The pause between two writes that change only the number: a flood of requests must not wear out the card."""
+SLOW_S: Final = 5.0
+"""A longer write counts as hanging and is reported. It takes milliseconds, on a worn card a second."""
 RETRY_S: Final = 1.0
 """The pause between attempts after a failed write: a full disk may have space again."""
 FLUSH_S: Final = 0.2

@@ -37,8 +37,6 @@ class StateReports:
     simulated: bool
     physics: str | None
     """The Zenoh id of the process that simulates the robot's body, if there is one."""
-    calibration_kept: bool
-    """Whether the calibration outlasts this process."""
 
     def __post_init__(self) -> None:
         self._started_ns = self.events.clock()
@@ -56,6 +54,8 @@ class StateReports:
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: telemetry.RevocationsReport | None = None
+        self.calibration_kept = False
+        """Whether the next boot finds the calibration."""
         self.payloads = Payloads()
         self._published: telemetry.ConfigReport | None = None
         self.published_mode: Mode | None = None

@@ -16,6 +16,7 @@ from gateway.model.calibration import (
     report_of,
 )
 from gateway.model.frames import MAX_ANGLE_CDEG, STOP, Frame, OneLeg, OneServo, Op, ServoOp, decode
+from schemas.calibration import ServoCalibration
 from schemas.robot import LEGS, SERVO_IDS
 
 angles = st.integers(0, MAX_ANGLE_CDEG)
@@ -56,21 +57,10 @@ def test_only_what_breaks_a_rule_is_rejected(calibration: RobotCalibration, serv
     assert (calibration.why_not(servo_id, angle_cdeg) is None) == allowed
 
 
-@given(calibrations)
-def test_what_is_published_is_in_degrees_and_reads_back_as_it_was(calibration: RobotCalibration) -> None:
-    report = report_of(calibration)
-    assert report.revision == calibration.revision
-    for servo_id in SERVO_IDS:
-        servo, published = calibration.of(servo_id), report.servos[str(servo_id)]
-        assert published.trim_deg == servo.trim_cdeg / 100
-        assert (published.min_deg, published.max_deg) == (servo.min_cdeg / 100, servo.max_cdeg / 100)
-        assert published.inverted is servo.inverted
-    assert calibration_of(report) == calibration
-
-
-def test_the_landing_pose_is_published_in_degrees_and_an_infinite_angle_is_none() -> None:
-    report = report_of(RobotCalibration(1, {}, {32: 45_50}))
-    assert report.landing == {"32": 45.5}
+def test_it_is_published_in_degrees_and_an_infinite_angle_is_none() -> None:
+    report = report_of(RobotCalibration(1, {31: ServoMapping(-12_34, True, 1_00, 170_00)}, {32: 45_50}))
+    assert (report.revision, len(report.servos), report.landing) == (1, 18, {"32": 45.5})
+    assert report.servos["31"] == ServoCalibration(trim_deg=-12.34, inverted=True, min_deg=1, max_deg=170)
     assert calibration_of(report).landing_cdeg == {32: 45_50}
     with pytest.raises(CalibrationError, match="an angle is infinite"):
         calibration_of(report.model_copy(update={"landing": {"32": float("inf")}}))

@@ -382,7 +382,7 @@ async def test_a_calibrated_robots_story_and_picture_have_its_users_angles(folde
     robot = recorded(folder, **LANDING)
     trimmed = RobotCalibration(1, {32: ServoMapping(10_00, inverted=True)}, {})
     robot.conductor.supervisor.calibrating.load(trimmed)
-    Calibrations(robot.conductor, None, asyncio.get_running_loop()).publish()
+    Calibrations(robot.conductor, None).publish()
     robot.put(LEG_3, START)
     await asyncio.sleep(2)
     robot.conductor.recorder.calibration(RobotCalibration(2))  # of later frames

@@ -3,38 +3,31 @@
 import asyncio
 import json
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from gateway.model.calibration import RobotCalibration
+from gateway.model.calibration import RobotCalibration, calibration_of, changed, report_of
 from gateway.model.frames import OneLeg, Op
-from gateway.robot.host.calibration_file import SLOW_S
-from gateway.robot.runtime.calibrations import HANGS
+from gateway.robot.core.rejections import Rejection
+from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.state_folder import StateFolder
+from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
+from schemas.calibration import CalibrationCommand
 from schemas.command import MAX_PAYLOAD_BYTES
+from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Kind, Reason
 from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
+from tests.unit.model.test_calibration import calibrations
 
 OWN = {"servos": {"31": {"trim_deg": 7.5}, "32": {"inverted": True, "trim_deg": -10}, "33": {"max_deg": 140}}}
-pytestmark = pytest.mark.virtual_time
-
-
-Disk = list[Callable[[str | None], None]]
-"""Called with None, each says that a calibration is on the disk."""
-
-
-async def on_disk() -> tuple[Robot, Disk]:
-    disk: Disk = []
-    robot = Robot(keep=lambda _, then: disk.append(then))
-    robot.conductor.start()
-    robot.conductor.reports.announce_start()
-    await asyncio.sleep(1)
-    robot.controller.transfers.clear()
-    robot.reports.clear()
-    return robot, disk
+virtual_time = pytest.mark.virtual_time
 
 
 def told(robot: Robot) -> calibration.Calibration:
@@ -43,6 +36,7 @@ def told(robot: Robot) -> calibration.Calibration:
     return calibration.Calibration.model_validate_json(answers[0])
 
 
+@virtual_time
 async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = await started_and_quiet()
     recorded: list[RobotCalibration] = []
@@ -60,33 +54,35 @@ async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: py
     assert (state.revision, state.fault, state.kept) == (1, None, False)
 
 
-async def test_a_disk_that_hangs_is_logged_and_whoever_waits_for_it_learns_that(
-    caplog: pytest.LogCaptureFixture,
+@virtual_time
+async def test_while_the_disk_writes_stops_leave_and_what_comes_after_the_end_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    robot, disk = await on_disk()
+    disk: list[Callable[[str | None], None]] = []
+    monkeypatch.setattr(DiskWriter, "write", lambda _self, _write, then: disk.append(then))
+    robot = Robot(state=StateFolder(tmp_path))
+    robot.conductor.start()
+    robot.conductor.reports.announce_start()
+    await asyncio.sleep(1)
     answers = robot.calibrate(OWN)
-    await asyncio.sleep(SLOW_S - 0.01)
-    (soon,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
-    assert HANGS not in caplog.text + str(soon.detail)
-    await asyncio.sleep(0.02)
-    assert caplog.text.count("is not kept yet") == 1
-    (late,) = robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
-    assert (late.reason, late.detail) == (Reason.STALE, f"another change of the calibration is being saved; {HANGS}")
-    assert str(robot.ask(LEG_3, START).detail).endswith(HANGS)
+    assert robot.ask(LEG_3, START).reason is Reason.SERVO_STOPPED
     assert robot.ask(keys.leg_command(1), START).accepted, "what it does not change goes on"
     await asyncio.sleep(0.3)
     assert robot.events(Kind.WATCHDOG_EXPIRED)
     assert robot.ask(keys.ESTOP).stop_frames == 6
-    disk.pop(0)(None)
-    assert (answers[0].accepted, told(robot).revision) == (True, 1), "it came back"
+    assert answers == []
+    disk.pop()(None)
+    assert (answers[0].accepted, told(robot).revision) == (True, 1)
     assert robot.ask(keys.RESET, {"estop": 1}).accepted
-    robot.calibrate({"servos": {"61": {"trim_deg": 1}}})
-    assert HANGS not in str(robot.calibrate(OWN)[0].detail), "this one has just begun"
-    disk.pop(0)(None)
-    await asyncio.sleep(SLOW_S + 1)
-    assert caplog.text.count("is not kept yet") == 1, "and ended in time"
+    answers = robot.calibrate(OWN)
+    robot.conductor.shut_down()
+    robot.conductor.close()
+    disk.pop()(None)
+    assert robot.calibrate(OWN) == answers == []
+    assert told(robot).revision == 1
 
 
+@virtual_time
 async def test_what_was_delayed_on_the_way_is_rejected() -> None:
     robot = await started_and_quiet(limits={"max_age_ms": 100})
     robot.put(LEG_3, leg("stop", sent_ms=500, source="anna"))
@@ -97,21 +93,9 @@ async def test_what_was_delayed_on_the_way_is_rejected() -> None:
     assert told(robot).revision == 0
 
 
-async def test_what_comes_after_the_end_changes_nothing() -> None:
-    robot, disk = await on_disk()
-    answers = robot.calibrate(OWN)
-    robot.conductor.shut_down()
-    robot.conductor.close()
-    disk.pop(0)(None)
-    assert robot.calibrate(OWN) == answers == []
-
-
+@virtual_time
 async def test_what_is_no_command_is_answered_and_told() -> None:
     robot = await started_and_quiet()
-    (ack,) = robot.calibrate({"servos": {"11": {"trim_deg": 400}}})
-    assert (ack.reason, ack.detail) == (Reason.INVALID, "servos.11.trim_deg: Input should be less than or equal to 90")
-    (event,) = robot.events()
-    assert (event.kind, event.key, event.reason) == (Kind.COMMAND_REJECTED, keys.CALIBRATION_CMD, Reason.INVALID)
     robot.put(keys.CALIBRATION_CMD, OWN, target=None)
     assert "takes get only" in robot.events()[-1].detail
     (ack,) = robot.calibrate({"accept_default": True})
@@ -139,6 +123,7 @@ GOOD = Bytes(json.dumps(OWN).encode())
         ({"key_expr": "hexapod/calibration/*"}, Reason.INVALID),
     ],
 )
+@virtual_time
 async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_them_from_delaying_stops(
     query: dict[str, Any], reason: Reason | None
 ) -> None:
@@ -152,8 +137,10 @@ async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_
     assert Ack.model_validate_json(answer).reason == reason
     (event,) = robot.events()
     assert (event.source, event.reason) == ("0123abc", reason)
+    assert event.key == keys.CALIBRATION_CMD
 
 
+@virtual_time
 async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_settings() -> None:
     robot = await started_and_quiet(watchdog={"landing_ms": 500, "landing": {"31": 30, "32": 40}}, rules={"repeats": 0})
     robot.calibrate({"servos": {"31": {"inverted": True}}, "landing": {"31": 60}})
@@ -161,3 +148,96 @@ async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_setti
     await asyncio.sleep(2)
     landed = [frame for _, frame in robot.frames if isinstance(frame, OneLeg) and not frame.is_stop][-1]
     assert [op.angle_cdeg for op in landed.commands if op.op is not Op.STOP][:2] == [120_00, 40_00]
+
+
+# ---- what a CalibrationCommand may contain
+
+TOKEN = "0123456789abcdef" * 2
+
+
+def read(payload: bytes) -> CalibrationCommand | Rejection:
+    """The change that is decided for a payload, or its rejection."""
+
+    def reject(_source: str | None, reason: Reason, detail: str, _reply: object) -> Rejection:
+        return Rejection(reason, detail)
+
+    answers: Any = SimpleNamespace(change=lambda change, *_: change, reject=reject)
+    return cast(CalibrationCommand | Rejection, Calibrations.read(answers, payload, 0, print)())
+
+
+def test_all_that_it_may_say() -> None:
+    servo = {"trim_deg": -90.0, "inverted": False, "min_deg": 12.34, "max_deg": 180.0}
+    payload = {
+        "servos": {str(servo_id): servo for servo_id in SERVO_IDS},
+        "landing": {str(servo_id): 123.45 for servo_id in SERVO_IDS},
+        "revision": 2**53,
+        "accept_default": True,
+        "source": ":" * 64,
+        "sent_ms": 2.0**53,
+        "lease": TOKEN,
+    }
+    assert len(json.dumps(payload)) < MAX_PAYLOAD_BYTES
+    command = read(json.dumps(payload).encode())
+    assert isinstance(command, CalibrationCommand)
+    assert (len(command.servos), len(command.landing), command.lease) == (18, 18, TOKEN)
+    assert TOKEN not in repr(command)
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason", "detail"),
+    [
+        (b"", Reason.MALFORMED, "the payload is not JSON"),
+        ([], Reason.INVALID, "the payload: Input should be an object"),
+        ({"servos": {"99": {}}}, Reason.INVALID, "servos.99: Input should be '11', '12',"),
+        ({"servos": {"11": {"trim_deg": 400}}}, Reason.INVALID, "servos.11.trim_deg: Input should be less than or"),
+        (
+            {"servos": {"11": {"trim_deg": float("nan")}}},
+            Reason.INVALID,
+            "servos.11.trim_deg: Input should be a finite",
+        ),
+        (
+            {"servos": {"11": {"inverted": "yes"}}},
+            Reason.INVALID,
+            "servos.11.inverted: Input should be a valid boolean",
+        ),
+        ({"servos": {"11": {"min_deg": -1}}}, Reason.INVALID, "servos.11.min_deg: Input should be greater than or"),
+        ({"servos": {"11": {"speed": 1}}}, Reason.INVALID, "servos.11.speed: Extra inputs"),
+        ({"landing": {"11": 181}}, Reason.INVALID, "landing.11: Input should be less than or equal to 180"),
+        ({"revision": 1.5}, Reason.INVALID, "revision: Input should be a valid integer"),
+        ({"accept_default": False}, Reason.INVALID, "accept_default: Input should be True"),
+        ({"lease": TOKEN[1:]}, Reason.INVALID, "lease: String should have at least 32"),
+        ({TOKEN: 7}, Reason.INVALID, "(hex digits): Extra inputs"),
+        (b'{"servos": {"11": {}, "11": {}}}', Reason.INVALID, "11 is given twice in one object"),
+    ],
+    ids=lambda value: repr(value)[:60],
+)
+def test_what_is_none_is_rejected_with_the_field_and_its_limit(payload: object, reason: Reason, detail: str) -> None:
+    rejection = read(payload if isinstance(payload, bytes) else json.dumps(payload).encode())
+    assert isinstance(rejection, Rejection)
+    assert rejection.reason == reason
+    assert detail in rejection.detail
+    assert TOKEN not in rejection.detail
+
+
+NAMES = st.sampled_from(["servos", "landing", "11", "63", "trim_deg", "inverted", "revision", "x"])
+VALUES = st.none() | st.booleans() | st.floats() | st.text(max_size=8) | st.integers()
+
+
+@given(
+    st.binary(max_size=200)
+    | st.recursive(
+        VALUES,
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner),
+        max_leaves=12,
+    ).map(lambda made: json.dumps(made).encode())
+)
+def test_whatever_comes_is_read_or_rejected_and_never_raises(payload: bytes) -> None:
+    assert isinstance(read(payload), CalibrationCommand | Rejection)
+
+
+@given(calibrations)
+def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: RobotCalibration) -> None:
+    command = read(report_of(calibration).model_dump_json().encode())
+    assert isinstance(command, CalibrationCommand)
+    assert changed(RobotCalibration(), command) == calibration
+    assert calibration_of(report_of(calibration)) == calibration
