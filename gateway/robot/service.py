@@ -169,14 +169,14 @@ class _Service:
             self.outbox,
             loop,
             clock=time.monotonic_ns,
-            simulated=simulated.controller,
-            physics=simulated.body_id,
             recorder=recorder,
             owner=owner,
             supply=self.supply,
         )
         self.keeper = EstopKeeper(self.conductor, state, loop)
-        self.conductor.reports.calibration_kept = _is_kept(state)
+        reports = self.conductor.reports
+        reports.simulated, reports.physics = simulated.controller, simulated.body_id
+        reports.calibration_kept = _is_kept(state)
         self.calibrations = Calibrations(self.conductor, state)
         self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
         self.beat: asyncio.TimerHandle | None = None
@@ -228,7 +228,7 @@ class _Service:
             self.outbox.open(session)
             with self.owner:  # the inbox's threads receive at once; they wait until the conductor is connected
                 self.inbox = self.inbox_of(session)
-                conductor.connect(self.inbox)
+                conductor.messages = self.inbox
             realtime.freeze_gc()
             # After Zenoh has opened: its threads inherit the priority of the thread that starts them, and must not get
             # it.

@@ -80,11 +80,11 @@ class Robot:
             self,
             self.loop,
             clock=self.now_ns,
-            simulated=True,
             recorder=Recorder(self.settings, {}, self.now_ns, lambda: WALL_NS),
             supply=self.supply(),
         )
-        self.conductor.connect(self)
+        self.conductor.reports.simulated = True
+        self.conductor.messages = self
         fresh = (f"{number:032x}" for number in itertools.count(1))
         proofs = Proofs(None, wall_clock, lambda: next(fresh))
         self.leases = LeaseAnswers(self.conductor, proofs)

@@ -83,7 +83,7 @@ class Calibrations(RequestAnswers):
         if too_old is not None:
             executor.reject(event, Reason.STALE, too_old)
             return
-        event.number = executor.next_number()
+        event.number = next(conductor.numbers)
         keep = conductor.ask(event).keep
         if keep is None:
             return

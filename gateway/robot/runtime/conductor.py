@@ -7,6 +7,7 @@ import asyncio
 import logging
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
+from itertools import count
 from typing import Final
 
 from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
@@ -44,7 +45,6 @@ from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
-from gateway.robot.runtime.preamble import PreambleInPauses
 from gateway.robot.runtime.report import StateReports
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
@@ -82,8 +82,6 @@ class Conductor:
     clock: Callable[[], int]
     """Returns the monotonic time in ns."""
     recorder: Recorder
-    simulated: bool
-    physics: str | None = None
     owner: Ownership = field(default_factory=Ownership)
     """Callers own the state while they call."""
     supply: RobotSupply | None = None
@@ -98,19 +96,20 @@ class Conductor:
         if supply is not None:
             supply.on_news = self.power_changed
         self._instant_ns = self.clock()
-        run = self.simulated, self.physics
-        self.reports = StateReports(settings, supervisor, bus, self.events, self.telemetry, *run)
-        self._messages: Messages = NoMessages()
+        self.reports = StateReports(settings, supervisor, bus, self.events, self.telemetry)
+        self.messages: Messages = NoMessages()
+        """Where received messages come from."""
+        self.numbers = count(1)
+        """The numbers of requests to the supervisor."""
         self._lost_key = ""
         """The key whose messages are handled after a loss, else ""."""
         self._lost_stops: Targets = ()
         self._staleness = Staleness(settings.limits.max_age_ms) if settings.limits.max_age_ms else None
         self._timer = OwnersTimer(self.loop, self.owner, self.tick)
         self._reopen_timer = OwnersTimer(self.loop, self.owner, self._reopen)
-        # Only a controller that reads announced frames can be out of sync.
-        self._preamble = None
-        if isinstance(bus, Bus) and bus.announces:
-            self._preamble = PreambleInPauses(bus, self.loop, self.owner, self.clock, self.bus_failed)
+        self._preamble_timer = OwnersTimer(self.loop, self.owner, self._write_preamble)
+        self._announcing = bus if isinstance(bus, Bus) and bus.announces else None
+        """The bus to a controller that reads announced frames. Only such a controller can be out of sync."""
         self._in_fault = False
         self.closed = False
         """Whether the conductor is closed and writes nothing more."""
@@ -131,10 +130,6 @@ class Conductor:
         self._check_stop_servos()
         self._arm()
 
-    def connect(self, messages: Messages) -> None:
-        """Take messages from `messages` from now on."""
-        self._messages = messages
-
     def shut_down(self) -> bool:
         """Reject all further commands and stop all six legs. Return whether all Stops were written."""
         if self.supervisor.mode is Mode.BUS_FAULT:
@@ -145,9 +140,8 @@ class Conductor:
     def close(self) -> None:  # mutants accepted (LeaveOut): after the end a tick does nothing
         """Release the bus and the timers. A receiver thread that becomes owner afterwards does nothing."""
         self.closed = True
-        for timer in (self._timer, self._reopen_timer, self._preamble):
-            if timer is not None:
-                timer.cancel()
+        for timer in (self._timer, self._reopen_timer, self._preamble_timer):
+            timer.cancel()
         if self.supply is not None:
             self.supply.close()
         self.bus.close()
@@ -162,7 +156,7 @@ class Conductor:
         if self.closed:
             return
         instant_ns = self._instant()
-        for received in self._messages.take():
+        for received in self.messages.take():
             self._serve_estops(instant_ns)
             self._receive(received, instant_ns)
             self._do_what_is_due(instant_ns)  # a full tick takes long enough for a deadline to pass in it
@@ -174,17 +168,17 @@ class Conductor:
 
     def serve_estops(self) -> None:
         """Carry out emergency stops without a tick. Messages that wait in the rings belong to a later instant."""
-        if not self.closed and self._messages.estops:
+        if not self.closed and self.messages.estops:
             self._serve_estops(self._instant())
 
     def _instant(self) -> int:
-        if not self._messages.instant_open:
+        if not self.messages.instant_open:
             self._instant_ns = self.clock()
         return self._instant_ns
 
     def _serve_estops(self, instant_ns: int) -> None:
-        while self._messages.estops:
-            self._emergency_stop(self._messages.estops.popleft(), instant_ns)
+        while self.messages.estops:
+            self._emergency_stop(self.messages.estops.popleft(), instant_ns)
             self._do_what_is_due(instant_ns)
 
     def record_alive(self) -> int:
@@ -214,7 +208,6 @@ class Conductor:
         if meddled is not None:
             self.events.announce(Announce(Kind.BUS_MEDDLED, meddled))
             self._meddled(meddled)
-            self._settle()
             return  # the check for `stop-servos` follows once the device is open again
         self._check_stop_servos()
 
@@ -249,7 +242,7 @@ class Conductor:
         self.reports.publish()
 
     def _do_what_is_due(self, instant_ns: int) -> None:
-        if self.supervisor.due_ns is not None and self.clock() >= self.supervisor.due_ns:
+        if self._is_due(self.supervisor.due_ns):
             self._step(TimePassed(), instant_ns)
 
     def _receive(self, received: Received, instant_ns: int) -> None:
@@ -271,7 +264,7 @@ class Conductor:
                 self.executor.reject(command, Reason.STALE, too_old, command)
                 return
             command.rejected = Rejected(command, Reason.STALE, too_old)
-        command.number = self.executor.next_number()
+        command.number = next(self.numbers)
         try:
             outcome = self._step(command, instant_ns, now_ns, command)
         except Exception:
@@ -289,7 +282,7 @@ class Conductor:
             return
         command = Command(stops, key=received.key, verb=received.verb, received_ns=received.received_ns)
         command.source, command.rejected = received.source, Rejected(unread, why.reason, why.detail)
-        command.number = unread.number = self.executor.next_number()
+        command.number = unread.number = next(self.numbers)
         unread.received_ns = received.received_ns
         self._step(command, instant_ns, command=command)
 
@@ -297,7 +290,7 @@ class Conductor:
         key, self._lost_key = self._lost_key, ""
         stops = tuple(stop for stop in self._lost_stops if self.supervisor.legs.servos[stop[0]].will_run)
         if stops:
-            command = Command(stops, key=key, number=self.executor.next_number(), lost=True)
+            command = Command(stops, key=key, number=next(self.numbers), lost=True)
             self._step(command, instant_ns)
             legs = legs_of(command.servo_ids)
             self.events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
@@ -310,16 +303,18 @@ class Conductor:
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
         latency_ns = max(0, self.clock() - received.received_ns)
         request = Request(
-            key=received.key, source=self.events.estop_source, verb=received.verb, received_ns=received.received_ns
+            key=received.key,
+            source=self.events.estop_source,
+            verb=received.verb,
+            received_ns=received.received_ns,
+            reply=received.reply,
         )
         self.recorder.step(request, (), ())
         if stop_frames >= len(LEGS):
             self.metrics.emergency_stops.record(latency_ns)
-        if received.reply is not None:
-            number = self.supervisor.latch.number
-            ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
-            request.reply = received.reply
-            self.executor.answer(request, ack, SERVO_IDS)
+        number = self.supervisor.latch.number
+        ack = Ack(accepted=True, stop_frames=stop_frames, estop=number, latency_us=latency_ns / 1000)
+        self.executor.answer(request, ack, SERVO_IDS)
 
     def _step(
         self, event: Event, instant_ns: int | None = None, now_ns: int | None = None, command: Request | None = None
@@ -328,7 +323,7 @@ class Conductor:
         now_ns = self.clock() if now_ns is None else now_ns
         outcome = self.executor.carry_out(self.supervisor.step(event, now_ns, instant_ns), command)
         if outcome.fault is not None:
-            self._bus_failed(outcome.fault)
+            self.bus_failed(outcome.fault)
         elif outcome.meddled is not None:
             self._meddled(outcome.meddled)
         self._settle()
@@ -348,7 +343,10 @@ class Conductor:
     # ---- the bus
 
     # mutants accepted (AndWithOr, Step): one effect; a time that is over
-    def _bus_failed(self, fault: SpiError) -> None:
+    def bus_failed(self, fault: SpiError) -> None:
+        """Handle a bus fault: of a step, or found outside one."""
+        if self.closed:
+            return
         self.bus.release()
         kind = _KINDS.get(type(fault), Kind.BUS_FAULT)
         effects = self.supervisor.step(BusFailed(str(fault), kind), self.clock())
@@ -358,6 +356,7 @@ class Conductor:
         self.executor.carry_out(effects)
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen_timer.set_in(REOPEN_S if again else 0)
+        self._settle()
 
     def _meddled(self, found: str) -> None:
         """Treat changed device settings as a bus fault: the controller may not have understood the frames.
@@ -366,13 +365,7 @@ class Conductor:
         written with the right settings, and at the end nothing would reopen the bus for their repeats.
         """
         if not self._in_fault and self.supervisor.mode is not Mode.STOPPING:
-            self._bus_failed(SpiError(found))
-
-    def bus_failed(self, fault: SpiError) -> None:  # mutants accepted (Forget): the timer finds nothing due
-        """Handle a bus fault that was found outside a step."""
-        if not self.closed:
-            self._bus_failed(fault)
-            self._settle()
+            self.bus_failed(SpiError(found))
 
     def _reopen(self) -> None:  # mutants accepted (Forget): a line in the log
         try:
@@ -387,15 +380,47 @@ class Conductor:
             self._in_fault = False
             self._reopen_timer.cancel()
 
-    # ---- time
+    # ---- time, and the preamble
 
     def _arm(self) -> None:  # mutants accepted (Forget): a tick too many does nothing
-        due_ns = self.supervisor.due_ns
-        if self._preamble is not None:
-            due_ns = self._preamble.arm(due_ns, None if due_ns is None else self.supervisor.legs.repeat_ns)
+        """Set the timers for what is due next."""
+        due_ns, bus = self.supervisor.due_ns, self._announcing
+        if bus is not None:
+            preamble_ns = self._preamble_ns(bus)
+            if not self._preamble_timer.armed and (bus.resync_due or self._is_due(preamble_ns)):
+                self._preamble_timer.set_in(0)  # on the loop, so that other owners get the state between two parts
+            if due_ns is not None and preamble_ns is not None and not self._preamble_timer.armed:
+                due_ns = min(due_ns, preamble_ns)
         if due_ns is None:
             if self.supervisor.mode is Mode.STOPPING:
                 self.loop.call_soon_threadsafe(self.done.set)
             self._timer.cancel()
         else:
             self._timer.set(due_ns / 1e9)
+
+    def _is_due(self, due_ns: int | None) -> bool:
+        return due_ns is not None and self.clock() >= due_ns
+
+    def _preamble_ns(self, bus: Bus) -> int | None:
+        """Return when to write the preamble of repeated Stops, or None if none is due or it is written."""
+        repeat_ns = self.supervisor.legs.repeat_ns
+        if self.supervisor.due_ns is None or repeat_ns is None or bus.just_resynchronised:
+            return None
+        return repeat_ns - bus.preamble_ns
+
+    def _write_preamble(self) -> None:
+        """Write a part of the preamble in a pause of a stream; the loop runs between the parts.
+
+        A preamble in parts delays a Stop by one part at most, and is complete before Stops are repeated. Without a
+        pause, the bus writes it ahead of a frame.
+        """
+        bus = self._announcing
+        if bus is None or not (bus.resync_due or self._is_due(self._preamble_ns(bus))):
+            return  # a frame was written meanwhile, with its preamble
+        try:
+            more = bus.write_zeros()
+        except SpiError as fault:
+            self.bus_failed(fault)
+            return
+        if more:
+            self._preamble_timer.set_in(0)

@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, assert_never
+from typing import Final, Literal
 
 from gateway.errors import SpiError
 from gateway.model.black_box.format import ACCEPTED, COALESCED
@@ -12,9 +12,7 @@ from gateway.robot.blackbox.recorder import Written
 from gateway.robot.core.events import (
     Announce,
     Command,
-    Completed,
     Effect,
-    Rejected,
     Request,
     RequestAnswer,
     Reset,
@@ -29,17 +27,21 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.supply import RobotSupply
+from gateway.text import legs_named
 from schemas.telemetry import Ack, Cause, Kind, Reason
 
 logger = logging.getLogger(__name__)
 
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
+_AGAIN: Final = frozenset({Kind.BUS_RECOVERED, Kind.CONTROLLER_RETURNED})
+"""Not published if the device opened and did not take six Stops: the fault lasts, and has been published."""
 
 
 @dataclass(slots=True)
 class Outcome:
     """A step's result: its frames, the requests that it ended, and what its caller has to do."""
 
+    effects: Sequence[Effect] = ()
     written: list[Written] = field(default_factory=list)
     fault: SpiError | None = None
     """Why some frames were not written. The commands of those frames are rejected."""
@@ -47,10 +49,26 @@ class Outcome:
     """The device settings that another program had changed, found just before these frames were written."""
     results: list[Result] = field(default_factory=list)
     """The requests that the step has ended, for the black box, the answers and the metrics."""
-    answer: RequestAnswer | None = None
-    """The answer that the caller has to send."""
-    keep: SaveCalibration | None = None
-    """The calibration that the caller has to write to the disk."""
+
+    @property
+    def answer(self) -> RequestAnswer | None:
+        """The answer that the caller has to send."""
+        return next((each for each in self.effects if type(each) is RequestAnswer), None)
+
+    @property
+    def keep(self) -> SaveCalibration | None:
+        """The calibration that the caller has to write to the disk."""
+        return next((each for each in self.effects if type(each) is SaveCalibration), None)
+
+    def decide(self) -> None:
+        """Set the results. A fault rejects the commands whose frames were not received."""
+        failed: list[Transmit] = []
+        if self.fault is not None:
+            received = {id(transmit) for transmit, sent in self.written if sent.received}
+            failed = [each for each in self.effects if type(each) is Transmit and id(each) not in received]
+        self.results = results(self.effects, failed, f"the frame could not be written: {self.fault}" if failed else "")
+        for request, _, _ in self.results if failed else ():
+            request.stopped = ()
 
     def rejects(self, request: Request) -> bool:
         """Return whether the step has rejected this request. A pending request is not rejected."""
@@ -73,15 +91,8 @@ class Executor:
     supply: RobotSupply | None
     events: EventPublisher
     publish_frames: bool
-    number: int = 0
-    """The number of the latest request to the supervisor."""
 
     # ---- the answers
-
-    def next_number(self) -> int:
-        """Return the number for the next request to the supervisor."""
-        self.number += 1
-        return self.number
 
     def answer(self, request: Request, ack: Ack, stopped: Collection[int] = ()) -> None:
         """Answer a request, if its sender waits; if it has stopped servos, once the power board has confirmed that."""
@@ -122,14 +133,13 @@ class Executor:
             return
         written = sorted(set(request.written))
         if written:
-            legs = f"leg{'s' if len(written) > 1 else ''} {', '.join(map(str, written))}"
-            detail = f"{detail}; what it asks of {legs} had been written before"
+            detail = f"{detail}; what it asks of {legs_named(written)} had been written before"
         metrics.rejected[verdict] += 1
         stops: Literal[True] | None = True if request.stopped else None
         ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)
         self.answer(request, ack, request.stopped)
-        legs_named = legs_of(request.servo_ids)
-        self.events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs_named, verdict))
+        legs = legs_of(request.servo_ids)
+        self.events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs, verdict))
 
     # ---- the effects
 
@@ -139,61 +149,37 @@ class Executor:
         `command` is the request of this step. The power board cuts servos before the frames, and powers servos after
         them.
         """
-        supply = self.supply
-        if supply is None:
-            return self._carry_out(effects, command)
-        cuts = supply.before_step(self.supervisor)
-        outcome = self._carry_out(effects, command)
-        if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
-            supply.reset()
-        if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
-            supply.after_step(self.supervisor)
-        for each in cuts:
-            self.events.announce(each)
-        return outcome
-
-    def _carry_out(self, effects: Sequence[Effect], command: Request | None) -> Outcome:
-        outcome = Outcome()
-        self._write(effects, outcome)
-        failed: list[Transmit] = []
-        if outcome.fault is not None:
-            received = {id(transmit) for transmit, sent in outcome.written if sent.received}
-            failed = [each for each in effects if type(each) is Transmit and id(each) not in received]
-        outcome.results = results(effects, failed, f"the frame could not be written: {outcome.fault}" if failed else "")
-        for request, _, _ in outcome.results if failed else ():
-            request.stopped = ()
+        supply, cuts = self.supply, list[Announce]()
+        if supply is not None:
+            cuts = supply.before_step(self.supervisor)
+        outcome = self._write(effects)
+        outcome.decide()
         self.events.recorder.step(command, outcome.written, outcome.results)
         for result in outcome.results:
             self._end(*result)
         if outcome.meddled is not None:
             self.events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
-            match effect:
-                case Transmit() | Completed() | Rejected():
-                    pass  # written, and answered
-                case Announce(kind=Kind.BUS_RECOVERED | Kind.CONTROLLER_RETURNED) if outcome.fault is not None:
-                    pass  # the device opened but did not take six Stops: the fault lasts, and has been published
-                case Announce():
-                    self.events.announce(effect)
-                case RequestAnswer():
-                    outcome.answer = effect
-                case SaveCalibration():
-                    outcome.keep = effect
-                case _:
-                    assert_never(effect)
+            if type(effect) is Announce and (outcome.fault is None or effect.kind not in _AGAIN):
+                self.events.announce(effect)
         if self.publish_frames:
             self.events.frames(outcome.written)
+        if supply is not None:
+            if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
+                supply.reset()
+            if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
+                supply.after_step(self.supervisor)
+        for each in cuts:
+            self.events.announce(each)
         return outcome
 
-    def _write(self, effects: Sequence[Effect], outcome: Outcome) -> None:
+    def _write(self, effects: Sequence[Effect]) -> Outcome:
         """Write a step's frames in three batches: first Stops, repeated Stops, moves. Stop at the first fault.
 
         Repeated Stops have a preamble, for which a first Stop must not wait. The repeats for legs at rest join the
         first batch, after its own Stops.
         """
-        first: list[Transmit] = []
-        repeated: list[Transmit] = []
-        moves: list[Transmit] = []
+        outcome, first, repeated, moves = Outcome(effects), list[Transmit](), list[Transmit](), list[Transmit]()
         for effect in effects:
             if type(effect) is Transmit:
                 if not effect.frame.is_stop:
@@ -218,3 +204,4 @@ class Executor:
                 logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled
             outcome.fault = report.fault
+        return outcome

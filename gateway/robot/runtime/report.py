@@ -34,9 +34,6 @@ class StateReports:
     bus: Wire
     events: EventPublisher
     measurements: LatestTelemetry
-    simulated: bool
-    physics: str | None
-    """The Zenoh id of the process that simulates the robot's body, if there is one."""
 
     def __post_init__(self) -> None:
         self._started_ns = self.events.clock()
@@ -54,6 +51,9 @@ class StateReports:
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: telemetry.RevocationsReport | None = None
+        self.simulated = False
+        self.physics: str | None = None
+        """The Zenoh id of the process that simulates the robot's body, if there is one."""
         self.calibration_kept = False
         """Whether the next boot finds the calibration."""
         self.payloads = Payloads()

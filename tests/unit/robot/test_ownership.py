@@ -109,7 +109,6 @@ class Gateway:
             loop,
             clock=self.now_ns,
             recorder=Recorder(self.settings, {}, self.now_ns, self.now_ns),
-            simulated=True,
             owner=stepped(self.stage),
         )
         with self.conductor.owner, pytest.MonkeyPatch.context() as patch:
@@ -123,7 +122,7 @@ class Gateway:
                 on_estop=self.conductor.serve_estops,
                 readers={keys.STATE: lambda _query, _ns, reply: partial(self.conductor.reports.answer_state, reply)},
             )
-            self.conductor.connect(self.inbox)
+            self.conductor.messages = self.inbox
         self.rings.puts[keys.ESTOP][0].on_receive = lambda: self.noted.append(len(self.controller.transfers))
 
     def play(self, *then: Callable[[], None]) -> None:
