@@ -7,7 +7,7 @@ frames have the servos' own. All conversions between the two, and to the degrees
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 from gateway.model.frames import (
@@ -71,8 +71,8 @@ AS_DRAWN: Final = ServoMapping()
 class RobotCalibration:
     """All servos, and the landing pose in users' angles. `revision` counts the changes; 0 is the default's.
 
-    Raises CalibrationError for an unknown servo, a trim beyond 90 degrees, and limits the wrong way round. Servos that
-    are as drawn are left out of `servos`, so the default has none and costs nothing.
+    Raises CalibrationError for a trim beyond 90 degrees, limits the wrong way round, and a landing pose out of reach.
+    Servos that are as drawn are left out of `servos`, so the default has none and costs nothing.
     """
 
     revision: int = 0
@@ -80,10 +80,13 @@ class RobotCalibration:
     landing_cdeg: Mapping[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for servo_id in (*self.servos, *self.landing_cdeg):
-            _check_name(servo_id)
         for servo_id, servo in self.servos.items():
-            _check(servo_id, servo)
+            if abs(servo.trim_cdeg) > MAX_TRIM_CDEG:
+                raise CalibrationError(f"servo {servo_id}: trim_deg is {servo.trim_cdeg / 100:g}; it is -90 to 90")
+            if not 0 <= servo.min_cdeg <= servo.max_cdeg <= MAX_ANGLE_CDEG:
+                low, high = servo.min_cdeg / 100, servo.max_cdeg / 100
+                limits = f"min_deg is {low:g} and max_deg {high:g}"
+                raise CalibrationError(f"servo {servo_id}: {limits}; they are 0 to 180, min_deg must not be larger")
         for servo_id, angle_cdeg in self.landing_cdeg.items():
             why_not = self.why_not(servo_id, angle_cdeg)
             if why_not is not None:
@@ -144,42 +147,20 @@ def report_of(calibration: RobotCalibration) -> wire.Calibration:
 
 
 def calibration_of(report: wire.Calibration) -> RobotCalibration:
-    """Return the calibration of a published form. Raises CalibrationError, or another ValueError, if it is invalid."""
-    servos: dict[int, ServoMapping] = {}
-    for name in (*report.servos, *report.landing):
-        _check_name(name)
-    try:
-        for name, each in report.servos.items():
-            trim_cdeg, min_cdeg, max_cdeg = map(centidegrees, (each.trim_deg, each.min_deg, each.max_deg))
-            servos[int(name)] = ServoMapping(trim_cdeg, each.inverted, min_cdeg, max_cdeg)
-        landing_cdeg = {int(name): centidegrees(angle_deg) for name, angle_deg in report.landing.items()}
-    except OverflowError as error:
-        raise CalibrationError("an angle is infinite") from error
-    return RobotCalibration(report.revision, servos, landing_cdeg)
+    """Return the calibration of a published form. Raises ValueError if it is invalid."""
+    whole = wire.CalibrationCommand.model_validate(report.model_dump())
+    return replace(changed(RobotCalibration(), whole), revision=report.revision)
 
 
 def changed(before: RobotCalibration, change: wire.CalibrationCommand) -> RobotCalibration:
     """Return the changed calibration, with the next revision. Raises CalibrationError if it is invalid."""
-    report = report_of(before)
-    servos, landing = dict(report.servos), dict[str, float | None](report.landing)
-    for name, servo in change.servos.items():
-        servos[name] = servos[name].model_copy(update=servo.model_dump(exclude_none=True))
-    landing.update(change.landing.items())
-    left = {name: angle_deg for name, angle_deg in landing.items() if angle_deg is not None}
-    return calibration_of(wire.Calibration(revision=before.revision + 1, servos=servos, landing=left))
-
-
-def _check_name(servo: int | str) -> None:
-    if str(servo) not in map(str, SERVO_IDS):
-        raise CalibrationError(f"servo {servo} does not exist; an id is the leg and the joint, such as 32")
-
-
-def _check(servo_id: int, servo: ServoMapping) -> None:
-    if abs(servo.trim_cdeg) > MAX_TRIM_CDEG:
-        raise CalibrationError(f"servo {servo_id}: trim_deg is {servo.trim_cdeg / 100:g}; it is -90 to 90")
-    for name, angle_cdeg in (("min_deg", servo.min_cdeg), ("max_deg", servo.max_cdeg)):
-        if not 0 <= angle_cdeg <= MAX_ANGLE_CDEG:
-            raise CalibrationError(f"servo {servo_id}: {name} is {angle_cdeg / 100:g}; it is 0 to 180")
-    if servo.min_cdeg > servo.max_cdeg:
-        low, high = servo.min_cdeg / 100, servo.max_cdeg / 100
-        raise CalibrationError(f"servo {servo_id}: min_deg is {low:g} and max_deg {high:g}; min_deg must not be larger")
+    servos, landing_cdeg = dict(before.servos), dict(before.landing_cdeg)
+    for name, each in change.servos.items():
+        servo = before.of(int(name)).report.model_copy(update=each.model_dump(exclude_none=True))
+        trim_cdeg, min_cdeg, max_cdeg = map(centidegrees, (servo.trim_deg, servo.min_deg, servo.max_deg))
+        servos[int(name)] = ServoMapping(trim_cdeg, servo.inverted, min_cdeg, max_cdeg)
+    for name, angle_deg in change.landing.items():
+        landing_cdeg.pop(int(name), None)
+        if angle_deg is not None:
+            landing_cdeg[int(name)] = centidegrees(angle_deg)
+    return RobotCalibration(before.revision + 1, servos, landing_cdeg)

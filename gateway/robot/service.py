@@ -179,7 +179,6 @@ class _Service:
         reports.calibration_kept = _is_kept(state)
         self.calibrations = Calibrations(self.conductor, state)
         self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
-        self.beat: asyncio.TimerHandle | None = None
 
     def configure(self) -> None:
         """Make Zenoh's configuration; if it names a CA, also the checker of proofs and the revocations.
@@ -198,8 +197,6 @@ class _Service:
         if revoked is not None:
             names = ", ".join(sorted(revoked.common_names)) or "nobody"
             logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")
-        elif self.shut_out is not None:
-            logger.info("there is no list of revoked certificates")
         self.checker = None if self.shut_out is None else certs.proof.ProofChecker(self.shut_out.cas, revoked)
         if self.checker is not None and (fault := self.checker.clock_fault(wall_clock())):
             logger.warning(fault)
@@ -226,28 +223,26 @@ class _Service:
             ended.cancel()
             (session, late), _ = opening.result()
             self.outbox.open(session)
-            with self.owner:  # the inbox's threads receive at once; they wait until the conductor is connected
-                self.inbox = self.inbox_of(session)
-                conductor.messages = self.inbox
+            with self.owner:  # the inbox's threads receive at once; they wait until the start is announced
+                self.inbox = conductor.messages = self.inbox_of(session)
+                conductor.reports.announce_start()
+                self.keeper.announce_start()
+                self.calibrations.publish()
             realtime.freeze_gc()
             # After Zenoh has opened: its threads inherit the priority of the thread that starts them, and must not get
             # it.
             granted = realtime.prefer_thread(realtime.LOOP_PRIORITY)
             logger.info("real-time priority %s", "granted" if granted else "not allowed")
-            with self.owner:
-                for part in (conductor.reports, self.keeper, self.calibrations):
-                    part.announce_start()
             on_ready(self.config)  # before the notification, on which `make run` prints its own lines
             notifier.ready("takes commands")
             upkeep = Upkeep(session, self.config, notifier.status, wall_clock, late)
             conductor.reports.certificate = upkeep.certificate
             connection_limiter = ConnectionLimiter(session, conductor.metrics.count_sessions, self.revoked)
             self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
-            self.loop.call_soon(self.look_after_all)
+            self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all)
             await end.wait()
             notifier.stopping(anew=end.starts_anew)
-            if self.beat is not None:
-                self.beat.cancel()
+            self.beat.cancel()
             deadline = self.loop.time() + SHUTDOWN_S
             await stop_the_robot(conductor, self.bus)
             with self.owner:
@@ -335,9 +330,7 @@ class _Service:
         """
         conductor, lag_ns = self.conductor, round((self.loop.time() - due_s) * 1e9)
         found = self.unknown_keys.poll()
-        reports = {STATE: conductor.reports.publish}
-        if self.settings.measures:
-            reports[TELEMETRY] = conductor.telemetry.publish
+        reports = {STATE: conductor.reports.publish, TELEMETRY: conductor.telemetry.publish}
         wanted = [publish for key, publish in reports.items() if self.outbox.anyone_listens(key)]
         with self.owner:  # this also keeps reports in order: an older state must not follow a newer one
             conductor.metrics.loop_lag.record(lag_ns)

@@ -47,12 +47,6 @@ class Calibrations(RequestAnswers):
             if fault is not None:
                 logger.warning("%s; nothing is started until `%s`", fault, command(ACCEPT_DEFAULT))
 
-    def announce_start(self) -> None:  # mutants accepted (Is_IsNot): a line in the log
-        """Publish the calibration at the start. Log if it is kept in memory only."""
-        if self._folder is None:
-            logger.info("the calibration is kept in memory only, until this process ends (state.path)")
-        self.publish()
-
     def publish(self) -> None:
         """Publish and record the calibration in force."""
         self._conductor.recorder.calibration(self._calibrating.in_force)

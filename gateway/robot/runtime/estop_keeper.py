@@ -94,7 +94,9 @@ class EstopKeeper:
     def announce_start(self) -> None:
         """Publish that an earlier run's emergency stop is engaged, or that it counts as engaged."""
         if self._folder is None:
-            logger.info("an emergency stop is kept in memory only, until this process ends (state.path)")
+            logger.info(
+                "an emergency stop and the calibration are kept in memory only, until this process ends (state.path)"
+            )
             return
         found = self._written
         if self._unknown is not None:

@@ -41,7 +41,7 @@ async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: py
     robot = await started_and_quiet()
     recorded: list[RobotCalibration] = []
     monkeypatch.setattr(robot.conductor.recorder, "calibration", recorded.append)
-    robot.calibrations.announce_start()
+    robot.calibrations.publish()
     first = told(robot)
     assert (first.revision, len(first.servos), first.landing) == (0, 18, {})
     robot.calibrate({**OWN, "landing": {"11": 45}})
