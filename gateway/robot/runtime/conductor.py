@@ -20,14 +20,9 @@ from gateway.robot.core.events import (
     BodyMeasured,
     BusFailed,
     BusOpened,
-    ButtonRequest,
-    Calibrate,
-    CalibrationSaved,
     Command,
     EmergencyStop,
-    EstopKept,
     Event,
-    LeaseRequest,
     Rejected,
     Request,
     ShutDown,
@@ -188,7 +183,7 @@ class Conductor:
             self._staleness.record_alive(now_ns)
         return now_ns
 
-    def ask(self, event: LeaseRequest | ButtonRequest | Calibrate | CalibrationSaved | EstopKept) -> Outcome:
+    def ask(self, event: Event) -> Outcome:
         """Let the supervisor take an event that moves no servo. Return the outcome; it is empty once closed."""
         return Outcome() if self.closed else self._step(event)
 

@@ -149,9 +149,8 @@ class Executor:
         `command` is the request of this step. The power board cuts servos before the frames, and powers servos after
         them.
         """
-        supply, cuts = self.supply, list[Announce]()
-        if supply is not None:
-            cuts = supply.before_step(self.supervisor)
+        supply = self.supply
+        cuts = [] if supply is None else supply.before_step(self.supervisor)
         outcome = self._write(effects)
         outcome.decide()
         self.events.recorder.step(command, outcome.written, outcome.results)
@@ -179,7 +178,10 @@ class Executor:
         Repeated Stops have a preamble, for which a first Stop must not wait. The repeats for legs at rest join the
         first batch, after its own Stops.
         """
-        outcome, first, repeated, moves = Outcome(effects), list[Transmit](), list[Transmit](), list[Transmit]()
+        outcome = Outcome(effects)
+        first: list[Transmit] = []
+        repeated: list[Transmit] = []
+        moves: list[Transmit] = []
         for effect in effects:
             if type(effect) is Transmit:
                 if not effect.frame.is_stop:
