@@ -23,7 +23,6 @@ _BACKLOG: Final = _robot("backlog")[0]
 _SETTINGS: Final = _tests("unit", "setting_effects")
 _CONDUCTOR: Final = (
     *_robot("conductor conductor_safety lease_conductor"),
-    *_tests("zenoh", "conductor_counts"),
     *_model("staleness"),
     *_robot("calibration_conductor outcome stop ownership"),
     *_SETTINGS,

@@ -67,24 +67,18 @@ async def test_the_emergency_stop_goes_ahead_of_everything_that_waits_and_latche
     again = robot.ask(keys.ESTOP)
     assert (again.stop_frames, again.estop) == (6, 2), "engaging twice sends the Stops again"
     assert [event.kind for event in robot.events() if event.kind != Kind.COMMAND_REJECTED] == [Kind.ESTOP_ENGAGED]
-    await asyncio.sleep(1)
-    number = robot.conductor.reports.state().estop
-    assert robot.ask(keys.RESET, {"estop": number, "source": "anna", "sent_ms": 1}).accepted
-    assert robot.ask(LEG_3, leg("set", 1, 1, 1)).reason == Reason.SERVO_STOPPED
+    await asyncio.sleep(0.1)
+    assert robot.ask(keys.RESET, {"estop": 2}).accepted
     assert robot.ask(LEG_3, START).accepted
-    assert robot.events()[-2].kind == Kind.ESTOP_RESET
 
 
 @pytest.mark.parametrize("each_takes_ms", [0, 3])
-@pytest.mark.parametrize("reset", [{"estop": 1}, {}])
-async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
-    each_takes_ms: int, reset: dict[str, int]
-) -> None:
+async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(each_takes_ms: int) -> None:
     robot = await started_and_quiet()
     robot.each_takes_ns = each_takes_ms * MS
     robot.put_later(LEG_1, START)
     robot.put_later(keys.ESTOP)
-    robot.put_later(keys.RESET, reset)
+    robot.put_later(keys.RESET, {"estop": 1})
     robot.conductor.tick()
     assert robot.mode == Mode.ESTOPPED
 
@@ -92,17 +86,13 @@ async def test_an_emergency_stop_and_a_reset_of_one_instant_leave_it_engaged(
 # ---- messages that were lost in a flood of their key
 
 
-def lost(robot: Robot, key: str) -> None:
-    robot.put_later(key, verb=Verb.LOST)
-
-
-@pytest.mark.parametrize("left", [[], [leg("set", 1, 1, 1)], [b"{"], [leg("start", 200, 1, 1)]])
+@pytest.mark.parametrize("left", [[], [leg("set", 1, 1, 1), leg("start", 200, 1, 1)]])
 @pytest.mark.parametrize("key", [LEG_3, keys.LEGS_COMMAND, keys.servo_command(32)])
 async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left: list[object]) -> None:
     robot = await started_and_quiet()
     robot.put(LEG_1, START)
     robot.put(LEG_3, START)
-    lost(robot, key)
+    robot.put_later(key, verb=Verb.LOST)
     for payload in left:
         robot.put_later(key, payload)
     robot.conductor.tick()
@@ -112,24 +102,19 @@ async def test_a_stop_that_may_have_been_lost_counts_as_received(key: str, left:
     assert (event.reason, event.key, event.source) == (Reason.OVERFLOW, key, None)
     assert event.legs == tuple(sorted({servo_id // 10 for servo_id in named}))
     assert "lost on the way to the gateway" in event.detail
-    await asyncio.sleep(0.1)
-    for servo_id in (11, 12, 13, 31, 32, 33):
-        robot.put(keys.servo_command(servo_id), servo("start", 5))
-        await asyncio.sleep(0.02)
-    assert robot.controller.energised == {11, 12, 13, 31, 32, 33}, "it may be started again"
 
 
 async def test_a_start_that_is_newer_than_what_was_lost_keeps_its_servos_running() -> None:
     robot = await started_and_quiet()
     robot.put(LEG_3, START)
     robot.controller.transfers.clear()
-    lost(robot, LEG_3)
+    robot.put_later(LEG_3, verb=Verb.LOST)
     robot.put_later(LEG_3, START)
     robot.put(LEG_3, leg("set", 80, 80, 80))
     assert robot.controller.energised == {31, 32, 33}
     assert not [frame for _, frame in robot.frames if frame.is_stop]
     assert not robot.events(Kind.OVERFLOW)
-    lost(robot, LEG_3)
+    robot.put_later(LEG_3, verb=Verb.LOST)
     robot.put(LEG_3, {"servos": [servo("start", 1), servo("set", 1), servo("set", 1)]})
     assert robot.controller.energised == {31}
 
@@ -141,20 +126,17 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     assert not waiting, "its leg's rate slot has not come"
     accepted = robot.conductor.reports.state().commands.accepted
     robot.controller.transfers.clear()
-    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
-    robot.conductor.tick()
+    robot.put(LEG_3, verb=Verb.LOST, size=50)
     assert [frame for _, frame in robot.frames][:1] == [stop_leg(3)]
     assert all(frame.is_stop for _, frame in robot.frames)
     assert [ack.reason for ack in waiting] == [Reason.OVERFLOW]
     assert not robot.events(Kind.SOURCE_CHANGED)
+    robot.put(LEG_3, verb=Verb.LOST, size=50)
+    assert len(robot.events(Kind.OVERFLOW)) == 1, "nothing ran any more"
     state = robot.conductor.reports.state()
     assert state.legs[2].source is None
     assert state.commands.accepted == accepted
-    assert (state.commands.overflows, state.commands.lost) == (1, 50)
-    robot.put_later(LEG_3, verb=Verb.LOST, size=50)
-    robot.conductor.tick()
-    assert len(robot.events(Kind.OVERFLOW)) == 1, "nothing ran any more"
-    assert robot.conductor.reports.state().commands.overflows == 2
+    assert (state.commands.overflows, state.commands.lost) == (2, 100)
 
 
 @pytest.mark.parametrize("verb", [Verb.PUT, Verb.GET])
@@ -162,7 +144,7 @@ async def test_a_start_by_another_way_does_not_undo_a_stop_that_may_have_been_lo
     """Nobody knows which of the two is older."""
     robot = await started_and_quiet()
     robot.put(LEG_3, START)
-    lost(robot, LEG_3)
+    robot.put_later(LEG_3, verb=Verb.LOST)
     other = keys.servo_command(31) if verb is Verb.PUT else LEG_3
     robot.put(other, servo("start", 1) if verb is Verb.PUT else START, verb=verb)
     await asyncio.sleep(0.1)  # a Start that is taken waits for its leg's rate slot

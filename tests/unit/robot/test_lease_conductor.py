@@ -51,22 +51,14 @@ BAD: list[tuple[str, object, Reason, str]] = [
     (keys.LEASE, b"{", Reason.MALFORMED, "the payload is not JSON"),
     (keys.LEASE, [], Reason.INVALID, "the payload: Input should be an object"),
     (keys.LEASE, {"do": "grab"}, Reason.INVALID, "do: Input should be one of 'challenge', 'acquire', 'ask', 'take', "),
-    (keys.LEASE, {"source": "anna"}, Reason.INVALID, "do: Field required"),
-    (keys.LEASE, {"do": "acquire", "source": ""}, Reason.INVALID, "source: String should have at least 1"),
     (keys.LEASE, {"do": "acquire", "source": "a", "proof": {}}, Reason.INVALID, "proof.nonce: Field required"),
     (keys.LEASE, {"do": "renew", "lease": TOKEN[:-1]}, Reason.INVALID, "lease: String should have"),
-    (keys.LEASE, {"do": "renew", "lease": TOKEN + "0"}, Reason.INVALID, "lease: String should have"),
     (keys.LEASE, {"do": "renew", "lease": TOKEN.upper()}, Reason.INVALID, "lease: String should match"),
     (keys.LEASE, {"do": "renew", "lease": TOKEN}, Reason.NOT_HOLDER, "this is not the token"),
     (keys.LEASE, {"do": "renew", "lease": TOKEN, TOKEN: 1}, Reason.INVALID, "(hex digits): Extra"),
-    (keys.LEASE, {"do": TOKEN}, Reason.INVALID, "do: Input should be one of"),
-    (keys.LEASE, {"do": "acquire", "source": {"a": TOKEN}}, Reason.INVALID, "source: Input should be"),
     (keys.BUTTON, {"do": "alive", "button": TOKEN}, Reason.INVALID, "count: Field required"),
-    (keys.BUTTON, {**ALIVE, "button": TOKEN[:-1]}, Reason.INVALID, "button: String should have at least 32 char"),
     (keys.BUTTON, {**ALIVE, "count": 2**53 + 1}, Reason.INVALID, "count: Input should be less than or equal"),
-    (keys.BUTTON, {"do": "register"}, Reason.INVALID, "source: Field required"),
     (keys.BUTTON, {"do": "press"}, Reason.INVALID, "do: Input should be one of 'challenge', 'register', 'alive', 'lea"),
-    (keys.BUTTON, {"do": "leave", "button": TOKEN, "x": 1}, Reason.INVALID, "x: Extra inputs are not permitted"),
 ]
 
 
@@ -85,15 +77,6 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
     assert (event.key, event.reason) == (key, reason)
     assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
     assert robot.conductor.reports.state().buttons.alive == 1
-
-
-async def test_after_the_end_nobody_is_answered() -> None:
-    robot = await started_and_quiet()
-    robot.conductor.close()
-    answers: list[bytes] = []
-    robot.leases.read(b'{"do": "acquire", "source": "anna"}', 0, answers.append)()
-    robot.buttons.read(b'{"do": "register", "source": "kitchen"}', 0, answers.append)()
-    assert answers == []
 
 
 async def test_no_report_has_the_token() -> None:

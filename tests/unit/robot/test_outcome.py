@@ -11,7 +11,7 @@ from gateway.robot.core import events
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Cause, Kind, Mode, Reason
-from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, servo, started_and_quiet
+from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
 
@@ -33,7 +33,6 @@ EFFECTS: list[events.Effect] = [
         ([], []),
         ([WATCHDOGS], []),
         ([OF_FIRST], [1]),
-        ([OF_SECOND], [2]),
         ([OF_FIRST, OF_SECOND, WATCHDOGS], [1, 2]),
     ],
 )
@@ -119,17 +118,3 @@ async def test_the_rest_is_withdrawn_and_the_answer_names_what_was_written(
     assert robot.controller.energised == {servo_id for servo_id in SERVO_IDS if leg_of(servo_id) in run_on}
     (rejected,) = robot.events(Kind.COMMAND_REJECTED)
     assert rejected.detail == ack.detail
-
-
-async def test_a_leg_s_command_whose_stop_went_ahead_of_its_start() -> None:
-    """Its Stop waits for no rate slot, and what waits for one is ended by somebody else's Stop."""
-    robot = await started_and_quiet(limits={"leg_rate_hz": 1})
-    assert robot.ask(keys.leg_command(1), leg("start", 90, 90, 90)).accepted
-    mixed = {"servos": [servo("stop"), servo("set", 80), servo("set", 80)]}
-    answers = robot.get(keys.leg_command(1), mixed)
-    assert answers == []
-    robot.put(keys.ESTOP)
-    (ack,) = answers
-    assert (ack.accepted, ack.written) == (False, [1])
-    assert ack.detail is not None
-    assert ack.detail.endswith("; what it asks of leg 1 had been written before")

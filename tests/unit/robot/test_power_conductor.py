@@ -11,7 +11,7 @@ from gateway.model.power_board import SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.events import StoppedOutside
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Kind, Mode, Reason, Telemetry
+from schemas.telemetry import Kind, Mode, Reason, Supply, Telemetry
 from tests.support.elkapod import all_legs
 from tests.support.power import FedElkapod, FedRobot, running
 from tests.support.robot import LEG_3, START, leg, servo
@@ -73,9 +73,7 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     report = robot.conductor.reports.state().power
     assert report is not None
     assert (report.interface, report.alive, report.supplied, report.confirmed) == ("sim", True, (31, 32, 33), True)
-    answered_ns = robot.line.status.answered_ns
-    assert answered_ns is not None
-    assert report.age_ms == pytest.approx((robot.now_ns() - answered_ns) / 1e6)
+    assert report.age_ms == pytest.approx((robot.now_ns() - (robot.line.status.answered_ns or 0)) / 1e6)
     answers = robot.get(LEG_3, leg("stop"))
     assert robot.line.fed() == frozenset()
     await asyncio.sleep(0.1)
@@ -172,18 +170,6 @@ async def test_a_bus_at_fault_takes_the_supply(whole: bool) -> None:
     assert robot.line.fed() == frozenset()
 
 
-async def test_a_start_that_the_board_does_not_feed_is_rejected_within_2_s_and_published() -> None:
-    robot = await runs()
-    robot.line.deaf = True
-    robot.line.board.take(set_supply(0), robot.now_ns())
-    answers = robot.get(keys.leg_command(4), leg("start", 90, 90, 90))
-    for _ in range(19):
-        await keep(robot, 0.1, LEG_3, leg("set", 90, 90, 90))
-    assert [ack.reason for ack in answers] == [Reason.NO_POWER]
-    assert [event.reason for event in robot.events(Kind.COMMAND_REJECTED)][:1] == [Reason.NO_POWER]
-    assert not robot.line.ours._wanted & {41, 42, 43}, "it is not to be fed any more"
-
-
 def _cleared(robot: FedRobot) -> None:
     robot.line.board.temperatures_c[0] = 40
     robot.line.board.clear_by_hand()
@@ -192,7 +178,6 @@ def _cleared(robot: FedRobot) -> None:
 TAKEN: Final[dict[str, tuple[Callable[[FedRobot], object], Callable[[FedRobot], object], int]]] = {
     # what takes the supply, what somebody does at the board behind it, and how many faults are published
     "a blocked servo": (lambda robot: robot.line.board.fail(SERVO_OVERCURRENT, SERVO_31), lambda _: None, 1),
-    "its block is cleared": (lambda robot: robot.line.board.fail(SERVO_OVERCURRENT, SERVO_31), _cleared, 1),
     "70 degrees, and its button": (lambda robot: setitem(robot.line.board.temperatures_c, 0, 70), _cleared, 1),
     "another node's mask": (lambda robot: robot.line.hear_from_another(set_supply(0)), lambda _: None, 1),
     # On slcan it shares the terminal, so its masks are never seen, and the board seems silent now and then.
@@ -291,22 +276,14 @@ async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_no
     await asyncio.sleep(0.505)
     robot.conductor.telemetry.publish()
     (report,) = [each for key, each in robot.reports if key == keys.TELEMETRY and isinstance(each, Telemetry)]
-    assert report.servos is not None
-    assert report.servos.keys() == set(map(str, SERVO_IDS))
-    assert (report.servos["33"].supplied, report.servos["63"].supplied) == (True, False)
-    assert report.servos["33"].current_a == pytest.approx(0.1)
-    assert report.supply is not None
-    rails = robot.line.status.rails
-    assert (report.supply.voltage_v * 1000, report.supply.current_a * 1000) == pytest.approx(
-        (rails[0x84][0], rails[0x7E][1])
-    )
-    assert [volts * 1000 for volts in report.converters_v or ()] == pytest.approx([*rails[0x80], *rails[0x82]])
-    assert len(report.converters_v or ()) == 5
+    servos, rails = report.servos or {}, robot.line.status.rails
+    assert servos.keys() == set(map(str, SERVO_IDS))
+    assert (servos["33"].supplied, servos["63"].supplied) == (True, False)
+    assert servos["33"].current_a == pytest.approx(0.1)
+    assert report.supply == Supply(voltage_v=rails[0x84][0] / 1000, current_a=rails[0x7E][1] / 1000)
+    assert report.converters_v == tuple(mv / 1000 for mv in (*rails[0x80], *rails[0x82]))
     assert len(report.board_temperatures_c or ()) == 3
-    answered_ns = robot.line.status.answered_ns
-    assert answered_ns is not None
-    assert report.age_ms == pytest.approx((robot.now_ns() - answered_ns) / 1e6)
-    assert report.age_ms > 0
+    assert report.age_ms == pytest.approx((robot.now_ns() - (robot.line.status.answered_ns or 0)) / 1e6)
 
 
 async def test_a_line_that_listens_no_more_is_noticed_within_thirty_beats() -> None:

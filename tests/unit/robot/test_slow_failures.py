@@ -5,20 +5,14 @@ Stops). The same on the emulated kernel device: hil/test_failing_bus.py.
 """
 
 import asyncio
-import itertools
 import statistics
-from collections.abc import Callable, Iterable
 
 import pytest
 
-from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode
-from tests.support.faulty_controller import FaultyController
 from tests.support.robot import MS, Robot, leg, started_and_quiet
 
 pytestmark = [pytest.mark.virtual_time, pytest.mark.full]
@@ -27,52 +21,6 @@ PREFIXED = Framing.LENGTH_PREFIXED
 COST_MS = 200.0
 TRIALS = 100
 ALL_START = {"legs": {str(number): leg("start", 90, 90, 90) for number in LEGS}}
-
-
-class Bed:
-    """A bus without a service, whose six legs run, in a time that only failures take."""
-
-    def __init__(self, framing: Framing) -> None:
-        self.now_ns = 1_000 * MS
-        self.controller = FaultyController(framing, clock=lambda: self.now_ns, spend=self._spend)
-        self.bus = Bus(
-            SpiSettings(speed_hz=2_500_000, framing=framing), lambda: self.controller, clock=lambda: self.now_ns
-        )
-        self.bus.open()
-        assert self.bus.write([OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3) for leg in LEGS]).fault is None
-        assert len(self.controller.energised) == 18
-        self.controller.all_off_ns = None
-
-    def _spend(self, seconds: float) -> None:
-        self.now_ns += round(seconds * 1e9)
-
-
-@pytest.mark.parametrize("fails", [False, True])
-@pytest.mark.parametrize("stalled", range(12))
-def test_stops_reach_a_controller_that_gave_up_within_a_call_that_was_stuck(stalled: int, fails: bool) -> None:
-    """Without a repeat: the Stops that count as received were."""
-    bed = Bed(PREFIXED)
-    now = numbered([stalled])
-
-    def stuck(data: bytes) -> bool:
-        if now(data):
-            bed.now_ns += 2_000 * MS
-            return fails
-        return False
-
-    bed.controller.fail_where(stuck)
-    for _ in range(3):
-        heard = {sent.place for sent in bed.bus.write([stop_leg(leg) for leg in LEGS]).sent if sent.received}
-        if len(heard) == len(LEGS):
-            break
-    assert len(heard) == len(LEGS)
-    assert bed.controller.all_off_ns is not None
-
-
-def numbered(lost: Iterable[int]) -> Callable[[bytes], bool]:
-    """Whether a transfer is one of these, counted from 0."""
-    numbers, found = itertools.count(), frozenset(lost)
-    return lambda _: next(numbers) in found
 
 
 async def six_legs_run(framing: Framing = PREFIXED, timeout_ms: int = 10_000) -> Robot:
@@ -138,23 +86,6 @@ async def test_where_zeros_fail_and_frames_pass_the_stops_leave_all_the_same() -
     robot.controller.fail_where(lambda _: False)
     await asyncio.sleep(1)
     assert robot.mode == Mode.IDLE
-
-
-@pytest.mark.parametrize("framing", Framing)
-def test_wherever_up_to_three_transfers_are_lost_each_delays_the_last_stop_by_its_own_time(framing: Framing) -> None:
-    """Of the first fourteen transfers, every choice: six Stops, the tries behind them, and openings."""
-    for lost in itertools.chain.from_iterable(itertools.combinations(range(14), count) for count in range(4)):
-        bed = Bed(framing)
-        bed.controller.fail_where(numbered(lost), COST_MS)
-        since_ns = bed.now_ns
-        for _ in range(1 + len(lost)):
-            if bed.bus.write([stop_leg(number) for number in LEGS]).fault is None:
-                break
-            bed.bus.close()
-            bed.bus.open()
-        assert bed.controller.all_off_ns is not None, lost
-        assert bed.controller.all_off_ns - since_ns <= len(lost) * COST_MS * MS, lost
-        assert not bed.controller.corruptions, lost
 
 
 async def test_the_loop_goes_on_between_the_tries() -> None:
