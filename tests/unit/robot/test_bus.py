@@ -8,10 +8,13 @@ from typing import Final
 
 import pytest
 
+from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.model.framing import ZERO, Framing
+from gateway.robot.spi.bus import Bus
+from schemas.robot import LEGS
 from tests.support.bus_scenes import MOVES, MS, STOPS, Bench
-from tests.unit.robot.test_slow_failures import Bed, numbered
+from tests.support.faulty_controller import FaultyController
 
 PREFIXED, PLAIN = Framing.LENGTH_PREFIXED, Framing.PLAIN
 START_11 = OneServo(11, ServoOp(Op.START, 6_00))
@@ -126,14 +129,21 @@ def test_behind_six_calls_of_zeros_that_failed_all_stops_are_tried_without_and_t
 @pytest.mark.parametrize("framing", Framing)
 @pytest.mark.parametrize("first", [START_11, START_2], ids=["servo", "leg"])
 def test_wherever_up_to_three_transfers_fail_all_stops_are_written_and_executed(framing: Framing, first: Frame) -> None:
-    for failing in itertools.chain.from_iterable(itertools.combinations(range(20), count) for count in range(4)):
-        bed = Bed(framing)
-        bed.controller.fail_where(numbered(failing))
-        bed.bus.write([first])
-        report = bed.bus.write(STOPS)
+    def check(failing: tuple[int, ...]) -> None:
+        controller, numbers = FaultyController(framing, clock=lambda: 0, spend=lambda _: None), itertools.count()
+        bus = Bus(SpiSettings(speed_hz=2_500_000, framing=framing), lambda: controller, clock=lambda: 0)
+        bus.open()
+        assert bus.write([OneLeg(leg, (ServoOp(Op.START, 90_00),) * 3) for leg in LEGS]).fault is None
+        controller.fail_where(lambda _: next(numbers) in failing)
+        bus.write([first])
+        report = bus.write(STOPS)
         assert {sent.place for sent in report.sent if sent.received} == set(range(6)), failing
-        assert not bed.controller.energised, failing
-        assert not bed.controller.corruptions, failing
+        assert not controller.energised, failing
+        assert not controller.corruptions, failing
+
+    for count in range(4):
+        for failing in itertools.combinations(range(20), count):
+            check(failing)
 
 
 @pytest.mark.parametrize(("each_ms", "calls"), [(10, 61), (0, 1001)])
