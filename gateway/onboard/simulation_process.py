@@ -69,11 +69,6 @@ class SimulationProcess:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def tell(self, line: str) -> None:
-        """Write a line to the process. Never waits."""
-        with suppress(OSError):  # the process has ended; `_watch` reports this
-            os.write(self._lifeline, line.encode() + b"\n")
-
     def close(self) -> None:
         """End the process; after 2 s kill it."""
         self._ended = True
@@ -143,4 +138,6 @@ class BodyProcess(SimulationProcess):
 
     def connect(self, gateway: zenoh.Config) -> None:
         """Let the body be published through the gateway with this configuration, once that is ready. Never waits."""
-        self.tell(str(simulated_body.client_config(gateway, self.folder, self.zenoh_id)))
+        config = simulated_body.client_config(gateway, self.folder, self.zenoh_id)
+        with suppress(OSError):  # the process has ended; `_watch` reports this
+            os.write(self._lifeline, f"{config}\n".encode())

@@ -65,11 +65,6 @@ page. A systemd watchdog may need a shorter period."""
 logger = logging.getLogger(__name__)
 
 
-def _speed_cdeg_s(deg_s: float) -> int:
-    """Return a speed in hundredths of a degree a second. Only 0 gives 0, since 0 means no limit."""
-    return max(1, centidegrees(deg_s)) if deg_s else 0
-
-
 def rules(settings: Settings) -> Rules:
     """Return the supervisor's rules: the settings in ns, mV and hundredths of a degree."""
     return Rules(
@@ -85,11 +80,11 @@ def rules(settings: Settings) -> Rules:
         },
         avoid_cdeg=settings.spi.framing.avoid_cdeg,
         max_speed_cdeg_s={
-            int(servo): _speed_cdeg_s(limits.max_speed_deg_s)
+            int(servo): centidegrees(limits.max_speed_deg_s) or 1  # 0 means no limit
             for servo, limits in settings.limits.servos.items()
             if limits.max_speed_deg_s
         },
-        takeover_cdeg_s=_speed_cdeg_s(settings.limits.takeover_deg_s),
+        takeover_cdeg_s=centidegrees(settings.limits.takeover_deg_s) or ceil(settings.limits.takeover_deg_s),
         landing_ns=round(settings.watchdog.landing_ms * NS_PER_MS),
         landing_cdeg={int(servo): centidegrees(angle) for servo, angle in settings.watchdog.landing.items()},
         lease_required=settings.lease.required,
@@ -174,9 +169,12 @@ class _Service:
             supply=self.supply,
         )
         self.keeper = EstopKeeper(self.conductor, state, loop)
-        reports = self.conductor.reports
+        reports, forgotten = self.conductor.reports, "" if state is None else forgets(state.path)
         reports.simulated, reports.physics = simulated.controller, simulated.body_id
-        reports.calibration_kept = _is_kept(state)
+        reports.calibration_kept = state is not None and not forgotten
+        if forgotten:
+            lost = "calibration, revocations and the emergency stop are then lost (docs/robot.md)"
+            logger.warning("%s is on %s, which a boot empties: %s", found, forgotten, lost)
         self.calibrations = Calibrations(self.conductor, state)
         self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
 
@@ -344,18 +342,3 @@ class _Service:
 
 def _answer(answer: Callable[[Reply], None], _query: zenoh.Query, _ns: int, reply: Reply) -> OwnersTask:
     return partial(answer, reply)
-
-
-def _is_kept(state: StateFolder | None) -> bool:
-    """Return whether the state directory survives a boot. Log a warning if a boot empties it."""
-    if state is None:
-        return False
-    kind = forgets(state.path)
-    if kind:
-        logger.warning(
-            "%s is on %s, which a boot empties: calibration, revocations and the emergency stop are then lost "
-            "(docs/robot.md)",
-            state.path,
-            kind,
-        )
-    return not kind

@@ -32,13 +32,6 @@ def test_frames_carry_the_servos_own_angles_and_all_else_the_users() -> None:
     steps.play("200 servo 31 set 20 + servo 33 set 30 → command 3 set 20 | set 142 | set 30; completed 3")
 
 
-def test_the_settings_limits_hold_as_well_and_count_as_users_do() -> None:
-    Scenes(Rules(repeats=0, joint_limits_cdeg={32: (80_00, 100_00)}), calibration=MIRRORED).play("""
-        0.5 servo 32 start 79 → rejected 1 joint_limit
-        says servo 32 may go from 80 to 100 degrees; 79 is outside
-        1 servo 32 start 80 → command 32 start 107; completed 2""")
-
-
 def test_it_is_the_servos_own_angle_that_is_never_sent() -> None:
     steps = Scenes(AVOIDING, calibration=RobotCalibration(1, {32: ServoMapping(-3_00)}))
     steps.play("0.5 servo 32 start 5 → rejected 1 joint_limit")
