@@ -122,7 +122,7 @@ def from_toml(data: bytes) -> RobotCalibration:
     if end != {"of_revision": revision}:
         raise ValueError(f"the last line is not of_revision = {revision}; the file was cut off, or half of it changed")
     try:
-        found = CalibrationCommand.model_validate(values)  # all that a change of every value may contain
+        found = CalibrationCommand.model_validate(values)  # the file is a change of every value
     except ValidationError as error:
         raise ValueError(explain(error).detail) from None
     whole = {

@@ -33,7 +33,7 @@ from schemas.telemetry import Ack, Cause, Kind, Reason
 logger = logging.getLogger(__name__)
 
 _REPEAT: Final = Cause.REPEAT  # see `frames.OP_STOP`
-_AGAIN: Final = frozenset({Kind.BUS_RECOVERED, Kind.CONTROLLER_RETURNED})
+_RECOVERED: Final = frozenset({Kind.BUS_RECOVERED, Kind.CONTROLLER_RETURNED})
 """Not published if the device opened and did not take six Stops: the fault lasts, and has been published."""
 
 
@@ -159,7 +159,7 @@ class Executor:
         if outcome.meddled is not None:
             self.events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
-            if type(effect) is Announce and (outcome.fault is None or effect.kind not in _AGAIN):
+            if type(effect) is Announce and (outcome.fault is None or effect.kind not in _RECOVERED):
                 self.events.announce(effect)
         if self.publish_frames:
             self.events.frames(outcome.written)

@@ -52,6 +52,7 @@ class StateReports:
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: telemetry.RevocationsReport | None = None
         self.simulated = False
+        """Whether the controller is simulated."""
         self.physics: str | None = None
         """The Zenoh id of the process that simulates the robot's body, if there is one."""
         self.calibration_kept = False
