@@ -12,10 +12,11 @@ from gateway.model.calibration import (
     RobotCalibration,
     ServoMapping,
     calibration_of,
+    changed,
     report_of,
 )
 from gateway.model.frames import MAX_ANGLE_CDEG, STOP, Frame, OneLeg, OneServo, Op, ServoOp, decode
-from schemas.calibration import ServoCalibration
+from schemas.calibration import CalibrationCommand, ServoCalibration
 from schemas.robot import LEGS, SERVO_IDS
 
 angles = st.integers(0, MAX_ANGLE_CDEG)
@@ -61,6 +62,8 @@ def test_it_is_published_in_degrees_and_what_no_gateway_publishes_is_an_error() 
     assert (report.revision, len(report.servos), report.landing) == (1, 18, {"32": 45.5})
     assert report.servos["31"] == ServoCalibration(trim_deg=-12.34, inverted=True, min_deg=1, max_deg=170)
     assert calibration_of(report).landing_cdeg == {32: 45_50}
+    without = CalibrationCommand(servos={}, landing={"31": 20.0, "32": None})
+    assert changed(calibration_of(report), without).landing_cdeg == {31: 20_00}
     for wrong in ({"70": 90.0}, {"32": float("inf")}, {"032": 90.0}):
         with pytest.raises(ValueError, match="Input should be"):
             calibration_of(report.model_copy(update={"landing": wrong}))

@@ -67,6 +67,8 @@ def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
     kept = [read(found) for found in previous(path).values()]
     assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - EARLIER_KEPT, -1))
     assert read(path) == RobotCalibration(14, {32: ServoMapping(14)})
+    path.write_bytes(previous(path)[5].read_bytes())
+    assert load(path) == (RobotCalibration(14, {32: ServoMapping(5)}), None), "put back by hand"
 
 
 # ---- what a gateway starts with

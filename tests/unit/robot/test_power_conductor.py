@@ -170,6 +170,15 @@ async def test_a_bus_at_fault_takes_the_supply(whole: bool) -> None:
     assert robot.line.fed() == frozenset()
 
 
+async def test_a_step_whose_frames_fail_feeds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = await runs()
+    asked: list[frozenset[int]] = []
+    monkeypatch.setattr(robot.line, "want", lambda servos, _changes: asked.append(servos))
+    robot.controller.fail_where(lambda _: True)
+    robot.put(keys.LEGS_COMMAND, {"legs": {"3": leg("set", 91, 91, 91), "4": START}})
+    assert frozenset[int]().union(*asked) == LEG_3_SERVOS
+
+
 def _cleared(robot: FedRobot) -> None:
     robot.line.board.temperatures_c[0] = 40
     robot.line.board.clear_by_hand()
