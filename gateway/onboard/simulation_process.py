@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
@@ -36,19 +36,22 @@ class SimulationProcess:
     """The consequence of its unexpected end, as the second half of a sentence."""
 
     def __init__(
-        self, module: str, options: Mapping[str, object], pages: Sequence[int], folder: Path, begun: str
+        self, module: str, folder: Path, begun: str, page: ServoPage, sensed: SensedPage | None, **options: object
     ) -> None:
-        """Run `module` with `options` as JSON, and pass it the descriptors `pages`.
+        """Run `module`, and pass it the pages' descriptors, and `options` as JSON.
 
         Raises ConfigError with the first line that the process writes, unless it is `begun`. The process removes the
         private `folder` at its end, also if the gateway is killed.
         """
-        self.folder = folder
+        self.folder, self.page, self.sensed = folder, page, sensed
+        pages = {"page": page.fd} if sensed is None else {"page": page.fd, "sensed": sensed.fd}
         its_end, self._lifeline = os.pipe()
         words, its_words = os.pipe()
-        command = [sys.executable, "-m", module, json.dumps({**options, "folder": str(folder)})]
+        command = [sys.executable, "-m", module, json.dumps({**options, **pages, "folder": str(folder)})]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # an isolated Python has set its own
-        self._process = subprocess.Popen(command, stdin=its_end, stdout=its_words, pass_fds=pages, env=environment)
+        self._process = subprocess.Popen(
+            command, stdin=its_end, stdout=its_words, pass_fds=tuple(pages.values()), env=environment
+        )
         os.close(its_end)
         os.close(its_words)
         self._ended = False
@@ -101,14 +104,11 @@ class BoardProcess(SimulationProcess):
     def __init__(self, outputs: Sequence[int], page: ServoPage | None, sensed: SensedPage | None) -> None:
         """`outputs`: the servo id on each output. `page`: the simulated controller's targets; None: a new page.
         `sensed`: a simulated body's torques, for the currents."""
-        self.page = ServoPage() if page is None else page
-        """Shows the simulated controller which servos have supply."""
-        pages = [self.page.fd] if sensed is None else [self.page.fd, sensed.fd]
-        options = {"outputs": list(outputs), "page": self.page.fd, "sensed": None if sensed is None else sensed.fd}
-        folder = private_folder("power")
+        folder, page = private_folder("power"), ServoPage() if page is None else page
         self.channel = str(folder / "can")
         """The serial device for python-can's `slcan`."""
-        super().__init__("gateway.simulation.board_port", options, pages, folder, self.channel)
+        outputs = list(outputs)
+        super().__init__("gateway.simulation.board_port", folder, self.channel, page, sensed, outputs=outputs)
 
 
 READY: Final = "ready"
@@ -124,17 +124,14 @@ class BodyProcess(SimulationProcess):
         """Raises ConfigError if MuJoCo is not installed, or cannot simulate this robot."""
         if importlib.util.find_spec("mujoco") is None:
             raise ConfigError(f"the physics is missing: {install('physics')}")
-        self.page, self.sensed = ServoPage(), SensedPage()
         self.zenoh_id = f"{secrets.randbelow(15) + 1:x}{secrets.token_hex(15)}{secrets.randbelow(15) + 1:x}"
         options = {
-            "page": self.page.fd,
-            "sensed": self.sensed.fd,
             "geometry": None if geometry is None else str(geometry),
             **assumed._asdict(),
             "terrain": str(assumed.terrain),
         }
-        pages = (self.page.fd, self.sensed.fd)
-        super().__init__("gateway.people.physics.process", options, pages, private_folder("body"), READY)
+        module, folder = "gateway.people.physics.process", private_folder("body")
+        super().__init__(module, folder, READY, ServoPage(), SensedPage(), **options)
 
     def connect(self, gateway: zenoh.Config) -> None:
         """Let the body be published through the gateway with this configuration, once that is ready. Never waits."""

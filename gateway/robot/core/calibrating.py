@@ -65,7 +65,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         return self._limits.calibration
 
     def load(self, calibration: RobotCalibration, fault: str | None = None) -> None:
-        """Take the saved calibration; `fault` is why it cannot be trusted. Call it once, before the bus is opened."""
+        """Put it in force; `fault` is why it cannot be trusted. Servos that it changes must be stopped."""
         self._limits.use(calibration)
         self.fault = fault
         self.closed = fault is not None
@@ -132,13 +132,11 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
             return []
         calibration, servos, asked = self._on_its_way
         self._on_its_way = None
-        landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
-        if event.fault is None:
-            self._limits.use(calibration)
-            self.fault = None
-        self.closed = self.fault is not None
         if event.fault is not None:
+            self.closed = self.fault is not None
             return [Rejected(asked, Reason.INVALID, event.fault)]
+        landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
+        self.load(calibration)
         parts = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
         detail = f"calibration {calibration.revision} is in force; it changes {', '.join(parts) or 'nothing'}"
         if asked.change.accept_default:
