@@ -81,7 +81,7 @@ class Outcome:
 
 @dataclass(slots=True)
 class Executor:
-    """Carries out effects; numbers requests, and answers each once. For the owner of the state.
+    """Carries out effects, and answers each request once. For the owner of the state.
 
     Answers to Stops wait until the power board (`supply`) confirms them. None: there is no board.
     """

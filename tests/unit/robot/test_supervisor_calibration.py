@@ -126,20 +126,15 @@ def test_nothing_starts_by_a_calibration_that_cannot_be_read() -> None:
         3 estop → estop 1-6 stop; …""")
 
 
-def test_the_default_is_accepted_once_it_is_kept() -> None:
-    steps = Scenes(calibration=RobotCalibration(6), fault=BROKEN).play("""
-        0 calibrate nothing (accept default) → keep 1
+def test_the_default_is_accepted_once_it_is_kept_and_not_what_was_loaded() -> None:
+    steps = Scenes(calibration=MIRRORED, fault=BROKEN).play("""
+        0 calibrate 32 trim 1 (accept default) → keep 1
         1 servo 11 start 90 → rejected 2 servo_stopped
         2 kept the disk is full → rejected 1 invalid
         3 servo 11 start 90 → rejected 3 servo_stopped
-        4 calibrate nothing (accept default) → keep 4
+        4 calibrate 32 trim 1 (accept default) → keep 4
         5 kept → announce calibrated; completed 4
-        announces the default calibration is taken as this robot's; calibration 7 is in force; it changes nothing
-        6 servo 11 start 90 → command 11 start 90; completed 5""")
+        announces the default calibration is taken as this robot's; calibration 4 is in force; it changes servo 32
+        6 servo 32 start 90 → command 32 start 91; completed 5""")
     assert steps.supervisor.calibrating.fault is None
-
-
-def test_the_default_is_what_is_accepted_and_not_what_was_loaded() -> None:
-    steps = Scenes(calibration=MIRRORED, fault=BROKEN)
-    steps.play("0 calibrate 11 trim 1 (accept default)\n 1 kept")
-    assert steps.supervisor.calibrating.in_force == RobotCalibration(4, {11: ServoMapping(1_00)})
+    assert steps.supervisor.calibrating.in_force == RobotCalibration(4, {32: ServoMapping(1_00)})
