@@ -11,11 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gateway.errors import ConfigError
 from gateway.model.calibration import RobotCalibration, calibration_of, changed, report_of
 from gateway.model.frames import OneLeg, Op
 from gateway.robot.core.rejections import Rejection
+from gateway.robot.host.calibration_file import CALIBRATION_FILE, load
 from gateway.robot.host.disk_writer import DiskWriter
 from gateway.robot.host.state_folder import StateFolder
+from gateway.robot.runtime import calibrations
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
@@ -24,7 +27,7 @@ from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Kind, Reason
 from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
-from tests.unit.model.test_calibration import calibrations
+from tests.unit.model.test_calibration import calibrations as any_calibration
 
 OWN = {"servos": {"31": {"trim_deg": 7.5}, "32": {"inverted": True, "trim_deg": -10}, "33": {"max_deg": 140}}}
 virtual_time = pytest.mark.virtual_time
@@ -80,6 +83,22 @@ async def test_while_the_disk_writes_stops_leave_and_what_comes_after_the_end_ch
     disk.pop()(None)
     assert robot.calibrate(OWN) == answers == []
     assert told(robot).revision == 1
+
+
+def test_the_folder_of_another_gateway_is_not_written(tmp_path: Path) -> None:
+    ours = StateFolder(tmp_path)
+    calibrations._write(ours, RobotCalibration(3))
+    with pytest.raises(ConfigError, match="another gateway had this folder"):
+        calibrations._write(StateFolder(tmp_path), RobotCalibration(4))
+    assert load(tmp_path / CALIBRATION_FILE) == (RobotCalibration(3), None)
+
+
+@virtual_time
+async def test_only_the_leases_holder_changes_it() -> None:
+    robot = await started_and_quiet()
+    lease = robot.lease("acquire", "anna").lease
+    assert [ack.reason for ack in robot.calibrate(OWN)] == [Reason.NOT_HOLDER]
+    assert [ack.accepted for ack in robot.calibrate({**OWN, "lease": lease})] == [True]
 
 
 @virtual_time
@@ -226,7 +245,7 @@ def test_whatever_comes_is_read_or_rejected_and_never_raises(payload: bytes) -> 
     assert isinstance(read(payload), CalibrationCommand | Rejection)
 
 
-@given(calibrations)
+@given(any_calibration)
 def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: RobotCalibration) -> None:
     command = read(report_of(calibration).model_dump_json().encode())
     assert isinstance(command, CalibrationCommand)
