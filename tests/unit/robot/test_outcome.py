@@ -10,38 +10,10 @@ from gateway.model.frames import leg_of, stop_leg
 from gateway.robot.core import events
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
-from schemas.telemetry import Cause, Kind, Mode, Reason
-from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, started_and_quiet
+from schemas.telemetry import Kind, Mode, Reason
+from tests.support.robot import LEG_1, LEG_3, START, Robot, leg, servo, started_and_quiet
 
 pytestmark = pytest.mark.virtual_time
-
-FIRST, SECOND, REPLACED = events.Command(number=1), events.Command(number=2), events.Command(number=3)
-REPLACED.coalesced = True
-RESET = events.Reset(number=4)
-OF_FIRST = events.Transmit(stop_leg(1), Cause.COMMAND, None, (FIRST,))
-OF_SECOND = events.Transmit(stop_leg(2), Cause.COMMAND, None, (SECOND,), (SECOND,))
-WATCHDOGS = events.Transmit(stop_leg(3), Cause.WATCHDOG)
-EFFECTS: list[events.Effect] = [
-    OF_FIRST, OF_SECOND, WATCHDOGS, events.Completed(FIRST), events.Completed(REPLACED), events.Completed(RESET),
-    events.Rejected(events.Command(number=5), Reason.STALE, "late"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("failed", "lost"),
-    [
-        ([], []),
-        ([WATCHDOGS], []),
-        ([OF_FIRST], [1]),
-        ([OF_FIRST, OF_SECOND, WATCHDOGS], [1, 2]),
-    ],
-)
-def test_a_fault_rejects_what_a_failed_frame_names(failed: list[events.Transmit], lost: list[int]) -> None:
-    verdicts: dict[int, events.Verdict] = {2: "accepted", 1: "accepted", 3: "coalesced", 4: "accepted", 5: Reason.STALE}
-    expected = verdicts | dict.fromkeys(lost, Reason.BUS_FAULT)
-    found = events.results(EFFECTS, failed, "no device")
-    assert [(request.number, verdict) for request, verdict, _ in found] == list(expected.items())
-    assert {detail for _, verdict, detail in found if verdict is Reason.BUS_FAULT} == ({"no device"} if lost else set())
 
 
 async def test_a_reset_whose_step_cannot_write_repeated_stops_is_accepted() -> None:
@@ -70,6 +42,14 @@ async def test_a_stop_that_was_written_is_accepted_though_another_commands_frame
     stopped = robot.ask(LEG_3, leg("stop"))
     assert (stopped.accepted, robot.mode) == (True, Mode.BUS_FAULT)
     assert [(ack.accepted, ack.reason) for ack in answers] == [(False, Reason.BUS_FAULT)]
+    assert str(answers[0].detail).startswith("the frame could not be written: ")
+
+
+async def test_a_rejected_command_does_not_claim_stops_that_were_not_written() -> None:
+    robot = await started_and_quiet()
+    robot.controller.fail_where(lambda _: True)
+    ack = robot.ask(LEG_3, {"servos": [servo("stop"), servo("set", 80), servo("set", 80)]})
+    assert (ack.reason, ack.stopped) == (Reason.SERVO_STOPPED, None)
 
 
 # ---- A command of several frames that fails after some were written is answered as what it is, with these legs named
