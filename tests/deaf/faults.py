@@ -151,11 +151,8 @@ GIVEN_UP_NS = 2_000 * MS
 """By then a controller has given up a receive under way."""
 
 
-class _Clock:
-    now_ns = 0
-
-    def __call__(self) -> int:
-        return self.now_ns
+Clock = list[int]
+"""The time (ns) of all controllers of a log; no copy of one has another."""
 
 
 class Fault(NamedTuple):
@@ -205,38 +202,38 @@ def _kind(data: bytes) -> str:
 
 def _played(log: list[Written], faults: Iterable[Fault], tick_phase_ns: int = 0) -> Iterator[Watcher]:
     """Watch each fault to its end. Faults come in the log's order."""
-    clock = _Clock()
-    controller = Controller(Framing.LENGTH_PREFIXED, clock=clock, tick_phase_ns=tick_phase_ns)
+    clock = [0]
+    controller = Controller(Framing.LENGTH_PREFIXED, clock=lambda: clock[0], tick_phase_ns=tick_phase_ns)
     watcher = Watcher(controller)
-    states = _states(log, clock, copy.deepcopy(controller, {id(clock): clock}))
+    states = _states(log, clock, copy.deepcopy(controller))
     played = 0
     for fault in faults:
         for written in log[played : fault.transfer]:
-            clock.now_ns = written.at_ns
+            clock[0] = written.at_ns
             controller.take(written.data)
             watcher.saw(written.at_ns, written.data, repeat=written.repeat)
         played = fault.transfer
-        clock.now_ns = log[played].at_ns
+        clock[0] = log[played].at_ns
         controller.transfers.clear()
-        faulty: Watcher = copy.deepcopy(watcher, {id(clock): clock})
-        faulty.fault_ns = clock.now_ns
+        faulty: Watcher = copy.deepcopy(watcher)
+        faulty.fault_ns = clock[0]
         faulty.left_on = _play_on(log, fault, states, clock, faulty)
         faulty.controller.transfers.clear()
         yield faulty
     assert not watcher.missed, "without a fault, all is executed"
 
 
-def _states(log: list[Written], clock: _Clock, controller: Controller) -> list[State]:
+def _states(log: list[Written], clock: Clock, controller: Controller) -> list[State]:
     states: list[State] = []
     for written in log:
-        clock.now_ns = written.at_ns
+        clock[0] = written.at_ns
         executed = controller.executed
         controller.take(written.data)
         states.append(pulses(controller) if controller.executed > executed or not states else states[-1])
     return states
 
 
-def _play_on(log: list[Written], fault: Fault, states: list[State], clock: _Clock, watcher: Watcher) -> frozenset[int]:
+def _play_on(log: list[Written], fault: Fault, states: list[State], clock: Clock, watcher: Watcher) -> frozenset[int]:
     """Play the rest with that fault, until nothing is left of it, or of the controller.
 
     Returns the servos that nothing stops any more, where something should.
@@ -244,7 +241,7 @@ def _play_on(log: list[Written], fault: Fault, states: list[State], clock: _Cloc
     controller, received = watcher.controller, fault.received(log)
     for place in range(fault.transfer, len(log)):
         at_ns, data, repeat = log[place]
-        clock.now_ns = at_ns
+        clock[0] = at_ns
         controller.take(received.get(place, data))
         if controller.dead is not None:
             return controller.energised
@@ -252,5 +249,5 @@ def _play_on(log: list[Written], fault: Fault, states: list[State], clock: _Cloc
         whole = len(data) > 1 and place >= max(received)
         if whole and not controller.missing and not watcher.astray and pulses(controller) == states[place]:
             return frozenset()
-    clock.now_ns += GIVEN_UP_NS
+    clock[0] += GIVEN_UP_NS
     return controller.energised - {servo_id for servo_id, pulse in states[-1].items() if pulse is not None}
