@@ -8,8 +8,8 @@ Only its operators are used. Its own runner writes each mutant into the working 
 each, and a robot's program with a fault in it where somebody ends the run. Here a process is forked for each, with the
 tests loaded, and no file is written (judging.py, exchange.py).
 
-judges.py: which tests judge which file. by_hand.py: what no operator can make. Scores are left in build/mutants, and
-are judged by one floor (__main__.py). A mutant that no test need notice is accepted by a comment with its operator's
+judges.py: which tests judge which file. by_hand.py: what no operator can make. Scores are judged by one
+floor (__main__.py). A mutant that no test need notice is accepted by a comment with its operator's
 name and the reason, at its line or at the first line of its function or class:
 `# mutants accepted (Step, Gt_GtE): equal times`. All are judged all the same; what survives there does not count.
 """

@@ -1,11 +1,10 @@
 """`python -m tests.mutants [PART OF A FILE'S NAME …]`: does a test fail for each mutant?
 
-Prints what survives and a score for each file, and leaves the scores in build/mutants/scores.json. Ends with 1 where a
-room of FLOORED is below FLOOR, or a file's tests fail without a mutant.
+Prints what survives and a score for each file. Ends with 1 where a room of FLOORED is below FLOOR, or a file's tests
+fail without a mutant.
 """
 
 import argparse
-import json
 import math
 import os
 import subprocess
@@ -24,7 +23,6 @@ from tests.mutants.judging import Outcome, Subject, TestsFailError, verdicts
 from tests.support import failures
 
 ROOT: Final = Path(__file__).parents[2]
-SCORES: Final = ROOT / "build" / "mutants" / "scores.json"
 FLOOR: Final = 0.97
 """The share of a room's mutants that some test has to notice, without those that a comment accepts."""
 FLOORED: Final = ("gateway/model", "gateway/robot/core", "gateway/robot/spi", "gateway/robot/power")
@@ -71,7 +69,7 @@ def below_floor(scores: Mapping[str, Counter[str]]) -> Iterator[tuple[str, float
 
 
 def judge(file: str, sample: int | None) -> Counter[str]:
-    """Judge a file's mutants, print what became of them and keep the score. `right`: its tests pass without one."""
+    """Judge a file's mutants, and print what became of them. Returns the score. `right`: its tests pass without one."""
     begun_s = time.monotonic()
     source = (ROOT / file).read_text(encoding="utf-8")
     todo = sorted((*mutants_of(source), *made_by_hand(file, source)), key=_by_its_text)[:sample]
@@ -89,12 +87,9 @@ def judge(file: str, sample: int | None) -> Counter[str]:
     bad = [mutant for mutant in survivors if not any(comment.takes(mutant) for comment in comments)]
     wrong = [f"survived: {mutant}" for mutant in bad]
     killed = found[Outcome.KILLED] + found[Outcome.TIMED_OUT]
-    score = Counter(
-        killed=killed, by_time=found[Outcome.TIMED_OUT], wanted=killed + len(bad), accepted=len(survivors) - len(bad)
-    )
+    score = Counter(killed=killed, wanted=killed + len(bad), accepted=len(survivors) - len(bad))
     if sample is None:
         wrong += [f"accepts what no mutant needs: {unused}" for unused in sorted(_unused(comments, survivors))]
-        keep(file, score, wrong)
     share = killed / max(1, score["wanted"])
     took_s = time.monotonic() - begun_s
     print(f"{file}: {killed} of {score['wanted']} ({share:.1%}), {score['accepted']} accepted, {took_s:.0f} s")
@@ -119,15 +114,6 @@ def changed() -> set[str]:
     """Files that differ from the commit before the last one; none in a clone without it."""
     command = ["git", "diff", "--name-only", "HEAD~1"]
     return {*subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False).stdout.splitlines()}
-
-
-def keep(file: str, score: Counter[str], wrong: list[str]) -> None:
-    """Leave a file's score for those who read it afterwards."""
-    scores = dict(json.loads(SCORES.read_text(encoding="utf-8"))) if SCORES.exists() else {}
-    share = round(100 * score["killed"] / max(1, score["wanted"]), 1)
-    scores[file] = {**score, "score": share, "wrong": sorted(wrong)}
-    SCORES.parent.mkdir(parents=True, exist_ok=True)
-    SCORES.write_text(json.dumps(scores, indent=2, sort_keys=True) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -98,26 +98,16 @@ def test_made_up_states_and_answers_hide_no_state_and_ask_little(tmp_path: Path)
         declared.undeclare()
 
 
-OLDER_RULES: dict[str, Any] = {
-    "enabled": True,
-    "default_permission": "allow",
-    "rules": [
-        {
-            "id": "no configuration",
-            "permission": "deny",
-            "flows": ["ingress"],
-            "messages": ["query"],
-            "key_exprs": [keys.CONFIG],
-        }
-    ],
-    "subjects": [{"id": "everyone"}],
-    "policies": [{"rules": ["no configuration"], "subjects": ["everyone"]}],
-}
+OLDER_RULES = """{access_control: {
+  enabled: true, default_permission: "allow",
+  rules: [{id: "new", permission: "deny", flows: ["ingress"], messages: ["query"], key_exprs: ["hexapod/config"]}],
+  subjects: [{id: "all"}], policies: [{rules: ["new"], subjects: ["all"]}],
+}}"""
 
 
 def test_access_rules_without_the_configuration_are_named_and_stop_no_stop(tmp_path: Path) -> None:
     file = tmp_path / "older.json5"
-    file.write_text(json.dumps({"access_control": OLDER_RULES}))
+    file.write_text(OLDER_RULES)
     older = {"zenoh": {"listen": [f"tcp/127.0.0.1:{free_port()}"], "config": str(file)}}
     with Gateway(tmp_path, older) as gateway, gateway.client() as client:
         with pytest.raises(DisconnectedError, match=r"config is not: the access rules are of an older") as raised:
