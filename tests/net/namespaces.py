@@ -1,6 +1,6 @@
 """Hosts on one machine: a robot and its laptops, each a network namespace, with a link of its own between them.
 
-    with Network(laptops=2) as network:
+    with Network() as network:
         endpoint = f"tcp/{network.robot_address(0)}:7447"
         gateway = Gateway(folder, {"zenoh": {"listen": [endpoint], "allow_insecure": True}}, prefix=network.robot)
         laptop = Child([*network.laptop(0), *COMMAND, "status", "--follow", "--connect", endpoint], os.environ)
@@ -28,15 +28,16 @@ _numbers = itertools.count()
 
 
 class Network(Closing):
-    """A robot, and `laptops` laptops (numbered from 0), each linked to the robot and to nobody else."""
+    """A robot, and two laptops (0 and 1), each linked to the robot and to nobody else."""
 
-    def __init__(self, laptops: int = 2) -> None:
+    laptops = range(2)
+
+    def __init__(self) -> None:
         """Create them. What could not be finished is removed again. Raises RuntimeError with what `ip` said."""
         _remove_leftovers()
         name = f"{MARK}-{os.getpid()}-{next(_numbers)}"
-        self.laptops = range(laptops)
         self._robot = f"{name}-robot"
-        self._laptops = [f"{name}-laptop{number}" for number in range(laptops)]
+        self._laptops = [f"{name}-laptop{number}" for number in self.laptops]
         try:
             for namespace in (self._robot, *self._laptops):
                 _run("ip", "netns", "add", namespace)
@@ -44,10 +45,8 @@ class Network(Closing):
             for number, namespace in enumerate(self._laptops):
                 ours = ("link", "add", _link(number), "netns", self._robot)
                 _run("ip", *ours, "type", "veth", "peer", "name", "robot", "netns", namespace)
-                _run(
-                    "ip", "-n", self._robot, "address", "add", f"{self.robot_address(number)}/24", "dev", _link(number)
-                )
-                _run("ip", "-n", namespace, "address", "add", f"{self._laptop_address(number)}/24", "dev", "robot")
+                self._address(number, self.robot_address(number))
+                _run("ip", "-n", namespace, "address", "add", f"{_laptop_address(number)}/24", "dev", "robot")
                 _run("ip", "-n", namespace, "link", "set", "robot", "up")
                 self.fix(number)
                 _limit_buffers(namespace, "tcp_rmem")
@@ -76,17 +75,16 @@ class Network(Closing):
 
     def another_address(self, laptop: int) -> str:
         """Where that laptop reaches the robot as well, from now on."""
-        address = f"10.77.{laptop}.3"
+        return self._address(laptop, f"10.77.{laptop}.3")
+
+    def _address(self, laptop: int, address: str) -> str:
         _run("ip", "-n", self._robot, "address", "replace", f"{address}/24", "dev", _link(laptop))
         return address
 
-    def _laptop_address(self, laptop: int) -> str:
-        return f"10.77.{laptop}.2"
-
     def queued_bytes(self, laptop: int) -> int:
         """How many bytes that were sent to this laptop are still with the robot's kernel."""
-        to_it = ("dst", f"{self._laptop_address(laptop)}")
-        lines = _run("ip", "netns", "exec", self._robot, "ss", "-Htn", "state", "established", *to_it).splitlines()
+        asked = (*self.robot, "ss", "-Htn", "state", "established", "dst", _laptop_address(laptop))
+        lines = _run(*asked).splitlines()
         return sum(int(line.split()[1]) for line in lines)
 
     def cut(self, laptop: int) -> None:
@@ -105,7 +103,7 @@ def lacks() -> str:
     if shutil.which("ip") is None:
         return "Debian package missing: iproute2"
     try:
-        Network(laptops=1).close()
+        Network().close()
     except RuntimeError as error:
         return f"no network namespaces here: {error}"
     return ""
@@ -113,6 +111,10 @@ def lacks() -> str:
 
 def _link(laptop: int) -> str:
     return f"laptop{laptop}"
+
+
+def _laptop_address(laptop: int) -> str:
+    return f"10.77.{laptop}.2"
 
 
 def _remove_leftovers() -> None:

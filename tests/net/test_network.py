@@ -77,7 +77,7 @@ def preferred() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Hosts]:
     with (
-        Network(laptops=2) as network,
+        Network() as network,
         RobotHost(network, tmp_path_factory.mktemp("robot")) as robot,
         LaptopHost(network, 0, tmp_path_factory.mktemp("laptop")) as first,
         LaptopHost(network, 1, tmp_path_factory.mktemp("laptop")) as second,
