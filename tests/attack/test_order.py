@@ -23,16 +23,9 @@ SETTINGS = {"watchdog": {"timeout_ms": 10_000}, "limits": {"leg_rate_hz": 1000}}
 TRIES = 160
 BLOCK = zenoh.CongestionControl.BLOCK
 KEYS = {"legs": LEGS_COMMAND, "leg": leg_command(1), "servo": servo_command(11)}
-STARTS: dict[str, Any] = {
-    "legs": {"legs": {"1": leg_payload("start", (90, 90, 90))}},
-    "leg": leg_payload("start", (90, 90, 90)),
-    "servo": servo_payload("start", 90),
-}
-STOPS: dict[str, Any] = {
-    "legs": {"legs": {"1": leg_payload("stop")}},
-    "leg": leg_payload("stop"),
-    "servo": servo_payload("stop"),
-}
+START, STOP = leg_payload("start", (90, 90, 90)), leg_payload("stop")
+STARTS = {"legs": {"legs": {"1": START}}, "leg": START, "servo": servo_payload("start", 90)}
+STOPS = {"legs": {"legs": {"1": STOP}}, "leg": STOP, "servo": servo_payload("stop")}
 Way = tuple[str, str]
 """A key and a verb."""
 WAYS = [(key, verb) for key in KEYS for verb in ("put", "get")]

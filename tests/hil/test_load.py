@@ -20,6 +20,7 @@ import zenoh
 from zenoh.handlers import RingChannel
 
 from gateway.client import leg_payload
+from gateway.model.frames import decode
 from gateway.zenoh_config import client_config
 from schemas.keys import EVENT, STATE, leg_command
 from schemas.robot import LEGS
@@ -84,11 +85,6 @@ def crowd(endpoint: str) -> Iterator[None]:
         yield
 
 
-def is_stop(data: bytes) -> bool:
-    """Whether a frame's (first) operation is a Stop; nothing here sends a leg different operations."""
-    return data[3] == 2
-
-
 def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
     tmp_path: Path, spi_testbed: SpiTestbed
 ) -> None:
@@ -116,11 +112,11 @@ def test_no_servo_is_unattended_under_load_and_nothing_accepted_is_lost(
     gaps_ms = []
     for leg in LEGS:
         of_leg = [each for each in transfers if each.data[2] // 10 == leg]
-        assert is_stop(of_leg[-1].data), f"leg {leg} was left running"
+        assert decode(of_leg[-1].data).is_stop, f"leg {leg} was left running"
         gaps_ms += [
             (later.monotonic_ns - earlier.monotonic_ns) / 1e6
             for earlier, later in itertools.pairwise(of_leg)
-            if not is_stop(earlier.data)
+            if not decode(earlier.data).is_stop
         ]
     late, late_ms = state.watchdog.stop_latency_us, LATE_MS + min(pause_ms, 1000)
     print(f"{len(gaps_ms)} moves; longest gap {max(gaps_ms):.1f} ms; watchdog {late}; pauses {pause_ms:.1f} ms")

@@ -46,7 +46,9 @@ def prepare(cache: Path = CACHE) -> Parts:
     root = cache / "root"
     if not (cache / "unpacked").exists():
         shutil.rmtree(root, ignore_errors=True)
-        _unpack(_download(cache / "debs"), root)
+        root.mkdir(parents=True)
+        for package in _download(cache / "debs"):
+            _run("dpkg-deb", "--extract", str(package), str(root))
         (cache / "unpacked").touch()
     release = _release(root)
     return Parts(root, release, _build(root, release, cache / "module"))
@@ -65,12 +67,6 @@ def _download(folder: Path) -> list[Path]:
         raise PartsError("apt knows no linux-image-amd64; apt-get update?")
     _run("apt-get", "--quiet", "download", *sorted({*names, image[1]}), cwd=folder)
     return sorted(folder.glob("*.deb"))
-
-
-def _unpack(packages: list[Path], root: Path) -> None:
-    root.mkdir(parents=True)
-    for package in packages:
-        _run("dpkg-deb", "--extract", str(package), str(root))
 
 
 def _release(root: Path) -> str:
