@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from queue import SimpleQueue
 from types import FrameType, ModuleType
 from typing import Any, Final
 
@@ -24,7 +23,7 @@ from gateway.client import Client, RejectedError, StoppedError, leg_payload
 from gateway.errors import UnansweredError, ZenohError
 from gateway.people.client import blocking, lease, stream
 from schemas import keys
-from schemas.telemetry import Ack, Cause, FrameRecord, Mode
+from schemas.telemetry import Ack, Cause, Mode
 from tests.support.child import Child
 from tests.support.command import run_here
 from tests.support.fixtures import client_fixture, gateway_fixture, patient
@@ -237,17 +236,6 @@ def test_angles_are_an_array_with_nan_for_a_servo_that_is_stopped(robot: Client)
     assert robot.state().angles().shape == (6, 3)
     with pytest.raises(KeyError):
         robot.state().leg(7)
-
-
-def test_frames_are_called_back(patient_gateway: Gateway) -> None:
-    received: SimpleQueue[FrameRecord] = SimpleQueue()
-    with patient_gateway.client() as client:
-        subscriber = client.on_frame(received.put)
-        client.state()  # so the gateway knows of the subscription
-        client.start_leg(3, 90, 45, 120)
-        while received.get(timeout=10).cause is not Cause.COMMAND:
-            pass
-        subscriber.undeclare()
 
 
 # ---- the first of a laptop's hosts is no way to the robot: a Stop goes by the second one
