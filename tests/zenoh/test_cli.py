@@ -135,11 +135,7 @@ NOT_RUNNING = "servo_stopped: servo 41 does not run; start it before you set it"
         ("send leg 7 stop", 2, "less than or equal to 6"),
         ("send leg 3 wave", 2, "Invalid value for 'OP': 'wave' is not one of 'start', 'set', 'stop'."),
         ("send leg 3 start 90", 2, f"there are 1; {START_EXAMPLE}"),
-        (
-            "send leg 3 stop 90",
-            2,
-            "stop takes no angles, and there are 1; for example: hexapod-gateway send leg 3 stop",
-        ),
+        ("send leg 3 stop 90", 2, "stop takes no angles, and there are 1; for example: hexapod-gateway send leg 3 "),
         ("send legs start 90 45", 2, "start takes 3 angles, or 18, and there are 2; for example: "),
         ("send servo 14 stop", 2, "servo 14 does not exist"),
         ("send servo 32 set", 2, "there are 0; for example: hexapod-gateway send servo 32 set 90"),
