@@ -72,6 +72,9 @@ class ElkapodBed(SpiTestbed):
         said += [(transfer.monotonic_ns, "frame") for transfer in self.transfers]
         return [word for at_ns, word in sorted(said) if at_ns > since_ns]
 
+    def wait_until_said(self, word: str, since_ns: int, times: int = 1) -> None:
+        wait_until(lambda: self.said_since(since_ns).count(word) >= times, word, LATE_S)
+
     def settings_with(self, **sections: dict[str, Any]) -> dict[str, dict[str, Any]]:
         """For a gateway on this robot. Nothing counts as silent that only the machine's load makes wait."""
         return {
@@ -115,7 +118,7 @@ def start_all(robot: ElkapodBed, client: Client) -> None:
     begun_ns = time.monotonic_ns()
     ack = client.start_legs(POSE, check=False)
     assert ack.accepted, ack
-    wait_until(lambda: "start" in robot.said_since(begun_ns), within_s=LATE_S)
+    robot.wait_until_said("start", begun_ns)
     wait_until(lambda: robot.controller.energised == ALL, within_s=LATE_S)
 
 
@@ -152,9 +155,8 @@ def test_stop_servos_needs_no_gateway_and_is_noticed_by_one(
         since_ns = time.monotonic_ns()
         child = robot.spawn(command)
         assert child.wait(LATE_S) == 0, str(child)
-        said = robot.said_since(since_ns)
-        assert said.count("shutdown") >= ROUNDS
-        assert "start" not in said
+        robot.wait_until_said("shutdown", since_ns, ROUNDS)
+        assert "start" not in robot.said_since(since_ns)
         assert robot.controller.energised == frozenset()
         if not count:
             heard.wait(lambda event: event.kind is Kind.STOPPED_OUTSIDE)
@@ -176,11 +178,11 @@ def test_a_transfer_that_hangs_delays_no_stop(robot: ElkapodBed, client: Client)
     seen.wait(lambda _: True, count=len(seen.all) + 3)  # the service goes on with all that it does now and then
     since_ns = time.monotonic_ns()
     assert client.estop().accepted
-    wait_until(lambda: "shutdown" in robot.said_since(since_ns), within_s=LATE_S)
+    robot.wait_until_said("shutdown", since_ns)
     assert "frame" not in robot.said_since(since_ns), "it still hangs"
     assert robot.controller.energised == frozenset()
     robot.release()
-    wait_until(lambda: robot.said_since(since_ns).count("shutdown") >= ROUNDS, within_s=LATE_S)
+    robot.wait_until_said("shutdown", since_ns, ROUNDS)
     robot.wait_for_count(len(robot.transfers) + ENOUGH)
     assert "start" not in robot.said_since(since_ns)
     assert robot.controller.energised == frozenset()
