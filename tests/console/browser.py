@@ -221,11 +221,6 @@ class Opened:
         for leg in legs:
             self.page.locator("#run-chooser label").nth(leg - 1).click()
 
-    def insist_on_three_dimensions(self) -> None:
-        """Who chooses them by hand gets them, however slow they are."""
-        for view in ("view-above", "view-solid"):
-            self[view].check(force=True)
-
     def show_rest(self) -> None:
         """On a phone, what is there in the pads' place."""
         if self["more"].is_visible() and self["more"].get_attribute("aria-expanded") == "false":
@@ -262,11 +257,6 @@ class Opened:
     def devtools(self) -> CDPSession:
         """The browser's own interface to this page."""
         return self.context.new_cdp_session(self.page)
-
-    def let_go_as(self, letter: str, key: str) -> None:
-        """Let go of a key that has another letter by then: AltGr is held, or another keyboard layout is chosen."""
-        released = {"type": "keyUp", "code": f"Key{key.upper()}", "key": letter}
-        self.devtools().send("Input.dispatchKeyEvent", released)
 
     def hide(self) -> None:
         """As if another tab were in front, or the phone locked."""

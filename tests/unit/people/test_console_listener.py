@@ -90,15 +90,16 @@ async def test_a_sign_in_that_waits_for_the_disk_delays_nobody(stand: Stand) -> 
 
 async def test_strangers_make_room_before_who_is_signed_in(stand: Stand) -> None:
     reader, writer = await asyncio.open_connection(*stand.address[:2])
-    strangers: list[asyncio.StreamWriter] = []
+    strangers: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = []
     for count in (MAX_CONNECTIONS, 0):
         writer.write(f"GET /stop.js HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n{stand.cookie}\r\n".encode())
         head = await reader.readuntil(b"\r\n\r\n")
         assert head.startswith(b"HTTP/1.1 200 ")
         await reader.readexactly(int(head.lower().partition(b"content-length: ")[2].split()[0]))
-        opened = [await asyncio.open_connection(*stand.address[:2]) for _ in range(count)]
-        strangers += [each for _, each in opened]
-        assert not opened or await opened[0][0].read() == b"", "the oldest stranger makes room for the newest"
-        assert not opened or not opened[1][0].at_eof()
-    for each in (writer, *strangers):
+        strangers += [await asyncio.open_connection(*stand.address[:2]) for _ in range(count)]
+        assert await strangers[0][0].read() == b"", "the oldest stranger makes room for the newest"
+    assert (await stand.ask("GET / HTTP/1.1\r\nHost: 127.0.0.1:8080\r\n\r\n")).startswith(b"HTTP/1.1 403 ")
+    assert [each.at_eof() for each, _ in strangers] == [True, True] + [False] * (MAX_CONNECTIONS - 2)
+    for _, each in strangers:
         each.close()
+    writer.close()
