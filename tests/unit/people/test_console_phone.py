@@ -48,14 +48,7 @@ def test_the_fleets_certificate_is_used_where_it_fits(tmp_path: Path, hosts: Seq
     assert (found.cert == fleet / "web.pem", found.key == fleet / "web.key") == (uses, uses)
 
 
-@pytest.mark.parametrize(
-    ("target", "status"),
-    [
-        ("/", 200),
-        ("/tap.js", 200),
-        ("/ws", 404),
-    ],
-)
+@pytest.mark.parametrize(("target", "status"), [("/", 200), ("/tap.js", 200), ("/../phone.pem", 404), ("/ws", 404)])
 async def test_the_page_without_tls_answers_with_its_own_files_only(target: str, status: int) -> None:
     answer = await explain(URL(target), CIMultiDict({"Host": "192.0.2.7:8080"}))
     assert isinstance(answer, web.Response)
