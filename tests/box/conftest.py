@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.box.box import Box
-from tests.box.installed import NAME, InstalledGateway
+from tests.box.installed import InstalledGateway
 from tests.box.package import Packages, prepare
 
 
@@ -25,14 +25,6 @@ def prepared(tmp_path_factory: pytest.TempPathFactory, packages: Packages) -> It
         prepare(box, packages.make("1.1.0"))
     yield layer
     layer.unlink(missing_ok=True)  # which is large
-
-
-@pytest.fixture
-def box(tmp_path_factory: pytest.TempPathFactory, prepared: Path) -> Iterator[Box]:
-    """One with the gateway installed, booted since, and its service not begun: there is no SPI device."""
-    with Box(tmp_path_factory.mktemp("box"), base=prepared) as box:
-        yield box
-        print(box.run("journalctl", f"--unit={NAME}", "--lines=20", "--output=cat").stdout)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,8 @@
 """docs/certificates.md to the letter, on an installed robot, which is the machine with the CA, too."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -44,19 +45,21 @@ class Scene:
 
 
 @pytest.fixture(name="scene")
-def make_scene(box: Box) -> Scene:
-    for name, text in {"ssh": SSH, "scp": SCP, "sudo": SUDO}.items():
-        box.write(f"/root/bin/{name}", text)
-    box.run("sh", "-c", "chmod +x /root/bin/* && mkdir -p /root/hosts/robot.local")
-    box.run("sh", "-c", "echo 127.0.0.1 robot.local >>/etc/hosts")
-    box.run(NAME, "certs", "init", "--dir", FOLDER, "--host", "robot.local")
-    scene = Scene(box)
-    for name in ("anna", "bert", "lena"):
-        box.run(NAME, "certs", "issue", name, "--role", "operator", "--dir", FOLDER)
-        box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
-    box.run(NAME, "setup", "--certs", FOLDER, check=False, timeout_s=60)  # its `check` finds no SPI device
-    simulate(box)
-    return scene
+def make_scene(tmp_path: Path, prepared: Path) -> Iterator[Scene]:
+    """The gateway is installed, booted since, and there is no SPI device."""
+    with Box(tmp_path, base=prepared) as box:
+        for name, text in {"ssh": SSH, "scp": SCP, "sudo": SUDO}.items():
+            box.write(f"/root/bin/{name}", text)
+        box.run("sh", "-c", "chmod +x /root/bin/* && mkdir -p /root/hosts/robot.local")
+        box.run("sh", "-c", "echo 127.0.0.1 robot.local >>/etc/hosts")
+        box.run(NAME, "certs", "init", "--dir", FOLDER, "--host", "robot.local")
+        scene = Scene(box)
+        for name in ("anna", "bert", "lena"):
+            box.run(NAME, "certs", "issue", name, "--role", "operator", "--dir", FOLDER)
+            box.run("sh", "-c", f"mkdir /root/{name} && cp {FOLDER}/{name}.* {FOLDER}/ca.pem /root/{name}")
+        box.run(NAME, "setup", "--certs", FOLDER, check=False, timeout_s=60)  # its `check` finds no SPI device
+        simulate(box)
+        yield scene
 
 
 def test_a_restored_backup_lets_nobody_in_once_the_page_is_followed_to_its_end(scene: Scene) -> None:

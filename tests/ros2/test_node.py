@@ -93,12 +93,8 @@ def test_parameters_by_file_and_by_name_are_rates_frames_and_where_other_joints_
             servo_id = int(name.removeprefix("joint_"))
             if servo_id not in known:
                 assert at_rad == pytest.approx(GEOMETRY.joint_rad(servo_id, 45.0))
-        apart_s = (
-            second.header.stamp.sec
-            - first.header.stamp.sec
-            + (second.header.stamp.nanosec - first.header.stamp.nanosec) / 1e9
-        )
-        assert apart_s > 0.4
+        begin, end = first.header.stamp, second.header.stamp
+        assert end.sec - begin.sec + (end.nanosec - begin.nanosec) / 1e9 > 0.4
 
 
 def test_in_simulated_time_nobody_may_drive(gateway: Gateway, watcher: Client) -> None:
