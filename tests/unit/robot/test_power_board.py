@@ -107,13 +107,17 @@ def test_not_even_the_first_off_is_confirmed_by_an_answer_that_was_on_its_way() 
 # ---- another node, and a second board
 
 
+@pytest.fixture
+def board() -> PowerBoard:
+    return PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+
+
 def answer_to(question: CanFrame) -> CanFrame:
     return CanFrame(question.id + 1, bytes(6 if question.id in (0x7C, 0x80, 0x86) else 4))
 
 
-def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
+def test_an_answer_to_another_nodes_question_confirms_nothing(board: PowerBoard) -> None:
     """That question was asked before our mask, which has not reached the board."""
-    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
     board.receive(CanFrame(0x97), 0)
     board.cut(0)
     board.when_off(ALL_SERVOS, -10, 7, 0)
@@ -128,8 +132,8 @@ def test_an_answer_to_another_nodes_question_confirms_nothing() -> None:
     assert board.news() == [Confirmed(7, 15 / NS_PER_MS)]
 
 
-def test_no_error_is_deleted_before_the_board_has_a_mask_without_what_it_blocks() -> None:
-    board, error = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS), CanFrame(0x65, bytes.fromhex("02000001"))
+def test_no_error_is_deleted_before_the_board_has_a_mask_without_what_it_blocks(board: PowerBoard) -> None:
+    error = CanFrame(0x65, bytes.fromhex("02000001"))
     board.want(NONE, 1, 0)
     board.receive(error, 0)
     board.clear_errors(0)
@@ -141,32 +145,20 @@ def test_no_error_is_deleted_before_the_board_has_a_mask_without_what_it_blocks(
     assert CLEAR_ERROR in board.next_frames(3)
 
 
-def test_a_mask_for_which_there_was_no_room_leaves_first_and_is_confirmed_by_no_question_of_before() -> None:
-    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
+def test_what_had_no_room_is_sent_again_at_once_and_nothing_else(board: PowerBoard) -> None:
+    assert (Status().alive, Status().confirmed) == (False, False)
     board.receive(CanFrame(0x97), 0)
     board.cut(0)
-    refused = board.next_frames(0)
-    assert refused[0] == set_supply(0)
-    board.not_sent(refused, 1)
-    again = board.next_frames(2)
-    assert again[0] == set_supply(0), "it is not waited for the next repeat"
-    (asked,) = (frame for frame in again if frame in ASK_RAILS)
-    board.receive(answer_to(asked), 3)
-    board.receive(CanFrame(0x6B, bytes(3)), 4)
-    assert board.confirmed
-
-
-def test_what_had_no_room_is_sent_again_at_once_and_nothing_else() -> None:
-    board = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS)
-    assert (Status().alive, Status().confirmed) == (False, False)
-    board.opened(0)
-    board.want(NONE, 1, 0)
     for now_ns in range(10):
         mask, question, *_ = frames = board.next_frames(now_ns)
         assert (mask, question in ASK_RAILS) == (set_supply(0), True)
         board.not_sent(frames[1:], now_ns)
         assert set_supply(0) not in board.next_frames(now_ns)
         board.not_sent([mask], now_ns)
+    (asked,) = (frame for frame in board.next_frames(10) if frame in ASK_RAILS)
+    board.receive(answer_to(asked), 11)
+    board.receive(CanFrame(0x6B, bytes(3)), 12)
+    assert board.confirmed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -194,8 +186,10 @@ def test_beside_a_node_that_asks_and_switches_nothing_is_confirmed_before_a_mask
 
 
 @pytest.mark.parametrize(("identifier", "words"), [(OFF_PRESSED, "pressed"), (GOING_OFF, "has asked")])
-def test_what_is_reported_once_has_ended_after_a_second_without_its_frames(identifier: int, words: str) -> None:
-    board, reported = PowerBoard(SERVO_IDS, confirm_ns=CONFIRM_MS * NS_PER_MS), []
+def test_what_is_reported_once_has_ended_after_a_second_without_its_frames(
+    board: PowerBoard, identifier: int, words: str
+) -> None:
+    reported = []
     for at_ms in (0, 999, 1998, 2998):
         board.receive(CanFrame(identifier), at_ms * NS_PER_MS)
         reported += [(at_ms, words in news.detail) for news in board.news() if isinstance(news, News)]
