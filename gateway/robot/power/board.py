@@ -51,7 +51,7 @@ _OFF: Final = {
     BoardNotice.OFF_PRESSED: "somebody pressed the power board's off button",
     BoardNotice.GOING_OFF: "somebody has asked the power board to switch the whole robot off, and it does so in 1 s",
 }
-_TWO: Final = "two power boards answer on this bus; unplug one of them"
+_TWO: Final = "two power boards answer on this bus; unplug one of them, and reset"
 _AT_ONCE: Final = 6
 """Outputs that go on at a time."""
 _NONE: Final = frozenset[int]()

@@ -178,7 +178,7 @@ WITH_ALL_FED: Final = {
         repeat 8000 0.125 other none → few-masks 250; few-faults 2""",
     "what two boards answer confirms nothing": "second; cut; ask all; run 500 → answers no",
     "two boards on one bus are a fault and confirm nothing until a reset": """
-        second; run 1000 → faults 1; fault-of all; told two power boards; refused all
+        second; run 1000 → faults 1; fault-of all; told unplug one of them, and reset; refused all
         first-goes; cut; ask all; run 1000 → confirmed no; answers no  # it feeds what it fed
         want none; reset; run 1000 → confirmed yes; refused none""",
     "what another node switches off stays off until it is wanted anew": """
