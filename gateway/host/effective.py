@@ -16,7 +16,7 @@ from typing import Any, Final
 from gateway import nesting
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
-from gateway.host.settings_table import FOR_STOPS, ControllerSettings, PowerSettings, SpiSettings, WireSettings
+from gateway.host.settings_table import FOR_STOPS
 from gateway.text import key_name
 
 NAME: Final = "effective.toml"
@@ -43,18 +43,16 @@ class Effective(ForStops):
 
 
 def write(used: ForStops) -> None:
-    """Write the settings that this process uses; without a runtime directory, nothing. Raises OSError, ValueError."""
+    """Write the settings that this process uses. Raises OSError, ValueError.
+
+    Without a runtime directory, or with a wrong section [power], nothing is written.
+    """
     folder = runtime_directory()
-    if folder is None:
+    if folder is None or used.power is None:
         return
-    stated = {
-        f"[{section}]": {name: getattr(getattr(used, section), name) for name in names}
-        for section, names in FOR_STOPS.items()
-    }
-    stated["[wire]"] |= used.wire.options
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
     lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    for head, table in {"": process, **stated}.items():
+    for head, table in {"": process, **{f"[{name}]": table for name, table in _tables(used).items()}}.items():
         lines += [head, *(f"{key_name(name)} = {_toml(value)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
     staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
@@ -89,26 +87,27 @@ def differences(used: Effective, path: Path) -> list[str]:
     """Return a sentence for each difference between a file and the settings that the service uses."""
     try:
         with path.open("rb") as file:
-            stated = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
+            stated, _ = read_for_stops(nesting.read_toml(file.read(nesting.MOST_BYTES + 1)))
     except (OSError, ValueError):
         return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
-    defaults = ForStops(used.wire, SpiSettings().of(used.wire), ControllerSettings(), PowerSettings())
     found = []
-    for section, names in FOR_STOPS.items():
-        table, theirs = stated.get(section), used.tables.get(section)
-        table, theirs = (each if isinstance(each, dict) else {} for each in (table, theirs))
-        for name in dict.fromkeys((*names, *theirs, *table) if section == "wire" else names):
-            if section == "spi" and not _uses(used.wire, name):
-                continue
-            default = getattr(getattr(defaults, section), name, None)
-            value, uses = table.get(name, default), theirs.get(name, default)
-            if value != uses:
-                found.append(f"{path} has {section}.{name} = {_shown(value)}, and the service uses {_shown(uses)}")
+    for section, uses in _tables(used).items():
+        states = _tables(stated)[section]
+        for name in dict.fromkeys((*uses, *states)):
+            ours, theirs = _shown(states.get(name)), _shown(uses.get(name))
+            if ours != theirs:
+                found.append(f"{path} has {section}.{name} = {ours}, and the service uses {theirs}")
     return found
 
 
-def _uses(wire: WireSettings, name: str) -> bool:
-    return wire.framed or (wire.has_uart and name not in {"framing", "frame_gap_us"})
+def _tables(used: ForStops) -> dict[str, dict[str, Any]]:
+    """Return the settings for Stops by section and name; None: the section [power] is wrong."""
+    found = {
+        section: {name: getattr(getattr(used, section), name, None) for name in names}
+        for section, names in FOR_STOPS.items()
+    }
+    found["wire"] |= used.wire.options
+    return found
 
 
 def differs_here(path: Path = CONFIGURATION) -> list[str]:

@@ -1,8 +1,10 @@
 """Reads a TOML file's values into the sections of the settings' table."""
 
 import enum
+import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import Field, dataclass, fields, is_dataclass
 from typing import Any, Final, Literal, TypeVar, cast, get_args, get_origin
 
@@ -27,6 +29,12 @@ Fault = tuple[Place, str]
 S = TypeVar("S", bound=Section)
 
 
+class VariableText(str):
+    """An environment variable's text, which is read as a value of its setting's type."""
+
+    __slots__ = ()
+
+
 def dotted(place: Place) -> str:
     """Return a place as text: `spi.speed_hz`, `zenoh.listen[0]`. A name that is no bare TOML key is quoted."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{key_name(part)}" for part in place)
@@ -43,13 +51,16 @@ def read(kind: type[S], table: object, faults: list[Fault], place: Place = ()) -
         return kind()
     before, found, others = len(faults), dict[str, Any](), dict(table)
     for each in fields(cast("Any", kind)):
-        if is_others(each):  # the section's last field
-            found[each.name], others = others, {}
+        if is_others(each):  # the section's last field; a variable may not add a setting
+            keys = [name for name, value in others.items() if not isinstance(value, VariableText)]
+            found[each.name] = {name: others.pop(name) for name in keys}
         elif each.name in others:
             allowed = each.metadata.get("allowed", _ANY)
             value = _value(each.type, allowed, others.pop(each.name), (*place, each.name), faults)
             found |= {} if value is None else {each.name: value}
-    faults += [((*place, name), REMOVED.get((*place, name), NO_SETTING)) for name in others]
+    # An empty removed section, which an earlier installed file still contains, is no fault.
+    unknown = (((*place, name), value) for name, value in others.items())
+    faults += [(at, REMOVED.get(at, NO_SETTING)) for at, value in unknown if value != {} or at not in REMOVED]
     made = kind(**found)
     if len(faults) == before:
         faults += [((*place, *below), sentence) for below, sentence in made.faults()]
@@ -86,6 +97,7 @@ def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[Fault]]:
 
 
 _ANY: Final = Allowed("")
+_ARRAY: Final = 'a valid array, such as ["tcp/127.0.0.1:7447"]'
 _NAMES: Final = {bool: "a valid boolean", int: "a valid integer", float: "a valid number", str: "a valid string"}
 
 
@@ -95,6 +107,8 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[F
         return read(cast("type[Section]", kind), value, faults, place)
     before, of = len(faults), get_origin(kind)
     found: Any
+    if isinstance(value, VariableText):
+        value = _typed(kind, value)
     if of is tuple and isinstance(value, list | tuple):
         found = tuple(_value(get_args(kind)[0], _ANY, each, (*place, at), faults) for at, each in enumerate(value))
     elif of is Mapping and isinstance(value, Mapping):
@@ -114,6 +128,21 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[F
     return found
 
 
+_BOOLEANS: Final = {
+    **dict.fromkeys(("true", "1", "yes", "on"), True),
+    **dict.fromkeys(("false", "0", "no", "off"), False),
+}
+
+
+def _typed(kind: Any, text: str) -> Any:
+    """Return a variable's text as a file would have the value; a plain text if it is none of this type."""
+    if kind is bool:
+        return _BOOLEANS.get(text.lower(), str(text))
+    with suppress(ValueError, RecursionError):
+        return json.loads(text) if get_origin(kind) is tuple else kind(text) if kind in {int, float} else str(text)
+    return str(text)
+
+
 def _wrong(place: Place, value: object, wanted: str) -> Fault:
     return (place, f"{echo(value)} is not allowed: input should be {wanted}")
 
@@ -130,7 +159,7 @@ def _wanted(kind: Any, limits: tuple[float, float] | None, value: Any) -> str:
     if choice := words(kind):
         return "" if value in choice else " or ".join(f"'{word}'" for word in choice)
     if kind not in _NAMES:
-        return "an object" if get_origin(kind) is Mapping else "a valid array"
+        return "an object" if get_origin(kind) is Mapping else _ARRAY
     right = isinstance(value, int | float if kind is float else kind) and isinstance(value, bool) == (kind is bool)
     if not right or kind in {bool, str}:
         return "" if right else _NAMES[kind]

@@ -126,13 +126,8 @@ class WireSettings(Section):
 
     @property
     def has_uart(self) -> bool:
-        """Whether a UART starts and stops the servos."""
+        """Whether a UART starts and stops the servos. With a power board, supply then starts each."""
         return self.built_in is not None and not self.framed
-
-    @property
-    def supply_starts(self) -> bool:
-        """Whether servos start by a power board's supply."""
-        return self.has_uart
 
     @property
     def capabilities(self) -> Capabilities:

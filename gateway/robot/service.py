@@ -94,7 +94,7 @@ def rules(settings: Settings) -> Rules:
         min_battery_mv=round(settings.safety.min_battery_v * 1000),
         max_tilt_cdeg=centidegrees(settings.safety.max_tilt_deg),
         power=bool(settings.power.interface),
-        angles_first=settings.wire.supply_starts,
+        angles_first=settings.wire.has_uart,
     )
 
 

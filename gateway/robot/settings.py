@@ -4,34 +4,22 @@ They come from a TOML file; environment variables (`HEXAPOD_SPI__DEVICE`) overri
 `stop-servos` reads its settings here, too, so nothing slow is imported.
 """
 
-import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from copy import deepcopy
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self, get_args, get_origin
+from typing import Any, Final, Self
 
 from gateway import nesting
 from gateway.errors import ConfigError
 from gateway.host import settings_table
 from gateway.host.directories import CONFIGURATION
-from gateway.host.settings_reader import (
-    NO_SETTING,
-    SERVOS,
-    Fault,
-    ForStops,
-    dotted,
-    is_others,
-    read,
-    read_for_stops,
-)
+from gateway.host.settings_reader import NO_SETTING, Fault, ForStops, VariableText, dotted, read, read_for_stops
 from gateway.model.frames import PROTOCOL_VERSION
 from gateway.model.framing import Framing
 from gateway.own_command import CONNECT_VARIABLE
-from gateway.text import echo, key_name
 
 ENV_PREFIX: Final = "HEXAPOD_"
 
@@ -56,7 +44,7 @@ class Settings(settings_table.Section):
     @property
     def starts_whole(self) -> bool:
         """Whether only the whole robot can be started and stopped. A board whose supply starts servos starts each."""
-        singly = self.wire.supply_starts and self.power.interface
+        singly = self.wire.has_uart and self.power.interface
         return self.wire.capabilities.whole_robot and not singly
 
     @property
@@ -129,8 +117,8 @@ class FramingNotSetError(ConfigError):
     """spi.framing is not set. The text lists all other faults, too."""
 
 
-Variables = Mapping[tuple[str, ...], tuple[str, Any]]
-"""Environment variables and their values, by the setting that they set."""
+Variables = Mapping[tuple[str, ...], tuple[str, VariableText]]
+"""Environment variables and their texts, by the setting that they set."""
 
 
 def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
@@ -140,23 +128,14 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     controller is `simulated`, spi.framing must be set: plain frames overrun the published firmware's buffer, after
     which no Stop reaches its servos until a reset.
     """
-    lines: list[str] = []
-    tables: dict[str, Any] = {}
-    try:  # empty removed sections, which an earlier installed file still contains, are no fault
-        tables = {
-            name: table for name, table in _read(path).items() if table != {} or (name,) not in settings_table.REMOVED
-        }
-    except ConfigError as error:
-        lines.append(str(error))
-    unread = bool(lines)
-    variables, misnamed = _environment()
-    in_file, merged, faults = list[Fault](), _merged(tables, variables), list[Fault]()
+    tables, variables = _read(path), _variables()
+    merged = _merged(tables, variables)
+    in_file, faults = list[Fault](), list[Fault]()
     read(Settings, tables, in_file)
     found = read(Settings, merged, faults)
-    lines += [_line(path, fault) for fault in in_file]
-    lines += [f"{key_name(variable)}: {sentence}" for variable, (_, sentence) in misnamed.items()]
+    lines = [_line(path, fault) for fault in in_file]
     lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
-    if not (simulated or unread):
+    if not simulated:
         _require_framing(path, merged, lines)
     _raise(lines)
     return found
@@ -167,23 +146,19 @@ def load_for_stops(path: Path | None = None) -> ForStops:
 
     Everything else is ignored, even removed settings. `SpiSettings.within_limits` adds the framing's limits.
     """
-    variables, misnamed = _environment()
+    variables = _variables()
     merged = _merged(_read(path), variables)
     found, faults = read_for_stops(merged)
-    lines = [
-        f"{key_name(variable)}: {sentence}"
-        for variable, (place, sentence) in misnamed.items()
-        if place[0] == "spi" and not _harmless(place)
-    ]
-    lines += [_line(path, fault, variables) for fault in faults if not _harmless(fault[0])]
+    lines = [_line(path, fault, variables) for fault in faults if not _harmless(*fault)]
     _require_framing(path, merged, lines)
     _raise(lines)
     return found
 
 
-def _harmless(place: settings_table.Place) -> bool:
-    """Return whether this is a removed setting that no Stop needs."""
-    return place in settings_table.REMOVED and place != ("spi", "protocol")
+def _harmless(place: settings_table.Place, sentence: str) -> bool:
+    """Return whether this is a removed setting that no Stop needs, or a variable that adds an option to a wire."""
+    removed = place in settings_table.REMOVED and place != ("spi", "protocol")
+    return removed or (place[0] == "wire" and sentence == NO_SETTING)
 
 
 def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyType({})) -> str:
@@ -191,7 +166,8 @@ def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyTy
     its place in the file."""
     place, sentence = fault
     named = [variable for at, (variable, _) in variables.items() if place[: len(at)] == at or at[: len(place)] == place]
-    return f"{' and '.join(named) or f'{path or CONFIGURATION}: {dotted(place)}'}: {sentence}"
+    hint = f"; {_NAMES}" if named and sentence == NO_SETTING else ""
+    return f"{' and '.join(named) or f'{path or CONFIGURATION}: {dotted(place)}'}: {sentence}{hint}"
 
 
 _WHICH_FRAMING: Final = (
@@ -236,62 +212,16 @@ def _read(path: Path | None) -> dict[str, Any]:
 # ---- the environment
 
 
-def _environment() -> tuple[Variables, dict[str, Fault]]:
-    """Return the variables that begin with ENV_PREFIX, and the faults in them.
-
-    A variable that names no setting is a fault. CONNECT_VARIABLE is for client commands and is skipped.
-    """
-    found: dict[tuple[str, ...], tuple[str, Any]] = {}
-    faults: dict[str, Fault] = {}
+def _variables() -> Variables:
+    """Return the variables that begin with ENV_PREFIX. One that names no setting of a section is its own place."""
+    found: dict[tuple[str, ...], tuple[str, VariableText]] = {}
     for variable, text in sorted(os.environ.items()):
-        if not variable.upper().startswith(ENV_PREFIX) or variable == CONNECT_VARIABLE:
-            continue
-        place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
-        kind = _kind(place) if variable == variable.upper() else None
-        if kind is None:
-            why = (
-                settings_table.REMOVED.get(place) or settings_table.REMOVED.get(place[:1]) or f"{NO_SETTING}; {_NAMES}"
-            )
-            faults[variable] = place, why
-            continue
-        try:
-            found[place] = variable, _typed(kind, text)
-        except (ValueError, RecursionError):
-            example = """write the list as JSON, such as '["tcp/127.0.0.1:7447"]'"""
-            faults[variable] = place, f"{echo(text)} is not allowed: {example}"
-    return found, faults
-
-
-def _kind(place: settings_table.Place) -> Any:
-    """Return the type of the setting at this place, or None if there is none."""
-    kind: Any = Settings
-    for name in place:
-        if get_origin(kind) is Mapping:
-            kind = get_args(kind)[1] if name in SERVOS else None
-        else:
-            of_section = fields(kind) if is_dataclass(kind) else ()
-            kind = next((each.type for each in of_section if each.name == name and not is_others(each)), None)
-    return None if is_dataclass(kind) or get_origin(kind) is Mapping else kind
-
-
-_BOOLEANS: Final = {
-    **dict.fromkeys(("true", "1", "yes", "on"), True),
-    **dict.fromkeys(("false", "0", "no", "off"), False),
-}
-
-
-def _typed(kind: Any, text: str) -> Any:
-    """Return a variable's text as a file would have the value; unchanged if it is none of this type.
-
-    Raises ValueError or RecursionError if a list is no JSON.
-    """
-    if get_origin(kind) is tuple:
-        return json.loads(text)
-    if kind is bool:
-        return _BOOLEANS.get(text.lower(), text)
-    with suppress(ValueError):
-        return kind(text) if kind in {int, float} else text
-    return text
+        # CONNECT_VARIABLE is for client commands.
+        if variable.upper().startswith(ENV_PREFIX) and variable != CONNECT_VARIABLE:
+            place = tuple(variable.removeprefix(ENV_PREFIX).lower().split("__"))
+            misnamed = len(place) == 1 or variable != variable.upper()
+            found[(variable,) if misnamed else place] = variable, VariableText(text)
+    return found
 
 
 def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:

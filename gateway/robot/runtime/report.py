@@ -40,7 +40,7 @@ class StateReports:
         self._limits = limits_of(self.settings)
         wire = self.settings.wire
         can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
-        self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.supply_starts, **can._asdict())
+        self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.has_uart, **can._asdict())
         self.measures = wire.capabilities.measures
         self.protocol = self.settings.protocol
         self.certificate: telemetry.CertificateReport | None = None
