@@ -12,8 +12,8 @@ import faulthandler
 import io
 import logging
 import os
-import re
 import select
+import shlex
 import signal
 import sys
 import threading
@@ -27,27 +27,24 @@ from gateway.host.directories import runtime_directory
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.text import visible
 
-_TEXT: Final = "text"
-"""Name of a record that comes from no logger."""
 MAX_LINES_WAITING: Final = 1000
-"""About 1 MB. Above this, lines are dropped until half of the queue is written."""
+"""About 1 MB. Above this, lines are dropped."""
 
 
 class LogWriter(QueueHandler):
-    """Queues records, which a QueueListener's thread writes to `descriptor`. Queuing never blocks.
+    """Queues records and texts, which a QueueListener's thread writes to `descriptor`. Queuing never blocks.
 
     With concurrent callers the queue may exceed `MAX_LINES_WAITING` by a few lines.
     """
 
-    queue: SimpleQueue[logging.LogRecord | None]  # without a lock that a descheduled thread could hold
+    queue: SimpleQueue[logging.LogRecord | str | None]  # without a lock that a descheduled thread could hold
 
     def __init__(self, descriptor: int, formatter: logging.Formatter | None = None) -> None:
         super().__init__(SimpleQueue())
         self.descriptor = descriptor
-        self.lines: Final = formatter or logging.Formatter()
+        self.setFormatter(formatter)
         self.dropped = 0
         """Lines not written, because the queue was full or writing failed."""
-        self._full = False
         self._writing = _Writing(self)
         self._writing.start()
 
@@ -61,18 +58,12 @@ class LogWriter(QueueHandler):
         record.msg, record.args = record.getMessage(), None
         return record
 
-    def enqueue(self, record: logging.LogRecord) -> None:
-        """Queue a record, or drop it if too many wait."""
-        waiting = self.queue.qsize()
-        self._full = waiting >= MAX_LINES_WAITING or (self._full and waiting > MAX_LINES_WAITING // 2)
-        if self._full:
-            self.dropped += 1
-        else:
+    def enqueue(self, record: logging.LogRecord | str) -> None:
+        """Queue a record, or a text that is written unchanged. Drop it if too many wait."""
+        if self.queue.qsize() < MAX_LINES_WAITING:
             self.queue.put_nowait(record)
-
-    def put(self, text: str) -> None:
-        """Queue a text, which is written unchanged."""
-        self.enqueue(logging.makeLogRecord({"name": _TEXT, "msg": text}))
+        else:
+            self.dropped += 1
 
     def stop(self, timeout_s: float) -> None:
         """Write the queued lines and end the thread. Give up after `timeout_s`."""
@@ -93,23 +84,21 @@ class _Writing(QueueListener):
         prefer_thread(PAGE_PRIORITY)
         super()._monitor()  # type: ignore[misc]  # missing in typeshed
 
-    def handle(self, record: logging.LogRecord) -> None:
+    def handle(self, record: logging.LogRecord | str) -> None:
         log_writer = self._log_writer
-        text = record.msg
         try:
-            if record.name is not _TEXT:
-                text = f"{log_writer.lines.format(record)}\n"
-            self._write(text.encode(errors="backslashreplace"))
+            self._write(record)
             missing = log_writer.dropped - self._dropped_logged
             if missing and log_writer.queue.qsize() <= MAX_LINES_WAITING // 2:
                 self._dropped_logged += missing
                 why = f"{missing} lines were dropped here, since they were not read in time"
-                record = logging.LogRecord(__name__, logging.WARNING, __file__, 0, why, None, None)
-                self._write(f"{log_writer.lines.format(record)}\n".encode())
+                self._write(logging.LogRecord(__name__, logging.WARNING, __file__, 0, why, None, None))
         except Exception:  # a full disk, a reader that ended, a line that cannot be rendered: skip the line
             log_writer.dropped += 1
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, record: logging.LogRecord | str) -> None:
+        text = record if isinstance(record, str) else f"{self._log_writer.format(record)}\n"
+        data = text.encode(errors="backslashreplace")
         # Unbuffered: if a blocked thread held a buffer's lock, the interpreter would abort at its end.
         while data:
             try:
@@ -133,14 +122,14 @@ class LogStream(io.TextIOBase):
         lines, end, rest = (self._unfinished.text + text).rpartition("\n")
         self._unfinished.text = rest
         if end:
-            self._log_writer.put(lines + end)
+            self._log_writer.enqueue(lines + end)
         return len(text)
 
     def flush(self) -> None:
         """Queue the unfinished line. Never waits."""
         rest, self._unfinished.text = self._unfinished.text, ""
         if rest:
-            self._log_writer.put(rest)
+            self._log_writer.enqueue(rest)
 
     def writable(self) -> bool:
         return True
@@ -217,18 +206,12 @@ class _Lines(logging.Formatter):
         # The time of the call; the line may be written much later.
         made = datetime.fromtimestamp(record.created, UTC).isoformat().replace("+00:00", "Z")
         found = sorted((name, value) for name, value in vars(record).items() if name not in _OF_EACH_RECORD)
-        fields = "".join(f" {name}={_quoted(value)}" for name, value in found if value is not None)
+        fields = "".join(f" {name}={shlex.quote(str(value))}" for name, value in found if value is not None)
         head = "" if self._journal else f"{made} [{record.levelname.lower():8}] "
         fault = self.formatException(record.exc_info).splitlines() if record.exc_info else []
-        lines = [f"{head}{visible(record.getMessage())}{fields}", *map(visible, fault)]
+        lines = [f"{head}{visible(record.getMessage() + fields)}", *map(visible, fault)]
         return "\n".join(f"{priority if self._journal else ''}{line}" for line in lines)
 
 
 _PRIORITIES: Final = {logging.NOTSET: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
-_BARE: Final = re.compile(r"[\w./:@+-]+")
-"""A value that needs no quotes."""
 _OF_EACH_RECORD: Final = {*vars(logging.makeLogRecord({})), "taskName"}
-
-
-def _quoted(value: object) -> str:
-    return repr(value) if isinstance(value, str) and not _BARE.fullmatch(value) else visible(str(value))
