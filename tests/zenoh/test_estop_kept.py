@@ -9,8 +9,7 @@ import pytest
 
 from gateway import durable
 from gateway.client import Client
-from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE
-from gateway.robot.runtime.estop_keeper import SLOW_S
+from gateway.robot.runtime.estop_keeper import ESTOP_FILE, LAST_FILE, SLOW_S
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.support.gateway_process import Gateway

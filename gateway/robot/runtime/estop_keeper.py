@@ -1,26 +1,43 @@
-"""Keeps the emergency stop in the state directory: after its Stops, on a thread of its own.
+"""Keeps the emergency stop in the state directory for the next run: after its Stops, on a thread of its own.
 
-Only one write runs at a time. The next one writes the latest state, so an older state never follows a newer one.
+`estop.json` exists while an emergency stop is engaged. `estop-last.json` has the number of the latest one that was
+left. Numbers continue, so that a reset for an earlier run names no emergency stop of this one.
 """
 
 import asyncio
 import logging
+import os
+import secrets
 import threading
+import time
 from contextlib import suppress
-from datetime import UTC
+from datetime import UTC, datetime
 from functools import partial
-from typing import Final
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Annotated, Final, NamedTuple
 
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
+
+from gateway import durable
 from gateway.errors import ConfigError
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.robot.core.events import Announce, EstopKept
-from gateway.robot.host import estop_file
-from gateway.robot.host.disk_writer import DiskWriter
-from gateway.robot.host.estop_file import KeptEstop
+from gateway.robot.host.disk_writer import report_mistake
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.runtime.conductor import Conductor
 from schemas.keys import ESTOP
 from schemas.telemetry import Kind
+
+ESTOP_FILE: Final = "estop.json"
+LAST_FILE: Final = "estop-last.json"
+MAX_BYTES: Final = 4096
+"""A file has about 200; a larger one is rejected unread."""
+MAX_NUMBER: Final = 2**53
+"""The largest exact integer in JavaScript."""
+_UNHEARD_OF: Final = 10**9
+"""If the last number is not known, numbers continue a random step above this, so that no earlier reset names them."""
 
 READ_S: Final = 2.0
 """How long the start waits for the disk. A disk answers within milliseconds, a worn card within a second."""
@@ -37,40 +54,45 @@ _LOOK: Final = "make sure that nobody is in danger, then reset it"
 logger = logging.getLogger(__name__)
 
 
+class KeptEstop(NamedTuple):
+    number: int
+    """Its number; 0: there was none."""
+    engaged: bool = False
+    source: str | None = None
+    time: datetime | None = None
+    fault: str | None = None
+    """Why it is not known, and so counts as engaged."""
+
+
 class EstopKeeper:
-    """Reads the emergency stop that an earlier run left, and writes each change. Without a folder it keeps nothing."""
+    """Reads the emergency stop that an earlier run left, and writes each change. Without a folder it keeps nothing.
+
+    The owner of the state calls it. Its thread writes the latest state, so an older state never follows a newer one.
+    """
 
     def __init__(self, conductor: Conductor, folder: StateFolder | None, loop: asyncio.AbstractEventLoop) -> None:
         """Begin to read, on another thread, so that the first Stops do not wait for the disk."""
         self._conductor = conductor
         self._folder = folder
+        self._loop = loop
+        self._found: KeptEstop | None = None
+        self._is_read = asyncio.Event()
         self._wanted: KeptEstop | None = None
         self._written: KeptEstop | None = None
-        self._writes = False
         self._unknown: str | None = None
         """Why an earlier run's emergency stop is not known, until a reset. None: it is known."""
         self._fault: str | None = None
+        self._wakes: SimpleQueue[bool] = SimpleQueue()
+        """Wakes the thread. True: write without a pause."""
         self._idle = threading.Event()
+        """All is written, or an attempt failed."""
         self._idle.set()
-        self._ending = False
-        self._found: KeptEstop | None = None
-        self._is_read = asyncio.Event()
-        if folder is None:
-            return
-        self._next = OwnersTimer(loop, conductor.owner, self._write_next)
-        late = partial(self._report, f"the disk has not answered for {SLOW_S:g} s")
-        self._slow = OwnersTimer(loop, conductor.owner, late)
-        self._disk = DiskWriter("keep estop", loop, conductor.owner)
-        self._disk.write(partial(self._read, folder), lambda _: loop.call_soon_threadsafe(self._is_read.set))
+        if folder is not None:
+            late = partial(self._report, f"the disk has not answered for {SLOW_S:g} s")
+            self._slow = OwnersTimer(loop, conductor.owner, late)
+            threading.Thread(target=self._keep, args=(folder,), name="keep estop", daemon=True).start()
 
     # ---- the start
-
-    def _read(self, folder: StateFolder) -> None:
-        try:
-            folder.own()
-            self._found = estop_file.read(folder.path)
-        except ConfigError as error:
-            self._found = estop_file.unknown(str(error))
 
     async def known(self) -> None:
         """Report the earlier run's emergency stop to the supervisor, before any command. Takes READ_S at most."""
@@ -78,8 +100,7 @@ class EstopKeeper:
             return
         with suppress(TimeoutError):
             await asyncio.wait_for(self._is_read.wait(), READ_S)
-        silent = f"{self._folder.path}: the disk has not answered for {READ_S:g} s"
-        found = self._found or estop_file.unknown(silent)
+        found = self._found or _unknown(f"{self._folder.path}: the disk has not answered for {READ_S:g} s")
         conductor = self._conductor
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
@@ -102,53 +123,70 @@ class EstopKeeper:
         if self._unknown is not None:
             number = self._conductor.supervisor.latch.number
             what = f"emergency stop {number} is engaged, since it is not known what an earlier run has left"
-            self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, f"{what} ({self._unknown}); {_LOOK}", key=ESTOP))
-        elif found is not None and found.engaged and found.time is not None:
-            since = f"{found.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
+            detail = f"{what} ({self._unknown}); {_LOOK}"
+        elif found is not None and found.engaged:
+            since = "" if found.time is None else f" of {found.time.astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
             by = "" if found.source is None else f", by {found.source}"
-            detail = f"emergency stop {found.number} of {since}{by} is still engaged; {_LOOK}"
-            self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
+            detail = f"emergency stop {found.number}{since}{by} is still engaged; {_LOOK}"
+        else:
+            return
+        self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
 
     # ---- what changes
 
     def _changed(self) -> None:
         """Have a new emergency stop (its Stops are written) or a reset written to the disk."""
-        latch = self._conductor.supervisor.latch
+        latch, reports, before = self._conductor.supervisor.latch, self._conductor.reports, self._wanted
         if latch.since_ns is None:
             self._unknown = None
             self._wanted = KeptEstop(latch.number)
             self._show()
         else:
-            reports = self._conductor.reports
             self._wanted = KeptEstop(latch.number, True, self._conductor.events.estop_source, reports.estop_since)
-        if self._wanted != self._written:
+        at_once = self._wanted.engaged != (before or self._written or KeptEstop(0)).engaged
+        if self._wanted != self._written and (at_once or self._idle.is_set()):
             self._idle.clear()
-            if not (self._next.armed and _only_number(self._written, self._wanted)):
-                self._write_next()
+            self._slow.set_in(SLOW_S)
+            self._wakes.put(at_once)
 
-    def _write_next(self) -> None:
-        wanted = self._wanted
-        if self._writes or wanted is None or self._folder is None:
-            return
-        if wanted == self._written:
-            self._idle.set()
-            return
-        self._writes = True
-        self._slow.set_in(SLOW_S)
-        self._disk.write(partial(_write, self._folder, wanted), partial(self._ended, wanted))
+    def _keep(self, folder: StateFolder) -> None:
+        """The thread: read what an earlier run left, then write each change, with a pause after each attempt."""
+        prefer_thread(PAGE_PRIORITY)
+        try:
+            try:
+                folder.own()
+                self._found = read(folder.path)
+            except ConfigError as error:
+                self._found = _unknown(str(error))
+            with suppress(RuntimeError):  # the loop is closed: the service has ended
+                self._loop.call_soon_threadsafe(self._is_read.set)
+            while True:
+                self._wakes.get()
+                while (wanted := self._wanted) is not None and wanted != self._written:
+                    until_s = self._write(folder, wanted) + time.monotonic()
+                    with suppress(Empty):
+                        while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
+                            pass
+        except Exception as error:
+            report_mistake(self._loop, "the thread keep estop failed", error)
 
-    def _ended(self, written: KeptEstop, fault: str | None) -> None:
-        self._writes = False
-        self._slow.cancel()
-        self._report(fault)
-        if fault is not None:
-            self._idle.set()  # `flush` does not wait for the next attempt
-            self._next.set_in(RETRY_S)
-            return
-        self._written = written
-        self._next.set_in(PAUSE_S)
-        if self._ending or self._wanted == written or not _only_number(written, self._wanted):
-            self._write_next()
+    def _write(self, folder: StateFolder, wanted: KeptEstop) -> float:
+        """Write, and report how that ended. Return the pause before the next attempt in seconds."""
+        fault = None
+        try:
+            folder.own()
+            write(folder.path, wanted)
+        except ConfigError as error:
+            fault = str(error)
+        with self._conductor.owner:
+            self._written = wanted if fault is None else self._written
+            if fault is not None or wanted == self._wanted:
+                self._slow.cancel()
+                self._idle.set()
+            else:
+                self._slow.set_in(SLOW_S)
+            self._report(fault)
+        return PAUSE_S if fault is None else RETRY_S
 
     def _report(self, fault: str | None) -> None:
         """Publish why the emergency stop, or its end, is not kept. None: it is kept."""
@@ -170,19 +208,93 @@ class EstopKeeper:
     # ---- the end
 
     def flush(self) -> None:
-        """Wait until all is written, FLUSH_S at most. The caller must not own the state."""
-        with self._conductor.owner:
-            self._ending = True
-            if not self._idle.is_set():
-                self._write_next()
+        """Wait until all is written or an attempt has failed, FLUSH_S at most. The caller must not own the state."""
+        self._wakes.put(True)
         self._idle.wait(FLUSH_S)
 
 
-def _write(folder: StateFolder, kept: KeptEstop) -> None:
-    folder.own()
-    estop_file.write(folder.path, kept)
+# ---- the files
 
 
-def _only_number(on_disk: KeptEstop | None, wanted: KeptEstop | None) -> bool:
-    """Return whether an emergency stop is engaged both on the disk and now, so that only its number may differ."""
-    return on_disk is not None and on_disk.engaged and wanted is not None and wanted.engaged
+class _Content(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    number: Annotated[int, Field(ge=0, lt=MAX_NUMBER, strict=True)]
+    source: str | None = None
+    time: AwareDatetime | None = None
+
+
+def read(folder: Path) -> KeptEstop:
+    """Return the emergency stop that an earlier run left in `folder`. Waits for the disk. Never raises.
+
+    It counts as engaged if the files cannot be read, or the folder cannot be written: an earlier run may have failed to
+    keep it.
+    """
+    last = 0
+    try:
+        os.listdir(folder)  # raises for a missing folder, whose missing files mean nothing
+        try:
+            left = _content(folder / LAST_FILE)
+            last = 0 if left is None else left.number
+        except ConfigError:  # a damaged number alone engages nothing
+            last = _unknown("").number
+        engaged = _content(folder / ESTOP_FILE)
+        if engaged is not None:
+            return KeptEstop(max(engaged.number, last), True, engaged.source, engaged.time)
+        found = KeptEstop(last)
+        write(folder, found)
+    except OSError as error:
+        return _unknown(f"{error.filename or folder}: {error.strerror or error}", last)
+    except ConfigError as error:
+        return _unknown(str(error), last)
+    return found
+
+
+def _content(path: Path) -> _Content | None:
+    """Return the file's content, or None without a file. Raises OSError, or ConfigError if it is damaged."""
+    try:
+        data = durable.read(path, MAX_BYTES)
+        return None if data is None else _Content.model_validate_json(data)
+    except ValidationError as error:
+        raise ConfigError(f"{path}: is damaged ({error.errors()[0]['msg']})") from error
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _unknown(fault: str, last: int = 0) -> KeptEstop:
+    """Return an emergency stop that counts as engaged, with a number that no reset can name yet."""
+    number = last + _UNHEARD_OF + secrets.randbelow(_UNHEARD_OF)
+    return KeptEstop(number, True, time=datetime.now(UTC), fault=fault)
+
+
+def write(folder: Path, kept: KeptEstop) -> None:
+    """Write atomically; it is on the disk when this returns. Raises ConfigError if it cannot be written."""
+    try:
+        if kept.engaged:
+            source = None if kept.source is None else kept.source.encode(errors="replace").decode()
+            engaged = _Content(number=kept.number, source=source, time=kept.time or datetime.now(UTC))
+            _write_engaged(folder / ESTOP_FILE, engaged.model_dump_json().encode())
+        else:  # the number first: after a crash between the two, the emergency stop is engaged
+            left = _Content(number=kept.number).model_dump_json(exclude_unset=True)
+            durable.write(folder / LAST_FILE, left.encode())
+            (folder / ESTOP_FILE).unlink(missing_ok=True)
+            durable.sync(folder)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from error
+
+
+def _write_engaged(path: Path, data: bytes) -> None:
+    """Write the file. A new file exists before its sync, so a gateway killed meanwhile leaves it.
+
+    A power cut may leave a part of it, and a damaged file counts as engaged.
+    """
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    except FileExistsError:
+        durable.write(path, data)
+        return
+    with open(descriptor, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(descriptor)
+    durable.sync(path.parent)

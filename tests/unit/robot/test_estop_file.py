@@ -18,10 +18,19 @@ import pytest
 from gateway import durable
 from gateway.errors import ConfigError
 from gateway.robot import service
-from gateway.robot.host import estop_file
-from gateway.robot.host.estop_file import ESTOP_FILE, LAST_FILE, MAX_BYTES, KeptEstop, read, write
 from gateway.robot.host.state_folder import StateFolder
-from gateway.robot.runtime.estop_keeper import FLUSH_S, PAUSE_S, EstopKeeper
+from gateway.robot.runtime import estop_keeper
+from gateway.robot.runtime.estop_keeper import (
+    ESTOP_FILE,
+    FLUSH_S,
+    LAST_FILE,
+    MAX_BYTES,
+    PAUSE_S,
+    EstopKeeper,
+    KeptEstop,
+    read,
+    write,
+)  # fmt: skip
 from schemas import keys
 from schemas.telemetry import Kind, Mode
 from tests.support import robot as robots
@@ -207,7 +216,7 @@ async def test_requests_that_come_slower_than_the_disk_writes_wait_for_their_tur
     kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot, keeper = kept
-    write = estop_file.write
+    write = estop_keeper.write
     begun_s, ended_s = list[float](), list[float]()
 
     def timed(folder: Path, estop: KeptEstop) -> None:
@@ -215,7 +224,7 @@ async def test_requests_that_come_slower_than_the_disk_writes_wait_for_their_tur
         write(folder, estop)
         ended_s.append(time.monotonic())
 
-    monkeypatch.setattr(estop_file, "write", timed)
+    monkeypatch.setattr(estop_keeper, "write", timed)
     for number in (1, 2):
         robot.put(keys.ESTOP)
         await until(lambda number=number: number_kept(tmp_path) == number)  # type: ignore[misc]
@@ -238,7 +247,7 @@ async def test_the_end_does_not_wait_for_a_disk_that_hangs(
 ) -> None:
     robot, keeper = kept
     hangs = threading.Event()
-    monkeypatch.setattr(estop_file, "write", lambda *_: hangs.wait())
+    monkeypatch.setattr(estop_keeper, "write", lambda *_: hangs.wait())
     robot.put(keys.ESTOP)
     ending = threading.Thread(target=keeper.flush, daemon=True)
     ending.start()
