@@ -7,7 +7,7 @@ from typing import Final
 import typer
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.model.black_box.header import RING_FILE
+from gateway.model.black_box.format import RING_FILE
 from gateway.own_command import this_command
 from gateway.people.recorder import ring_reader
 from gateway.people.recorder.export import write
@@ -15,7 +15,7 @@ from gateway.people.recorder.incidents import Incident, find, is_id, time_of
 from gateway.people.recorder.messages import messages
 from gateway.people.recorder.story import headline, story
 from gateway.people.terminal import hint, say
-from gateway.robot.blackbox import paths
+from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings
 
 LAST: Final = "last"
@@ -66,7 +66,7 @@ def export(settings: Settings, name: str, file: Path) -> None:
 
 
 def _folder(settings: Settings) -> Path:
-    folder = paths.folder_to_read(settings)
+    folder = rings.folder_to_read(settings)
     if folder is None:
         raise ConfigError(
             "the black box is off: no gateway has kept one on this machine. `make run` and the installed service keep "

@@ -19,7 +19,7 @@ from gateway.errors import ConfigError
 from gateway.own_command import command
 from gateway.people.terminal import on_end_signals, say
 from gateway.robot import settings
-from gateway.robot.blackbox.paths import tried
+from gateway.robot.blackbox.ring import tried
 
 NO_CONSOLE: Final = "no"
 _COMMAND: Final = Path(sys.executable).with_name("hexapod-gateway")

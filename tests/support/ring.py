@@ -1,6 +1,5 @@
 """A black box's bytes as records."""
 
-import json
 import tempfile
 import zlib
 from pathlib import Path
@@ -23,8 +22,3 @@ def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes
     """Write one slot, as `RecordRing.append` does."""
     body = form.pack_head(len(rest) + form.HEAD_BYTES, kind, 0, sequence, ns) + rest
     form.pack_slot_into(buffer, offset, zlib.crc32(body), body)
-
-
-def start(wall_ns: int, facts: dict[str, Any]) -> bytes:
-    """Bytes of a start."""
-    return form.at_wall_time(wall_ns, json.dumps(facts))

@@ -1,6 +1,14 @@
-"""The black box's records: their bytes, and their writing. `people/recorder/records.py` has their content for readers.
+"""The black box's files: names, header and records. `people/recorder/records.py` has what a record contains.
 
-A file is a header and slots of SLOT bytes. The record with sequence number n is in slot n modulo the number of slots:
+A file begins with a header of a page:
+
+| bytes   | content                                                                                       |
+|---------|-----------------------------------------------------------------------------------------------|
+| 0-27    | magic, version, the size of a slot, and how many there are                                    |
+| 128-133 | CRC-32 and length of the calibration; 0: none                                                 |
+| 134-    | the calibration in force, since the ring overwrites its record                                |
+
+Slots of SLOT bytes follow. The record with sequence number n is in slot n modulo the number of slots:
 
 | bytes  | content                                                                                        |
 |--------|------------------------------------------------------------------------------------------------|
@@ -12,24 +20,27 @@ A file is a header and slots of SLOT bytes. The record with sequence number n is
 | 16-23  | when, ns of the monotonic clock                                                                |
 | 24-127 | by type, padded with zeros                                                                     |
 
-A process that is killed while it writes leaves a slot with a wrong checksum. Numbers are little-endian. Texts are
-UTF-8, preceded by their length, so that a new kind, reason or cause needs no new version.
+A process that is killed while it writes leaves a slot with a wrong checksum. Numbers are little-endian.
 
-Records are packed by hand, since a gait writes many: a frame takes 0.3 µs, by a declarative table 3.5 µs, by
-`construct` 20.9 µs (10.2 compiled).
+Commands, decisions and frames are packed by hand, since a gait writes many: a frame takes 0.3 µs, by a declarative
+table 3.5 µs, by `construct` 20.9 µs (10.2 compiled). Their texts are UTF-8, preceded by their length, so that a new
+reason or cause needs no new version. Measurements are as the controller sends them; other records are JSON.
 """
 
+import json
+import re
 import struct
 import zlib
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import ServoOp
 from schemas.robot import JOINTS
 
 HEADER_BYTES: Final = 4096
-"""One page, so that slots begin on a page boundary. `header` has its content."""
+"""One page, so that slots begin on a page boundary."""
 SLOT: Final = 128
 """Room for a command of one leg with a source of 60 characters. One of all legs with a long name takes two slots."""
 ROOM: Final = SLOT - 24
@@ -37,8 +48,10 @@ MAX_NS: Final = 2**62
 """Later than any time of a record: the year 2116, or a machine that runs for 146 years."""
 MAX_SEQUENCE: Final = 2**63
 """Sequence numbers continue across restarts, and never reach this."""
-MAX_TEXT: Final = 4000
-"""Bytes of content of a continued record; the longest sentence of an event has about 400."""
+MAX_TEXT: Final = 1000
+"""Characters of a text in JSON; the longest sentence of an event has about 400."""
+MAX_BYTES: Final = 8000
+"""Bytes of content of a continued record."""
 
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
@@ -52,10 +65,9 @@ pack_slot_into: Final = _SLOT.pack_into
 
 # ---- types
 
-START, END, COMMAND, DECISION, FRAME, MODE, EVENT, LAG, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 14)
-ABOUT: Final = 14
-MEASURED: Final = 15
-LEFT_OUT: Final = 16
+START, END, COMMAND, DECISION, FRAME, NOTE, EVENT, INCIDENT, MORE, CLOCK, CARRIED_OUT, CALIBRATION = range(1, 13)
+ABOUT: Final = 13
+MEASURED: Final = 14
 
 
 ACCEPTED: Final = "accepted"
@@ -117,7 +129,6 @@ def newest(buffer: Any, slots: int) -> tuple[int, int]:
 
 # ---- content, by type: structures, and functions that return the bytes of a record's content
 
-WALL: Final = struct.Struct("<q")
 COMMAND_HEAD: Final = struct.Struct("<IdB")
 DECISION_HEAD: Final = struct.Struct("<I")
 FRAME_HEAD: Final = struct.Struct("<IIIB")
@@ -127,7 +138,6 @@ CARRIED_OUT_HEAD: Final = struct.Struct(f"<IIB{_MOST_FRAME}s")
 """A CarriedOut's time from arrival to the end of the transfer, and the transfer's duration, both in ns; the frame's
 length, and the frame. The command follows, as in a CommandRecord."""
 _UINT32: Final = 0xFFFFFFFF
-EVENT_HEAD: Final = struct.Struct("<I")
 TARGET_STRUCTS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
 _OF_A_LEG: Final = len(JOINTS)
@@ -220,27 +230,84 @@ def carried_out(
     return fixed + texts
 
 
-def event(kind: str, source: str | None, key: str | None, reason: str | None, detail: str, left_out: int) -> bytes:
-    """Bytes of an EventPublished; the sentence is cut at MAX_TEXT."""
-    fixed = EVENT_HEAD.pack(min(left_out, _UINT32)) + _texts(kind, source, key, reason)
-    return (fixed + detail.encode("utf-8", "replace"))[:MAX_TEXT]
+def fields(*values: object) -> bytes:
+    """Bytes of a record that is rare: its fields as JSON, with texts cut at MAX_TEXT."""
+    cut = [value[:MAX_TEXT] if isinstance(value, str) else value for value in values]
+    return json.dumps(cut, ensure_ascii=False).encode("utf-8", "replace")
 
 
-def number(value: int) -> bytes:
-    """Bytes of a Lag or a Clock."""
-    return WALL.pack(value)
+# ---- the header
+
+VERSION: Final = 3
+MAGIC: Final = b"hexapod black box\n"
+
+_BEGIN: Final = struct.Struct("<18sHII")
+_CALIBRATION: Final = struct.Struct("<IH")
+_CALIBRATION_AT: Final = 128
+_CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
 
 
-def left_out(count: int, source: str | None) -> bytes:
-    """Bytes of a LeftOut."""
-    return DECISION_HEAD.pack(min(count, _UINT32)) + _texts(source)
+def new_header(slots: int) -> bytes:
+    """Return the header of a new file."""
+    return _BEGIN.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
 
 
-def text(content: str) -> bytes:
-    """Bytes of a mode, an end, settings or a calibration (as JSON), cut at MAX_TEXT."""
-    return content.encode("utf-8", "replace")[:MAX_TEXT]
+def file_bytes(slots: int) -> int:
+    """Return the size of a file in bytes, header included."""
+    return HEADER_BYTES + slots * SLOT
 
 
-def at_wall_time(wall_ns: int, content: str) -> bytes:
-    """Bytes of a start, with its facts as JSON, or of an incident, with its id."""
-    return WALL.pack(wall_ns) + content.encode()
+def slots_of(head: bytes, size: int) -> int:
+    """Return how many slots a file of `size` bytes with this head has. Raises DamagedRingError if they do not fit."""
+    if len(head) < _BEGIN.size:
+        raise DamagedRingError("it has no header")
+    magic, version, slot, slots = _BEGIN.unpack_from(head)
+    if magic != MAGIC:
+        raise DamagedRingError("it is no black box")
+    if version != VERSION or slot != SLOT:
+        raise DamagedRingError(f"it has version {version}, with records of {slot} bytes")
+    if not slots or size != file_bytes(slots):
+        raise DamagedRingError(f"it has {size} bytes, and its header states {slots} records")
+    return int(slots)
+
+
+def put_calibration(buffer: Any, data: bytes) -> None:
+    """Write the calibration in force, as JSON. One that does not fit counts as unknown."""
+    if len(data) > HEADER_BYTES - _CALIBRATION_BEGIN:
+        data = b""
+    _CALIBRATION.pack_into(buffer, _CALIBRATION_AT, zlib.crc32(data), len(data))
+    buffer[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + len(data)] = data
+
+
+def calibration_in(head: bytes) -> bytes:
+    """Return the bytes written by `put_calibration`; empty if there are none, or they are damaged."""
+    if len(head) < HEADER_BYTES:
+        return b""
+    checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)
+    data = head[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + length]
+    return data if len(data) == length and zlib.crc32(data) == checksum else b""
+
+
+# ---- the files
+
+RING_FILE: Final = "black-box"
+"""A link to the ring, which is in memory."""
+
+MAX_SLOTS: Final = 500_000
+"""64 MB of memory: 60 s at 1000 frames a second and leg."""
+
+COPIED_SHARE: Final = 8
+"""A copy has an eighth of the ring's records: 10 s of six legs at their rate, with either framing; 7.5 s of a flood."""
+MOST_COPIES: Final = 8
+"""Copies that are kept, the newest: together as large as the ring."""
+
+
+def copy_path(ring: Path, newest: int) -> Path:
+    """Return the path of the copy of a ring's records up to the sequence number `newest`."""
+    return ring.with_name(f"{ring.name}.{newest:019d}")
+
+
+def copies_of(ring: Path) -> list[Path]:
+    """Return the copies in a ring's folder, oldest first. Raises OSError."""
+    name = re.compile(rf"{re.escape(ring.name)}\.\d{{19}}", re.ASCII)
+    return sorted(path for path in ring.parent.iterdir() if name.fullmatch(path.name))

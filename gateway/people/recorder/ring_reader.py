@@ -1,11 +1,10 @@
 """Reads a ring that may be in use, cut off, damaged or foreign: it trusts nothing.
 
-It holds a copy of the file, never more than `header.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the
+It holds a copy of the file, never more than `format.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the
 file would end the reader with SIGBUS. It also holds about 26 bytes for each record. All records as objects would take
 eight times the file's size, on the computer of a running gateway (docs/recordings.md).
 """
 
-import json
 import math
 import os
 import stat
@@ -16,15 +15,15 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
+from pydantic import TypeAdapter
 from pydantic_core import from_json
 
 from gateway.errors import GatewayError
 from gateway.host.file_lock import is_locked
 from gateway.model.black_box import format as form
-from gateway.model.black_box import header
-from gateway.model.black_box.header import MAX_SLOTS, copies_of
+from gateway.model.black_box.format import MAX_SLOTS, copies_of
 from gateway.model.calibration import calibration_of
 from gateway.model.elkapod import measured
 from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
@@ -32,11 +31,14 @@ from gateway.people.recorder import records as rec
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
-_MAX_BYTES: Final = header.file_bytes(MAX_SLOTS)
+_MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
 MOST_CHANGES: Final = 100
 """The most calibration changes read from a ring. A person needs half a minute for one."""
 _EMPTY: Final = bytes(form.SLOT)
 """A slot that was never written: most slots of a new file."""
+
+
+C = TypeVar("C", bound=rec.Content)
 
 
 class NoRingError(GatewayError):
@@ -168,7 +170,7 @@ class _Slots:
     def __init__(self, data: bytes) -> None:
         """Raises DamagedRingError."""
         self._data = data
-        self._slots = slots = header.slots_of(data[: form.HEADER_BYTES], len(data))
+        self._slots = slots = form.slots_of(data[: form.HEADER_BYTES], len(data))
         self._sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
         self.damaged = 0
         for index in range(slots):
@@ -194,7 +196,7 @@ class _Slots:
     def in_force(self) -> Calibration | None:
         """The calibration in the header; None: it has none, or an impossible one."""
         try:
-            return _calibration(header.calibration(self._data[: form.HEADER_BYTES]))
+            return _calibration(form.calibration_in(self._data[: form.HEADER_BYTES]))
         except ValueError:
             return None
 
@@ -206,7 +208,7 @@ class _Slots:
         rest = slot.rest
         while last.more:
             last = self._slot(last.sequence + 1)
-            if last.kind != form.MORE or len(rest) > form.MAX_TEXT:
+            if last.kind != form.MORE or len(rest) > form.MAX_BYTES:
                 raise form.DamagedRingError("a continued record is cut off")
             rest += last.rest
         return decode(slot.kind, number, slot.ns, rest)
@@ -233,22 +235,10 @@ def decode(kind: int, number: int, ns: int, rest: bytes) -> dict[int, rec.Record
         raise form.DamagedRingError(str(error)) from error
 
 
-def _wall_ns(rest: bytes) -> int:
-    (wall_ns,) = form.WALL.unpack_from(rest)
-    if not 0 <= wall_ns < form.MAX_NS:
-        raise form.DamagedRingError(f"{wall_ns} ns is no time of day")
-    return int(wall_ns)
-
-
-def _start(rest: bytes) -> rec.Start:
-    facts = json.loads(rest[form.WALL.size :])
-    if not isinstance(facts, dict):
-        raise form.DamagedRingError("a start without facts")
-    # JSON may contain half a character, which files and terminals reject, and endlessly nested lists.
-    if not all(isinstance(fact, str | int | float | None) for fact in facts.values()):
-        raise form.DamagedRingError("a fact is no single value")
-    "".join(f"{name}{fact}" for name, fact in facts.items()).encode()
-    return rec.Start(_wall_ns(rest), facts)
+def _fields(kind: type[C]) -> Callable[[bytes], C]:
+    """Return what reads a record of this content whose fields are JSON."""
+    adapter = TypeAdapter(kind)
+    return lambda rest: adapter.validate_python(from_json(rest, allow_inf_nan=False))
 
 
 def _command(rest: bytes) -> rec.CommandRecord:
@@ -262,11 +252,6 @@ def _command(rest: bytes) -> rec.CommandRecord:
 def _decision(rest: bytes) -> rec.Decision:
     verdict, key, source = _read_texts(rest, form.DECISION_HEAD.size, 3)
     return rec.Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
-
-
-def _left_out(rest: bytes) -> rec.Noted:
-    (source,) = _read_texts(rest, form.DECISION_HEAD.size, 1)
-    return rec.Noted("left_out", f"{form.DECISION_HEAD.unpack_from(rest)[0]} records", source or None)
 
 
 def _frame(rest: bytes) -> rec.FrameWritten:
@@ -286,26 +271,10 @@ def _carried_out(rest: bytes) -> tuple[rec.CommandRecord, rec.FrameWritten, int]
     return command, rec.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number), after_ns
 
 
-def _event(rest: bytes) -> rec.EventPublished:
-    kind, source, key, reason = texts = _read_texts(rest, form.EVENT_HEAD.size, 4)
-    begin = form.EVENT_HEAD.size + sum(1 + len(text.encode()) for text in texts)
-    detail = rest[begin:].decode("utf-8", "ignore")  # it may have been cut within a character
-    return rec.EventPublished(
-        kind, source or None, key or None, reason or None, detail, form.EVENT_HEAD.unpack_from(rest)[0]
-    )
-
-
 def _calibration(rest: bytes) -> Calibration:
     report = Calibration.model_validate_json(rest)
     calibration_of(report)  # one that no gateway publishes would be drawn wrongly
     return report
-
-
-def _about(rest: bytes) -> rec.About:
-    facts = from_json(rest, allow_inf_nan=False)  # unlike json, it limits nested lists
-    if not isinstance(facts, dict):
-        raise form.DamagedRingError("versions and settings that have no names")
-    return rec.About(facts)
 
 
 def _op(value: int) -> ServoOp:
@@ -329,18 +298,14 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
 
 
 _READERS: Final[dict[int, Callable[[bytes], rec.Content]]] = {
-    form.START: _start,
-    form.END: lambda rest: rec.Noted("end", rest.decode()),
     form.COMMAND: _command,
     form.DECISION: _decision,
     form.FRAME: _frame,
-    form.MODE: lambda rest: rec.Noted("mode", rest.decode()),
-    form.EVENT: _event,
-    form.CLOCK: lambda rest: rec.WallTime(_wall_ns(rest)),
-    form.LAG: lambda rest: rec.Noted("lag", f"{form.WALL.unpack(rest)[0] / 1e6:.1f} ms"),
     form.CALIBRATION: _calibration,
-    form.ABOUT: _about,
     form.MEASURED: measured,
-    form.LEFT_OUT: _left_out,
-    form.INCIDENT: lambda rest: rec.WallTime(_wall_ns(rest), rest[form.WALL.size :].decode()),
+    form.START: _fields(rec.Start),
+    form.EVENT: _fields(rec.EventPublished),
+    form.ABOUT: _fields(rec.About),
+    **dict.fromkeys((form.NOTE, form.END), _fields(rec.Noted)),
+    **dict.fromkeys((form.CLOCK, form.INCIDENT), _fields(rec.WallTime)),
 }

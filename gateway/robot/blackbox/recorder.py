@@ -1,13 +1,12 @@
 """Writes the gateway's records into the black box, up to a share for each source. For the owner of the state.
 
 A flood must not overwrite the time before an incident. So all sources together may make as many records a second as
-the ring has room for (`paths.client_records_a_second`), and one source SHARE of that. Omitted records are counted.
+the ring has room for (`rings.client_records_a_second`), and one source SHARE of that. Omitted records are counted.
 
 Recording delays no Stop: a step is recorded after all its frames are written, and before its commands are answered. A
 command that is carried out at once shares a record with its frame.
 """
 
-import json
 import logging
 import os
 from collections import Counter
@@ -25,9 +24,7 @@ from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
 from gateway.model import elkapod
 from gateway.model.black_box import format as form
-from gateway.model.black_box import header
-from gateway.model.black_box.format import ACCEPTED
-from gateway.model.black_box.header import COPIED_SHARE, MOST_COPIES, copies_of, copy_path
+from gateway.model.black_box.format import ACCEPTED, COPIED_SHARE, MOST_COPIES, copies_of, copy_path
 from gateway.model.black_box.incidents import (
     FOLLOW_NS,
     INCIDENT_NAMES,
@@ -38,7 +35,7 @@ from gateway.model.black_box.incidents import (
 )
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
-from gateway.robot.blackbox import paths
+from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Result, Transmit
 from gateway.robot.protocol import Sent
@@ -61,15 +58,15 @@ def _take(ring: Path, newest: int) -> None:
 
 
 def copy(ring: Path, newest: int) -> None:
-    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError for a bad header."""
+    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError for a bad form."""
     staged = durable.staged_for(ring)
     staged.unlink(missing_ok=True)  # from a killed process
     with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
         head = source.read(form.HEADER_BYTES)
-        slots = header.slots_of(head, os.fstat(source.fileno()).st_size)
+        slots = form.slots_of(head, os.fstat(source.fileno()).st_size)
         count = max(1, slots // COPIED_SHARE)
-        made = bytearray(header.new(count))
-        header.put_calibration(made, header.calibration(head))
+        made = bytearray(form.new_header(count))
+        form.put_calibration(made, form.calibration_in(head))
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         with os.fdopen(os.open(staged, flags, 0o600), "wb") as target:
             target.write(made)
@@ -79,7 +76,7 @@ def copy(ring: Path, newest: int) -> None:
                 target.seek(form.HEADER_BYTES + number % count * form.SLOT)
                 target.write(os.pread(source.fileno(), run * form.SLOT, form.HEADER_BYTES + number % slots * form.SLOT))
                 number += run
-            target.truncate(header.file_bytes(count))
+            target.truncate(form.file_bytes(count))
 
 
 SHARE: Final = 0.75
@@ -159,7 +156,7 @@ class Recorder:
         self._modes = Allowance(MODES_A_SECOND, MODES_A_SECOND)
         self._mode: Mode | None = None
         """The mode, if it is not recorded yet."""
-        self._shares = RecordShares(paths.client_records_a_second(settings))
+        self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = -ABOUT_NS
@@ -177,8 +174,8 @@ class Recorder:
             "watchdog": asdict(settings.watchdog),
             "limits": asdict(settings.limits),
         }
-        self._about = form.text(json.dumps(about))
-        self._append(form.START, clock(), form.at_wall_time(wall_ns(), json.dumps({"pid": os.getpid(), **facts})))
+        self._about = form.fields(about)
+        self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
 
     def __enter__(self) -> Self:
         return self
@@ -198,8 +195,8 @@ class Recorder:
             return
         waiting, self._waiting = self._waiting, []
         try:
-            self._path = paths.prepare(folder)
-            self._ring = RecordRing(self._path, paths.slots_for(self._settings))
+            self._path = rings.prepare(folder)
+            self._ring = RecordRing(self._path, rings.slots_for(self._settings))
         except OSError as error:
             logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
             self._on, self.incident = False, None
@@ -279,7 +276,7 @@ class Recorder:
 
     def _record_mode(self, now_ns: int) -> None:
         if self._mode is not None:
-            self._append(form.MODE, now_ns, form.text(self._mode))
+            self._append(form.NOTE, now_ns, form.fields("mode", self._mode))
             self._mode = None
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
@@ -288,7 +285,7 @@ class Recorder:
         what = INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
         always = event.kind not in _BY_CLIENTS or (what is not None and self._begins(now_ns))
         if always or self._shares.admit(source, EVENT_SLOTS, now_ns):
-            fields = form.event(event.kind, source, event.key, event.reason, event.detail, left_out)
+            fields = form.fields(event.kind, source, event.key, event.reason, event.detail, left_out)
             self._append(form.EVENT, now_ns, fields)
         return None if what is None else self._happened(what, now_ns)
 
@@ -301,12 +298,12 @@ class Recorder:
             self._copy(self._ring, now_ns)
         self._record_mode(now_ns)
         if lag_ns > LAG_NS:
-            self._append(form.LAG, now_ns, form.number(lag_ns))
+            self._append(form.NOTE, now_ns, form.fields("lag", f"{lag_ns / 1e6:.1f} ms"))
         if now_ns - self._clock_ns >= CLOCK_NS:
             self._clock_ns = now_ns
-            self._append(form.CLOCK, now_ns, form.number(self._wall_ns()))
+            self._append(form.CLOCK, now_ns, form.fields(self._wall_ns()))
             for source, count in self._shares.left_out():
-                self._append(form.LEFT_OUT, now_ns, form.left_out(count, source))
+                self._append(form.NOTE, now_ns, form.fields("left_out", f"{count} records", source))
         if now_ns - self._about_ns >= ABOUT_NS:
             self._about_ns = now_ns
             self._append(form.ABOUT, now_ns, self._about)
@@ -329,14 +326,14 @@ class Recorder:
     def mistake(self, detail: str) -> None:
         """Record an unexpected exception, which ends the service."""
         now_ns = self._clock()
-        self._append(form.EVENT, now_ns, form.event(MISTAKE, None, None, None, detail, 0))
+        self._append(form.EVENT, now_ns, form.fields(MISTAKE, None, None, None, detail, 0))
         self._happened(MISTAKE, now_ns)
 
     def calibration(self, calibration: RobotCalibration) -> None:
         """Record the calibration in force. Call it at the start, and at each change."""
         if self._ring is None:
             return
-        before, now = self._ring.calibration, form.text(report_of(calibration).model_dump_json())
+        before, now = self._ring.calibration, report_of(calibration).model_dump_json().encode()
         if before == now:
             return
         if before:
@@ -347,7 +344,7 @@ class Recorder:
 
     def ended(self, why: str) -> None:
         """Record the end, after the last Stops."""
-        self._append(form.END, self._clock(), form.text(why))
+        self._append(form.END, self._clock(), form.fields("end", why))
 
     def _begins(self, now_ns: int) -> bool:
         """Return whether an incident now would be a new one, and not prolong the latest."""
@@ -362,7 +359,7 @@ class Recorder:
             self.incident = incident_id(wall_ns, what)
             self.incidents += 1
             self._first_ns = now_ns
-            self._append(form.INCIDENT, now_ns, form.at_wall_time(wall_ns, self.incident))
+            self._append(form.INCIDENT, now_ns, form.fields(wall_ns, self.incident))
         self._copy_due |= self._ran
         self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
         return self.incident

@@ -1,4 +1,4 @@
-"""The ring of records: a memory-mapped file that survives its process.
+"""The ring of records: a memory-mapped file that survives its process; its size, and its folder.
 
 The pages of a shared mapping belong to the file, so they survive SIGKILL. Writing a record copies it into memory,
 without a system call or a page fault: all pages are mapped at opening.
@@ -11,17 +11,30 @@ import fcntl
 import mmap
 import os
 import stat
+import zlib
 from contextlib import suppress
 from pathlib import Path
-from zlib import crc32
+from typing import Final
 
+from gateway.host.directories import runtime_directory, state_to_read, users_state
 from gateway.host.file_lock import lock
 from gateway.model.black_box import format as form
-from gateway.model.black_box import header
-from gateway.model.black_box.format import HEAD_BYTES, pack_head, pack_slot_into
-from gateway.model.black_box.header import copies_of
+from gateway.model.black_box.format import HEAD_BYTES, RING_FILE, pack_head, pack_slot_into
+from gateway.robot.settings import Settings
+from schemas.robot import LEGS
 
 _HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
+
+RECORDS_PER_FRAME: Final = 4
+"""A setpoint makes one record, or two if a frame is two transfers. A stream above the rate limit makes twice as many,
+for coalesced commands and their Decisions."""
+OTHER_RECORDS_PER_S: Final = 100
+
+RING_S: Final = 60.0
+"""The copy of an incident needs the 10 s before it; recordings are for more than a minute."""
+REACH_S: Final = 50.0
+"""The ring keeps records of messages for this time, even in a flood: an incident begins 10 s back and lasts 30 s at
+most. Other records are bounded by their own rates."""
 
 
 class RecordRing:
@@ -39,11 +52,11 @@ class RecordRing:
                 lock(self._fd, fcntl.F_WRLCK)
             except OSError as error:
                 raise OSError(error.errno, "another gateway writes to it") from error
-            size = header.file_bytes(slots)
+            size = form.file_bytes(slots)
             whole = self._is_whole(slots)
             if not whole:
                 os.ftruncate(self._fd, 0)
-                for copy in copies_of(path):  # they have sequence numbers of another ring
+                for copy in form.copies_of(path):  # they have sequence numbers of another ring
                     with suppress(OSError):
                         copy.unlink()
             # Allocate all blocks: with a hole and a full disk, a later write would end in SIGBUS.
@@ -54,7 +67,7 @@ class RecordRing:
             raise
         self._slots = slots
         if not whole:
-            self._map[: form.HEADER_BYTES] = header.new(slots)
+            self._map[: form.HEADER_BYTES] = form.new_header(slots)
         newest, torn = form.newest(self._map, slots)
         if newest and torn:
             self.note = f"the black box continues; {torn} of its newest records are incomplete"
@@ -71,17 +84,17 @@ class RecordRing:
     def put(self, body: bytes) -> None:
         """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
         sequence = self.sequence
-        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
+        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, zlib.crc32(body), body)
         self.sequence = sequence + 1
 
     @property
     def calibration(self) -> bytes:
         """The header's calibration, as JSON; empty: none."""
-        return header.calibration(self._map[: form.HEADER_BYTES])
+        return form.calibration_in(self._map[: form.HEADER_BYTES])
 
     @calibration.setter
     def calibration(self, data: bytes) -> None:
-        header.put_calibration(self._map, data)
+        form.put_calibration(self._map, data)
 
     def close(self) -> None:
         """Unmap and close the file; its content stays."""
@@ -93,7 +106,7 @@ class RecordRing:
         if size == 0:
             return False
         try:
-            found = header.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
+            found = form.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
         except form.DamagedRingError as error:
             self.note = f"the black box starts empty: {error}"
             return False
@@ -107,3 +120,54 @@ def _check_owner(fd: int, path: Path) -> None:
     found = os.fstat(fd)
     if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
         raise PermissionError(f"{path} belongs to another user")
+
+
+# ---- size and folder
+
+
+def slots_for(settings: Settings) -> int:
+    """Return the number of records in `RING_S` with all legs commanded at their rate."""
+    per_s = RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz + OTHER_RECORDS_PER_S
+    return min(form.MAX_SLOTS, round(RING_S * per_s))
+
+
+def client_records_a_second(settings: Settings) -> int:
+    """Return how many records a second messages may make: those of all legs at their rate, if the ring has room."""
+    room = slots_for(settings) / REACH_S - OTHER_RECORDS_PER_S
+    return max(1, round(min(RECORDS_PER_FRAME * len(LEGS) * settings.limits.leg_rate_hz, room)))
+
+
+def folder_to_read(settings: Settings) -> Path | None:
+    """Return the folder for a reader: the gateway's own, else the service's, else that of `make run`, else None."""
+    return state_to_read(settings.state.path) or (tried() if tried().is_dir() else None)
+
+
+def tried() -> Path:
+    """Return the folder of this user's `make run`, which readers find without a settings file."""
+    return users_state() / "tried"
+
+
+def prepare(folder: Path) -> Path:
+    """Make a link in the folder to the ring, and return the ring's path. Raises OSError, also for a missing folder."""
+    os.listdir(folder)
+    place, link = in_memory(folder), folder / RING_FILE
+    if place == link:
+        return place
+    if not link.is_symlink() or Path(os.readlink(link)) != place:
+        new = link.with_suffix(".new")
+        new.unlink(missing_ok=True)
+        new.symlink_to(place)
+        new.replace(link)
+    return place
+
+
+def in_memory(folder: Path) -> Path:
+    """Return a path in memory for this folder's ring, or in the folder itself if the system has none."""
+    runtime = runtime_directory()
+    if runtime is not None:
+        return runtime / RING_FILE
+    name = f"hexapod-gateway-{os.geteuid()}-{zlib.crc32(bytes(folder.resolve())):08x}"
+    for candidate in (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm"):  # noqa: S108  the owner is checked
+        if candidate and os.access(candidate, os.W_OK):
+            return Path(candidate) / name
+    return folder / RING_FILE

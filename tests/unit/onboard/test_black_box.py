@@ -10,9 +10,9 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.model.black_box import format as form
-from gateway.model.black_box.header import RING_FILE
+from gateway.model.black_box.format import RING_FILE
 from gateway.onboard import black_box
-from gateway.robot.blackbox import paths
+from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from tests.support.command import run_here
@@ -29,9 +29,9 @@ def settings(folder: Path) -> Settings:
 @pytest.fixture
 def ring_at(folder: Path) -> Path:
     """A ring with one incident, which the link in `folder` leads to."""
-    path = paths.prepare(folder)
+    path = rings.prepare(folder)
     ring = RecordRing(path, 100)
-    ring.append(form.INCIDENT, 5, form.at_wall_time(WALL_NS, NAME))
+    ring.append(form.INCIDENT, 5, form.fields(WALL_NS, NAME))
     ring.close()
     return path
 

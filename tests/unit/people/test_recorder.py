@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 
 from gateway.model.black_box import format as form
-from gateway.model.black_box.header import RING_FILE
+from gateway.model.black_box.format import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.model.framing import Framing
 from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
-from gateway.robot.blackbox import paths
+from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings
 from schemas import keys
 from schemas.telemetry import Cause, Kind
@@ -210,7 +210,7 @@ async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
 @pytest.mark.parametrize(("rate", "records"), [(50, 78_000), (10, 20_400), (1000, 500_000)])
 def test_the_size_follows_from_the_rate(rate: float, records: int) -> None:
     settings = Settings.of({"limits": {"leg_rate_hz": rate}})
-    assert paths.slots_for(settings) == records
+    assert rings.slots_for(settings) == records
 
 
 def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -219,8 +219,8 @@ def test_the_ring_is_in_memory_and_the_folder_names_it(tmp_path: Path, monkeypat
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "memory"))
     for name in ("memory", "one", "other"):
         (tmp_path / name).mkdir()
-    one, other = paths.prepare(tmp_path / "one"), paths.prepare(tmp_path / "other")
+    one, other = rings.prepare(tmp_path / "one"), rings.prepare(tmp_path / "other")
     assert one != other
     assert one.parent == other.parent == tmp_path / "memory"
     assert (tmp_path / "one" / RING_FILE).readlink() == one
-    assert paths.prepare(tmp_path / "one") == one
+    assert rings.prepare(tmp_path / "one") == one

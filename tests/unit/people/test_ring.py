@@ -1,10 +1,10 @@
 """The black box: a record is in its ring whole or not at all; incidents are found in it, told and exported."""
 
 import asyncio
+import json
 import os
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,7 @@ from mcap.reader import make_reader
 from gateway import __version__
 from gateway.geometry import load
 from gateway.model.black_box import format as form
-from gateway.model.black_box import header
-from gateway.model.black_box.header import RING_FILE
+from gateway.model.black_box.format import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
@@ -26,7 +25,7 @@ from gateway.people.recorder.incidents import CRASH, MOST, Incident, find
 from gateway.people.recorder.messages import messages
 from gateway.people.recorder.ring_reader import NoRingError
 from gateway.people.recorder.story import WORDS, frames_in, headline, story
-from gateway.robot.blackbox import paths
+from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce
 from gateway.robot.runtime.calibrations import Calibrations
@@ -35,7 +34,7 @@ from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.mcap_file import about, checked, read
 from tests.support.measured import MEASURED, ON_ITS_SIDE
-from tests.support.ring import parse, put, start
+from tests.support.ring import parse, put
 from tests.support.robot import LEG_3, WALL_NS, Robot, leg
 from tests.unit.people.test_recorder import recorded
 from tests.unit.people.test_recordings import drawn_in, positions
@@ -45,8 +44,8 @@ pytestmark = pytest.mark.virtual_time
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
 FRAME = stop_leg(3).to_bytes()
 WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple[Any, ...]]] = [
-    (form.START, start, rec.Start, (5, {"version": "1"})),
-    (form.END, form.text, partial(rec.Noted, "end"), ("done",)),
+    (form.START, form.fields, rec.Start, (5, {"version": "1", "simulated": True})),
+    (form.END, form.fields, rec.Noted, ("end", "done")),
     (
         form.COMMAND,
         form.command,
@@ -56,12 +55,9 @@ WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple
     (form.COMMAND, form.command, rec.CommandRecord, (8, "get", "hexapod/legs/cmd", "ä" * 64, None, ALL_LEGS)),
     (form.DECISION, form.decision, rec.Decision, (7, "stale", "k", None)),
     (form.FRAME, form.frame, rec.FrameWritten, (FRAME, "watchdog", 45_000)),
-    (form.MODE, form.text, partial(rec.Noted, "mode"), ("active",)),
-    (form.EVENT, form.event, rec.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
-    (form.LAG, form.number, lambda _: rec.Noted("lag", "20.0 ms"), (20_000_000,)),
-    (form.LEFT_OUT, form.left_out, lambda _, source: rec.Noted("left_out", "1234 records", source), (1234, "anna")),
-    (form.LEFT_OUT, form.left_out, lambda *_: rec.Noted("left_out", f"{2**32 - 1} records"), (2**40, None)),
-    (form.INCIDENT, form.at_wall_time, rec.WallTime, (9, "20260101-000000-000-estop")),
+    (form.NOTE, form.fields, rec.Noted, ("left_out", "1234 records", "anna")),
+    (form.EVENT, form.fields, rec.EventPublished, ("bus_fault", None, "k", None, "x" * 500, 3)),
+    (form.INCIDENT, form.fields, rec.WallTime, (9, "20260101-000000-000-estop")),
 ]
 """A record's kind, how it is written, what is read of it, and its values."""
 
@@ -74,7 +70,7 @@ def path(tmp_path: Path) -> Path:
 def image(*records: tuple[int, bytes, int]) -> bytes:
     """A ring of these types, contents and times, in their order."""
     slots = len(records) + 1
-    made = bytearray(header.new(slots).ljust(header.file_bytes(slots), b"\0"))
+    made = bytearray(form.new_header(slots).ljust(form.file_bytes(slots), b"\0"))
     for number, (kind, rest, ns) in enumerate(records, 1):
         put(made, form.HEADER_BYTES + number * form.SLOT, kind, number, ns, rest)
     return bytes(made)
@@ -84,7 +80,7 @@ def filled(path: Path, records: int, slots: int = 50) -> None:
     """A ring with so many modes, numbered from 1."""
     ring = RecordRing(path, slots)
     for number in range(1, records + 1):
-        ring.append(form.MODE, number, form.text(str(number)))
+        ring.append(form.NOTE, number, form.fields("mode", str(number)))
     ring.close()
 
 
@@ -114,7 +110,7 @@ def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
     ring = RecordRing(path, 100)
     for text in ("\ud800", "x" * 300, "é" * 200, "\0\n"):
         ring.append(form.COMMAND, 0, form.command(1, "put", "key", text, None, ()))
-        ring.append(form.EVENT, 0, form.event("kind", text, text, text, text * 100, 0))
+        ring.append(form.EVENT, 0, form.fields("kind", text, text, text, text * 100, 0))
     ring.close()
     content = ring_reader.read(path)
     assert (len(content), content.damaged) == (8, 0)
@@ -127,7 +123,7 @@ def test_every_byte_counts(path: Path) -> None:
     whole, damaged, missing = parse(data)
     assert damaged == missing == 0
     begin = form.HEADER_BYTES + 2 * form.SLOT
-    used = 4 + 20 + len(b"2")
+    used = 4 + 20 + len(form.fields("mode", "2"))
     for offset in range(used):
         changed = bytearray(data)
         changed[begin + offset] ^= 0x10
@@ -140,9 +136,9 @@ def test_every_byte_counts(path: Path) -> None:
     [
         (b"#!/bin/sh\n" * 1000, "it is no black box"),
         (b"short", "it has no header"),
-        (header.new(40).ljust(header.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
-        (header.new(50), "it has 4096 bytes, and its header states 50 records"),
-        (header.new(50).replace(b"\n\x02", b"\n\x01").ljust(header.file_bytes(50), b"\0"), "it has version 1"),
+        (form.new_header(40).ljust(form.file_bytes(40), b"\0"), "it has 40 records, and the settings want 50"),
+        (form.new_header(50), "it has 4096 bytes, and its header states 50 records"),
+        (form.new_header(50).replace(b"\n\x03", b"\n\x01").ljust(form.file_bytes(50), b"\0"), "it has version 1"),
     ],
 )
 def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str) -> None:
@@ -150,7 +146,7 @@ def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str
     path.chmod(0o600)
     ring = RecordRing(path, 50)
     assert ring.note.startswith(f"the black box starts empty: {note}")
-    ring.append(form.MODE, 0, form.text("1"))
+    ring.append(form.NOTE, 0, form.fields("mode", "1"))
     ring.close()
     assert modes(path) == [1]
     assert path.stat().st_blocks * 512 >= path.stat().st_size, "no hole that a full disk would turn into SIGBUS"
@@ -205,10 +201,10 @@ def test_a_cut_off_or_mistaken_setpoint_is_damage() -> None:
 
 def begun(number: int) -> tuple[int, bytes]:
     name = f"20260921-{number // 60_000:02d}{number // 1000 % 60:02d}13-{number % 1000:03d}-watchdog"
-    return form.INCIDENT, form.at_wall_time(WALL_NS + number, name)
+    return form.INCIDENT, form.fields(WALL_NS + number, name)
 
 
-@pytest.mark.parametrize("what", [begun, lambda _: (form.START, start(WALL_NS, {}))], ids=["incidents", "starts"])
+@pytest.mark.parametrize("what", [begun, lambda _: (form.START, form.fields(WALL_NS, {}))], ids=["incidents", "starts"])
 def test_a_ring_of_nothing_but_incidents_is_no_endless_work(
     what: Callable[[int], tuple[int, bytes]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -234,7 +230,7 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(path: Path, sequence: in
     filled(path, 1, 15)  # divides 2**64 - 1
     image = bytearray(path.read_bytes())
     offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
-    put(image, offset, form.MODE, sequence, 2, form.text("idle"))
+    put(image, offset, form.NOTE, sequence, 2, form.fields("mode", "idle"))
     path.write_bytes(image)
     assert [record.sequence for record in ring_reader.read(path)] == [1]
     filled(path, 1, 15)
@@ -258,7 +254,7 @@ def test_a_gateway_does_not_run_out_of_sequence_numbers(path: Path, sequence: in
 )
 def test_a_calibration_that_no_gateway_published_is_damaged_and_in_the_header_unknown(told: bytes) -> None:
     ring = bytearray(image((form.CALIBRATION, told[: form.ROOM], 1)))
-    header.put_calibration(ring, told)
+    form.put_calibration(ring, told)
     records, damaged, _ = parse(bytes(ring))
     assert (len(records), damaged) == (0, 1)
     assert records.calibration_at(1) is None
@@ -266,17 +262,17 @@ def test_a_calibration_that_no_gateway_published_is_damaged_and_in_the_header_un
 
 def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
     ring = bytearray(image())
-    header.put_calibration(ring, b"{}" * 2000)
-    assert header.calibration(bytes(ring)) == b""
-    header.put_calibration(ring, b'{"revision":1,"servos":{},"landing":{}}')
+    form.put_calibration(ring, b"{}" * 2000)
+    assert form.calibration_in(bytes(ring)) == b""
+    form.put_calibration(ring, b'{"revision":1,"servos":{},"landing":{}}')
     assert parse(bytes(ring))[0].calibration_at(1) is not None
     ring[140] ^= 1
-    assert header.calibration(bytes(ring)) == b"", "half of it was written"
+    assert form.calibration_in(bytes(ring)) == b"", "half of it was written"
 
 
 @pytest.mark.parametrize("facts", [{"pid": "\ud800"}, {"pid": [[[]]]}, {"pid": {"a": 1}}, {"\udfff": 1}], ids=repr)
 def test_a_start_with_facts_that_no_file_takes_is_damaged(facts: dict[str, object]) -> None:
-    records, damaged, _ = parse(image((form.START, start(WALL_NS, facts), 1)))
+    records, damaged, _ = parse(image((form.START, json.dumps([WALL_NS, facts]).encode(), 1)))
     assert (len(records), damaged) == (0, 1)
 
 
@@ -517,17 +513,17 @@ def assert_ordered(path: Path) -> None:
 
 def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
     """Records that no gateway writes in this order, or at all."""
-    place_of_ring = paths.prepare(folder)
+    place_of_ring = rings.prepare(folder)
     ring = RecordRing(place_of_ring, 100)
     no_times = ("20260931-141320-123-watchdog", "20260921-246060-123-watchdog", "00000101-000000-000-crash")
     for name in ("20260921-141320-123-watchdog", *no_times, "20260921-141320/../../passwd"):
-        ring.append(form.INCIDENT, 5 * SECOND, form.at_wall_time(WALL_NS, name))
+        ring.append(form.INCIDENT, 5 * SECOND, form.fields(WALL_NS, name))
     ring.append(form.FRAME, 5 * SECOND, form.frame(b"\xff" * 30, "made up", 1))
     ring.append(form.DECISION, 5 * SECOND, form.decision(3, "made up", "no key", None))
     ring.append(form.COMMAND, 5 * SECOND, form.command(0, "put", "no key", None, float("inf"), ()))
-    ring.append(form.EVENT, 5 * SECOND, form.event("made up", None, None, None, "", 0))
-    ring.append(form.CLOCK, 2**62, form.number(0))
-    ring.append(form.CLOCK, 1, form.number(2**62))
+    ring.append(form.EVENT, 5 * SECOND, form.fields("made up", None, None, None, "", 0))
+    ring.append(form.CLOCK, 2**62, form.fields(0))
+    ring.append(form.CLOCK, 1, form.fields(2**62))
     ring.close()
     found, content = incidents(folder)
     assert [each.name for each in found] == ["20260921-141320-123-watchdog"]
@@ -539,9 +535,9 @@ def test_noise_in_the_ring_makes_no_story_fail(folder: Path) -> None:
 def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> None:
     def found(*later_s: float) -> Incident:
         """Of a watchdog's at 20 s, behind the start of a gateway, and emergency stops at these seconds."""
-        silent = form.at_wall_time(WALL_NS, "20260921-141320-123-watchdog")
-        behind = [(form.START, start(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
-        stop = form.event("estop_engaged", "anna", None, None, "a sentence", 0)
+        silent = form.fields(WALL_NS, "20260921-141320-123-watchdog")
+        behind = [(form.START, form.fields(WALL_NS, {}), SECOND), (form.INCIDENT, silent, 20 * SECOND)]
+        stop = form.fields("estop_engaged", "anna", None, None, "a sentence", 0)
         behind += [(form.EVENT, stop, round(at_s * SECOND)) for at_s in (20.0, *later_s)]
         records, _, _ = parse(image(*behind))
         records.written = True

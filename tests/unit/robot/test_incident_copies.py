@@ -12,7 +12,7 @@ import pytest
 
 from gateway import durable
 from gateway.model.black_box import format as form
-from gateway.model.black_box.header import COPIED_SHARE, RING_FILE, copies_of, copy_path
+from gateway.model.black_box.format import COPIED_SHARE, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import records as rec
 from gateway.people.recorder import ring_reader
@@ -123,7 +123,7 @@ def filled(ring: Path, last: int, first: int = 1) -> None:
     """A ring with so many modes, numbered from 1."""
     made = RecordRing(ring, SLOTS)
     for number in range(first, last + 1):
-        made.append(form.MODE, number, form.text(str(number)))
+        made.append(form.NOTE, number, form.fields("mode", str(number)))
     made.close()
 
 
