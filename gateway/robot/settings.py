@@ -149,16 +149,12 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     variables = _variables()
     merged = _merged(_read(path), variables)
     found, faults = read_for_stops(merged)
-    lines = [_line(path, fault, variables) for fault in faults if not _harmless(*fault)]
+    added = ("wire", NO_SETTING)  # by a variable: no wire has such an option
+    preventing = [(at, why) for at, why in faults if at not in settings_table.REMOVED and (at[0], why) != added]
+    lines = [_line(path, fault, variables) for fault in preventing]
     _require_framing(path, merged, lines)
     _raise(lines)
     return found
-
-
-def _harmless(place: settings_table.Place, sentence: str) -> bool:
-    """Return whether this is a removed setting that no Stop needs, or a variable that adds an option to a wire."""
-    removed = place in settings_table.REMOVED and place != ("spi", "protocol")
-    return removed or (place[0] == "wire" and sentence == NO_SETTING)
 
 
 def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyType({})) -> str:
@@ -180,7 +176,7 @@ def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[s
     wire, spi = tables.get("wire", {}), tables.get("spi", {})
     default = settings_table.WireSettings()
     framed = isinstance(wire, Mapping) and replace(default, name=str(wire.get("name", default.name))).framed
-    if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
+    if framed and isinstance(spi, Mapping) and "framing" not in spi:
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
 

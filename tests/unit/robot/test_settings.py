@@ -52,7 +52,6 @@ FILE_FAULTS = [
     ('[spi]\nframing = "Plain"', "spi.framing: \"Plain\" is not allowed: input should be 'plain' or 'length-prefixed'"),
     ('[wire]\nname = "elkapod"',
      'wire: there is no wire "elkapod"; installed are "hexapod-1.0", "elkapod-2025"'),
-    ('[spi]\nprotocol = "elkapod-2025"', "spi.protocol: was removed; write its value as name in [wire]"),
     ("[wire]\nbaud = 9600", "wire: baud is no setting of hexapod-1.0"),
     # no finite number
     ("[limits]\nleg_rate_hz = nan", f"limits.leg_rate_hz: NaN {FINITE}"),
@@ -269,36 +268,14 @@ def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkey
         monkeypatch.delenv("HEXAPOD_SPI__FRAMING")
 
 
-@pytest.mark.parametrize(
-    ("text", "lines"),
-    [
-        ("[calibration]\n[recorder]\n", []),  # as an earlier version installed it, without a change
-        (
-            '[calibration]\npath = "/mnt/own.toml"\n',
-            ["file: calibration: was removed; name its folder with state.path, the folder for all kept state "
-             "(the calibration as calibration.toml)"],
-        ),
-        (
-            '[recorder]\npath = "/mnt/box"\n',
-            ["file: recorder: was removed; name its folder with state.path, the folder for all kept state "
-             "(the black box keeps 60 s)"],
-        ),
-        (
-            '[telemetry]\nstate_hz = 5\n[lease]\ntakeover = "never"\n',
-            [
-                "file: lease.takeover: was removed; everybody may take the lease, which stops all legs first",
-                "file: telemetry.state_hz: was removed; the state is published ten times a second",
-            ],
-        ),
-    ],
-)  # fmt: skip
-def test_a_removed_setting_names_what_takes_its_place(tmp_path: Path, text: str, lines: list[str]) -> None:
-    path = tmp_path / "gateway.toml"
-    path.write_text(text)
-    if lines:
-        assert faults(path) == lines
-    else:
-        assert load(path) == Settings()
+def test_a_removed_setting_names_what_takes_its_place(file: Path) -> None:
+    file.write_text("[log]\n")  # as 1.0.0 installed it
+    assert load(file) == Settings()
+    file.write_text('[telemetry]\nstate_hz = 5\n[log]\nlevel = "info"\n')
+    assert faults(file) == [
+        "file: telemetry.state_hz: was removed; the state is published ten times a second",
+        "file: log: was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
+    ]
 
 
 # ---- What `stop-servos` reads: as little of a file and the environment as it needs, and nothing else prevents a Stop
@@ -314,7 +291,6 @@ PREVENTING = [
     (FRAMED + 'spi.device = "spidev0.0"\n', "spi.device"),
     (FRAMED + 'wire.name = "elkapod"\n', "wire"),
     ('wire.name = ["hexapod-1.0"]\n', "wire.name"),
-    (FRAMED + 'spi.protocol = "elkapod-2025"\n', "spi.protocol"),
     ('wire.name = "hexapod-1.0"\n', "spi.framing: is not set"),
     ('wire.name = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n', "controller.uart"),
     ("no TOML", "is not TOML"),
@@ -344,15 +320,14 @@ def test_a_variable_of_the_wire_that_is_wrong_or_misnamed(file: Path, monkeypatc
         "[controller]\nsilent_ms = 'x'\ny = 1\n",
         "[safety]\nmax_tilt_deg = 45\n",
         "[power]\nconfirm_ms = 1\n",
-        # of earlier versions
-        "[spi]\nframing = 'plain'\nresync_ms = 0.5\nbatch = false\navoid_deg = [2.0, 3.0]\n[watchdog]\nrepeats = 7\n",
-        "[lease]\ntakeover = 'never'\n[log]\nlevel = 'info'\n[zenoh]\nconnect = []\n",
+        # of 1.0.0
+        "[spi]\nframing = 'plain'\nresync_ms = 0.5\n[watchdog]\nrepeats = 7\n[log]\nlevel = 'info'\n",
     ],
 )
 def test_nothing_else_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     file.write_text(text if "framing" in text else FRAMED + text)
     for variable in (
-        "HEXAPOD_SPI__BATCH",
+        "HEXAPOD_SPI__RESYNC_MS",
         "HEXAPOD_WATCHDOG__TIMEOUT_MS",
         "HEXAPOD_X",
         "HEXAPOD_POWER",
