@@ -3,29 +3,27 @@
 A page has one writer, which never waits for a reader. Aligned numbers of 8 bytes are atomic.
 """
 
-import ctypes
 import math
 import mmap
 import os
+from array import array
 from collections.abc import Collection
+from itertools import chain, islice
 from typing import Any, Final, NamedTuple
 
 from schemas.robot import LEGS, SERVO_IDS
 
 _PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
+_UNFED: Final = len(SERVO_IDS)
+"""Place of a number with a bit for each servo without power, in the order of SERVO_IDS."""
 
 
-def _shared(kind: type[ctypes.Structure], fd: int | None) -> tuple[int, Any]:
-    """Return a page's descriptor and content: all zeros, or of another process's page by its descriptor `fd`."""
+def _shared(fd: int | None) -> "tuple[int, memoryview[float]]":
+    """Return a page's descriptor and its floats: all 0, or of another process's page by its descriptor `fd`."""
     found = os.memfd_create("page") if fd is None else fd  # a file in memory, so a write never waits for a disk
     if fd is None:
         os.ftruncate(found, mmap.PAGESIZE)
-    return found, kind.from_buffer(mmap.mmap(found, mmap.PAGESIZE))
-
-
-class _Targets(ctypes.Structure):
-    _fields_ = (("angles_deg", ctypes.c_double * len(SERVO_IDS)), ("unfed", ctypes.c_uint64))
-    """`unfed` has a bit for each servo without power, in the order of SERVO_IDS."""
+    return found, memoryview(mmap.mmap(found, mmap.PAGESIZE)).cast("d")
 
 
 class ServoPage:
@@ -36,27 +34,27 @@ class ServoPage:
 
     def __init__(self, fd: int | None = None) -> None:
         """Make a page with all servos off and powered, or open another process's page by its descriptor `fd`."""
-        self.fd, self._page = _shared(_Targets, fd)
+        self.fd, self._page = _shared(fd)
         for servo_id in SERVO_IDS if fd is None else ():
             self.write(servo_id, None)
 
     def write(self, servo_id: int, angle_deg: float | None) -> None:
         """Send this servo to a wire angle; None: off. Takes less than a microsecond."""
-        self._page.angles_deg[_PLACES[servo_id]] = math.nan if angle_deg is None else angle_deg
+        self._page[_PLACES[servo_id]] = math.nan if angle_deg is None else angle_deg
 
     def feed(self, servo_ids: Collection[int]) -> None:
         """Power exactly these servos."""
-        self._page.unfed = sum(1 << place for servo_id, place in _PLACES.items() if servo_id not in servo_ids)
+        self._page[_UNFED] = sum(1 << place for servo_id, place in _PLACES.items() if servo_id not in servo_ids)
 
     @property
     def fed(self) -> frozenset[int]:
         """The powered servos; all, unless a board writes otherwise."""
-        unfed = self._page.unfed
+        unfed = int(self._page[_UNFED])
         return frozenset(servo_id for servo_id, place in _PLACES.items() if not unfed >> place & 1)
 
     def read(self) -> dict[int, float | None]:
         """Return the wire angle of each servo in degrees, or None for a servo that is off or has no power."""
-        targets_deg, fed = zip(SERVO_IDS, self._page.angles_deg, strict=True), self.fed
+        targets_deg, fed = zip(SERVO_IDS, self._page[:_UNFED], strict=True), self.fed
         return {servo_id: None if math.isnan(deg) or servo_id not in fed else deg for servo_id, deg in targets_deg}
 
 
@@ -73,33 +71,32 @@ class Sensed(NamedTuple):
     """The servos' torques, in the order of SERVO_IDS."""
 
 
-class _Copy(ctypes.Structure):
-    _fields_ = tuple(
-        (name, ctypes.c_double * count)
-        for name, count in zip(Sensed._fields, (4, 3, 3, len(LEGS), len(SERVO_IDS)), strict=True)
-    )
-
-
-class _Copies(ctypes.Structure):
-    _fields_ = (("newest", ctypes.c_int64), ("copies", _Copy * 2))
-    """`newest` is 1 or 2; 0 before the first."""
+_COUNTS: Final = (4, 3, 3, len(LEGS), len(SERVO_IDS))
+"""How many numbers each field has."""
+_SIZE: Final = sum(_COUNTS)
 
 
 class SensedPage:
     """The newest `Sensed`. Each goes into the older of two copies, so a reader never gets a half-written one."""
 
     def __init__(self, fd: int | None = None) -> None:
-        self.fd, self._page = _shared(_Copies, fd)
+        self.fd, self._page = _shared(fd)
 
     def write(self, sensed: Sensed) -> None:
         """Write the newest values. Takes microseconds."""
-        place = 2 if self._page.newest == 1 else 1
-        for name, values in sensed._asdict().items():
-            setattr(self._page.copies[place - 1], name, values)
-        self._page.newest = place
+        newest = 2 if self._page[0] == 1 else 1
+        self._copy(newest)[:] = array("d", chain(*sensed))
+        self._page[0] = newest
 
     def read(self) -> Sensed | None:
         """Return the newest values, or None before the first."""
-        newest = self._page.newest
-        copy = self._page.copies[newest - 1]
-        return Sensed(*(tuple(getattr(copy, name)) for name in Sensed._fields)) if newest else None
+        newest = int(self._page[0])
+        if not newest:
+            return None
+        values = iter(self._copy(newest).tolist())
+        fields: Any = (tuple(islice(values, count)) for count in _COUNTS)
+        return Sensed(*fields)
+
+    def _copy(self, newest: int) -> "memoryview[float]":
+        """Return a copy's numbers. The page begins with the number of the newest: 1 or 2; 0 before the first."""
+        return self._page[1 + (newest - 1) * _SIZE :][:_SIZE]

@@ -124,7 +124,7 @@ def run(
         "simulated": simulated.controller,
         "framing": settings.framing,
         "timeout_ms": settings.watchdog.timeout_ms,
-        **dict(zip(STOP_FACTS, stop_note.take() or (), strict=False)),
+        **dict(zip(STOP_FACTS, stop_note.take(), strict=False)),
     }
 
     async def serve(recorder: Recorder) -> ServiceEnd:

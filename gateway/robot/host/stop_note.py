@@ -5,7 +5,7 @@ Only people use it, so every error is ignored.
 """
 
 from contextlib import suppress
-from typing import Final, NamedTuple
+from typing import Final
 
 from gateway.host.directories import runtime_directory
 
@@ -14,30 +14,21 @@ _MOST_BYTES: Final = 50
 """The note has about 30."""
 
 
-class StopNote(NamedTuple):
-    """Times after the first and after the last round of Stops, in ns of the monotonic clock."""
-
-    first_ns: int
-    last_ns: int
-
-
-def leave(note: StopNote) -> None:
-    """Write the note, after the Stops. Without a runtime directory, do nothing. Never raises."""
+def leave(first_ns: int, last_ns: int) -> None:
+    """Note the times after the first and the last round of Stops, in ns of the monotonic clock. Never raises."""
     folder = runtime_directory()
     if folder is not None:
         with suppress(OSError):
-            (folder / _NAME).write_text(" ".join(map(str, note)))
+            (folder / _NAME).write_text(f"{first_ns} {last_ns}")
 
 
-def take() -> StopNote | None:
-    """Remove and return the note, or None if there is no readable one. Never raises."""
+def take() -> tuple[int, ...]:
+    """Remove the note and return its times; empty if there is no readable one. Never raises."""
     folder = runtime_directory()
-    if folder is None:
-        return None
-    path = folder / _NAME
-    with suppress(OSError, ValueError, TypeError):
-        with path.open("rb") as file:
-            found = StopNote(*map(int, file.read(_MOST_BYTES).split()))
-        path.unlink()
-        return found
-    return None
+    with suppress(OSError, ValueError):
+        if folder is not None:
+            with (folder / _NAME).open("rb") as file:
+                found = tuple(map(int, file.read(_MOST_BYTES).split()))
+            (folder / _NAME).unlink()
+            return found
+    return ()

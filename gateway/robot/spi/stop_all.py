@@ -54,7 +54,7 @@ def stop_servos(
         fault = fault_now or fault
     bus.close()
     if not unstopped:
-        stop_note.leave(stop_note.StopNote(first_ns, time.monotonic_ns()))
+        stop_note.leave(first_ns, time.monotonic_ns())
     noticed = notice.end()
     if unstopped and fault is not None:
         raise fault

@@ -185,7 +185,7 @@ def test_it_ends_with_the_fault_where_a_leg_got_no_stop(failing: Iterable[int], 
         stops(scene)
     assert scene.sleeps_ms == [20] * 13
     assert scene.log[-2:] == ["closed", "ended"]
-    assert stop_note.take() is None
+    assert stop_note.take() == ()
 
 
 def test_the_supply_is_taken_and_the_notice_given_after_the_first_stops(stops: Stops) -> None:
