@@ -9,13 +9,12 @@ from gateway.model.black_box import format as form
 from gateway.people.recorder import ring_reader
 
 
-def parse(data: bytes) -> tuple[ring_reader.Records, int, int]:
-    """The records, oldest first; how many slots are damaged and how many missing. Raises NoRingError."""
+def parse(data: bytes) -> ring_reader.Records:
+    """The records, oldest first. Raises NoRingError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "ring")
         path.write_bytes(data)
-        found = ring_reader.read(path)
-    return found, found.damaged, found.missing
+        return ring_reader.read(path)
 
 
 def put(buffer: Any, offset: int, kind: int, sequence: int, ns: int, rest: bytes) -> None:

@@ -1,9 +1,7 @@
 """Finds the incidents in a ring: what the gateway noted as one, and each end of a gateway that did not end in order."""
 
+import itertools
 import re
-from array import array
-from bisect import bisect
-from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -31,8 +29,6 @@ _ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
 JUST_BEFORE_NS: Final = 1_000_000_000
 NEAR_RECORDS: Final = 200
 """The cause of an incident is searched this long before it was noted, and this many records on both sides."""
-MOST: Final = 100
-"""Most incidents of a ring, the newest ones. A gateway notes at most one in 5 s."""
 LAST_RECORDS: Final = 20
 """The latest time is among these records: a command's time is its arrival, before it was recorded."""
 
@@ -76,76 +72,44 @@ def kind_of(name: str) -> str:
 
 
 def find(records: Records) -> list[Incident]:
-    """Return the newest incidents of a ring (at most MOST), oldest first."""
+    """Return the incidents of a ring, oldest first."""
     if not len(records):
         return []
-    starts = (index for index, kind in enumerate(records.kinds) if kind == form.START and index)
-    bounds = array("L", (0, *starts, len(records)))
-    found: list[Incident] = []  # newest first
-    for number in reversed(range(len(bounds) - 1)):
-        run = range(bounds[number], bounds[number + 1])
-        found += _of_one_run(records, run)
-        if len(found) >= MOST:
-            break
-    return found[:MOST][::-1]
+    starts = [index for index, kind in enumerate(records.kinds) if kind == form.START and index]
+    runs = itertools.pairwise((0, *starts, len(records)))
+    return [each for begin, end in runs for each in _of_one_run(records, range(begin, end))]
 
 
-def _of_one_run(records: Records, run: range) -> Iterator[Incident]:
-    """Return the incidents of one gateway, newest first. `run`: the places of its records."""
-    noted = _noted(records, run)
-    latest = next(noted, None)
-    last = run[-LAST_RECORDS:]
-    end_known = run.stop not in records.gaps
+def _of_one_run(records: Records, run: range) -> list[Incident]:
+    """Return the incidents of one gateway, oldest first. `run`: the places of its records."""
+    found, last = _noted(records, run), run[-LAST_RECORDS:]
     alive = records.written and run.stop == len(records)
-    if not alive and end_known and not any(records.kinds[index] == form.END for index in last):
-        killed_ns = max(records.times_ns[index] for index in last)
-        if latest is not None and latest.begin_ns <= killed_ns <= latest.end_ns:
-            latest = replace(latest, killed_ns=killed_ns)
-        else:
-            crash = _crash(records, run, killed_ns)
-            if crash is not None:
-                yield crash
-    if latest is not None:
-        yield latest
-    yield from noted
+    if alive or run.stop in records.gaps or any(records.kinds[index] == form.END for index in last):
+        return found
+    killed_ns = max(records.times_ns[index] for index in last)
+    if found and found[-1].begin_ns <= killed_ns <= found[-1].end_ns:
+        return [*found[:-1], replace(found[-1], killed_ns=killed_ns)]
+    crash = _crash(records, run, killed_ns)
+    return found if crash is None else [*found, crash]
 
 
-def _noted(records: Records, run: range) -> Iterator[Incident]:
-    """Incidents that the gateway noted itself, newest first."""
-    begun = [index for index in run if records.kinds[index] == form.INCIDENT][-MOST:]
-    triggers, follow = _triggers(records, range(begun[0], run.stop) if begun else range(0))
-    for index in reversed(begun):
-        record = records[index]
-        if isinstance(record.content, rec.WallTime) and is_id(record.content.incident):
-            name = record.content.incident
-            later = slice(bisect(triggers, index), None)
-            end_ns = _end(records, zip(triggers[later], follow[later], strict=True), record.ns, kind_of(name))
-            near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
-            zero_ns = _zero(records, near, record.ns, kind_of(name))
-            offset_ns = record.content.wall_ns - record.ns
-            yield Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, offset_ns)
-
-
-def _triggers(records: Records, places: range) -> tuple[Sequence[int], Sequence[int]]:
-    """The places of events that prolong an incident, and for how long (ns)."""
-    found, follow = array("L"), array("Q")
-    for index in places:
-        if records.kinds[index] == form.EVENT:
-            content = records[index].content
-            if isinstance(content, rec.EventPublished) and content.kind in _TRIGGERS:
-                found.append(index)
-                follow.append(follow_ns(content.kind))
-    return found, follow
-
-
-def _end(records: Records, triggers: Iterable[tuple[int, int]], begun_ns: int, kind: str) -> int:
-    """Return the end (ns): each trigger before the end prolongs the incident, as in the gateway."""
-    end_ns = begun_ns + follow_ns(kind)
-    for index, more_ns in triggers:
-        if records.times_ns[index] > end_ns:
-            break
-        end_ns = min(max(end_ns, records.times_ns[index] + more_ns), begun_ns + LONGEST_INCIDENT_NS)
-    return end_ns
+def _noted(records: Records, run: range) -> list[Incident]:
+    """Return the incidents that the gateway noted itself. Later events prolong one, as in the gateway."""
+    found: list[Incident] = []
+    longest_ns = 0
+    for index in run:
+        if records.kinds[index] not in {form.INCIDENT, form.EVENT}:
+            continue
+        match (record := records[index]).content:
+            case rec.WallTime(wall_ns, name):
+                near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
+                zero_ns = _zero(records, near, record.ns, kind_of(name))
+                end_ns, longest_ns = record.ns + follow_ns(kind_of(name)), record.ns + LONGEST_INCIDENT_NS
+                found.append(Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, wall_ns - record.ns))
+            case rec.EventPublished(kind) if kind in _TRIGGERS and found and record.ns <= found[-1].end_ns:
+                end_ns = min(max(found[-1].end_ns, record.ns + follow_ns(kind)), longest_ns)
+                found[-1] = replace(found[-1], end_ns=end_ns)
+    return found
 
 
 def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:

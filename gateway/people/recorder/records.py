@@ -1,22 +1,17 @@
 """The records of a black box as its readers get them. `gateway.model.black_box.format` has their bytes."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from pydantic import Field
-
-from gateway.model.black_box.format import MAX_NS
 from gateway.model.elkapod import Measured
 from gateway.model.frames import ServoOp
 from schemas.calibration import Calibration
-
-WallNs = Annotated[int, Field(ge=0, lt=MAX_NS)]
 
 
 class Start(NamedTuple):
     """A gateway starts. `wall_ns`: wall-clock time at this moment."""
 
-    wall_ns: WallNs
-    facts: dict[str, str | bool | int | float | None]
+    wall_ns: int
+    facts: dict[str, Any]
 
 
 class CommandRecord(NamedTuple):
@@ -74,7 +69,7 @@ class Noted(NamedTuple):
 class WallTime(NamedTuple):
     """Wall-clock time at this moment: once a second, and at the beginning of an incident."""
 
-    wall_ns: WallNs
+    wall_ns: int
     incident: str = ""
     """Its id, or ""."""
 

@@ -1,4 +1,4 @@
-"""Reads a ring that may be in use, cut off, damaged or foreign: it trusts nothing.
+"""Reads a ring that may be in use, cut off, damaged or another user's. It trusts what is in a whole record.
 
 It holds a copy of the file, never more than `format.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the
 file would end the reader with SIGBUS. It also holds about 26 bytes for each record. All records as objects would take
@@ -10,7 +10,6 @@ import os
 import stat
 import struct
 from array import array
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cached_property
@@ -24,7 +23,6 @@ from gateway.errors import GatewayError
 from gateway.host.file_lock import is_locked
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import MAX_SLOTS, copies_of
-from gateway.model.calibration import calibration_of
 from gateway.model.elkapod import measured
 from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
 from gateway.people.recorder import records as rec
@@ -32,10 +30,6 @@ from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
 _MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
-MOST_CHANGES: Final = 100
-"""The most calibration changes read from a ring. A person needs half a minute for one."""
-_EMPTY: Final = bytes(form.SLOT)
-"""A slot that was never written: most slots of a new file."""
 
 
 C = TypeVar("C", bound=rec.Content)
@@ -55,10 +49,6 @@ class Records:
         """The places before which the ring has overwritten records that no copy has."""
         self.newest = 0
         """Sequence number of the newest record taken."""
-        self.damaged = 0
-        """Slots of the ring with an incomplete record, or with a record of another slot."""
-        self.missing = 0
-        """Sequence numbers that no slot of the ring has, between the oldest and the newest."""
         self.written = False
         """Whether a gateway writes to the ring now."""
         self._files: list[_Slots] = []
@@ -66,28 +56,23 @@ class Records:
         self._numbers = array("Q")
         self._in_headers: list[tuple[int, Calibration]] = []
 
-    def take(self, file: "_Slots", numbers: Iterable[int]) -> int:
-        """Add these records of a file. Return how many cannot be decoded."""
-        damaged, begin = 0, len(self)
+    def take(self, file: "_Slots", numbers: Iterable[int]) -> None:
+        """Add those of these records of a file that can be decoded."""
+        begin = len(self)
         self._files.append(file)
         for place, number in enumerate(numbers):
             if not place and self.newest and number > self.newest + 1:
                 self.gaps.add(len(self))
             self.newest = number
-            try:
-                found = file.decoded(number)
-            except form.DamagedRingError:
-                damaged += 1
-                continue
-            for kind, record in found.items():
-                self._places.append(len(self._files) - 1)
-                self._numbers.append(number)
-                self.times_ns.append(record.ns)
-                self.kinds.append(kind)
+            with suppress(form.DamagedRingError):
+                for kind, record in file.decoded(number).items():
+                    self._places.append(len(self._files) - 1)
+                    self._numbers.append(number)
+                    self.times_ns.append(record.ns)
+                    self.kinds.append(kind)
         calibration = file.in_force
         if calibration is not None and self.kinds.find(form.CALIBRATION, begin) < 0:
             self._in_headers.append((self.times_ns[begin] if begin < len(self) else 0, calibration))
-        return damaged
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -121,9 +106,8 @@ class Records:
 
     @cached_property
     def _calibrations(self) -> list[tuple[int, Calibration]]:
-        """The newest changes, and what headers state, oldest first, and since when each is in force."""
-        places = deque((index for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION), MOST_CHANGES)
-        changes = [self[index] for index in places]
+        """The changes, and what headers state, oldest first, and since when each is in force."""
+        changes = [self[index] for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION]
         found = [(each.ns, each.content) for each in changes if isinstance(each.content, Calibration)]
         return sorted([*self._in_headers, *found], key=lambda each: each[0])
 
@@ -141,9 +125,7 @@ def read(path: Path) -> Records:
             with suppress(NoRingError, form.DamagedRingError):  # cut off, or another user's
                 copy = _Slots(_read_file(file, path)[0])
                 found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
-    numbers = tuple(ring.numbers(ring.oldest, ring.newest + 1))
-    found.damaged = ring.damaged + found.take(ring, numbers)
-    found.missing = ring.newest - ring.oldest + 1 - len(numbers)
+    found.take(ring, ring.numbers(ring.oldest, ring.newest + 1))
     return found
 
 
@@ -172,16 +154,10 @@ class _Slots:
         self._data = data
         self._slots = slots = form.slots_of(data[: form.HEADER_BYTES], len(data))
         self._sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
-        self.damaged = 0
         for index in range(slots):
-            raw = form.slot_bytes(data, index)
-            if raw == _EMPTY:
-                continue
-            slot = form.read_slot(raw)
+            slot = form.read_slot(form.slot_bytes(data, index))
             if slot is not None and slot.sequence % slots == index:
                 self._sequences[index] = slot.sequence
-            else:
-                self.damaged += 1
         self.newest = max(self._sequences)
         # Records more than a round old are partly overwritten, so a leftover slot does not count.
         self.oldest = next(self.numbers(max(1, self.newest - slots + 1), self.newest + 1), 0)
@@ -194,11 +170,9 @@ class _Slots:
 
     @property
     def in_force(self) -> Calibration | None:
-        """The calibration in the header; None: it has none, or an impossible one."""
-        try:
-            return _calibration(form.calibration_in(self._data[: form.HEADER_BYTES]))
-        except ValueError:
-            return None
+        """The calibration in the header; None: it has none."""
+        found = form.calibration_in(self._data[: form.HEADER_BYTES])
+        return Calibration.model_validate_json(found) if found else None
 
     def decoded(self, number: int) -> dict[int, rec.Record]:
         """Return what a record states, with what continues it (itself MORE, which states nothing); see `decode`."""
@@ -265,16 +239,8 @@ def _frame(rest: bytes) -> rec.FrameWritten:
 def _carried_out(rest: bytes) -> tuple[rec.CommandRecord, rec.FrameWritten, int]:
     """Return a command, the frame that it was accepted with, and the ns from its arrival to the transfer's end."""
     after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
-    if length > len(data):
-        raise form.DamagedRingError(f"a frame of {length} bytes")
     command = _command(rest[form.CARRIED_OUT_HEAD.size :])
     return command, rec.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number), after_ns
-
-
-def _calibration(rest: bytes) -> Calibration:
-    report = Calibration.model_validate_json(rest)
-    calibration_of(report)  # one that no gateway publishes would be drawn wrongly
-    return report
 
 
 def _op(value: int) -> ServoOp:
@@ -290,8 +256,6 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
     texts = []
     for _ in range(count):
         end = begin + 1 + rest[begin]
-        if end > len(rest):
-            raise form.DamagedRingError("a text is cut off")
         texts.append(rest[begin + 1 : end].decode())
         begin = end
     return texts
@@ -301,7 +265,7 @@ _READERS: Final[dict[int, Callable[[bytes], rec.Content]]] = {
     form.COMMAND: _command,
     form.DECISION: _decision,
     form.FRAME: _frame,
-    form.CALIBRATION: _calibration,
+    form.CALIBRATION: Calibration.model_validate_json,
     form.MEASURED: measured,
     form.START: _fields(rec.Start),
     form.EVENT: _fields(rec.EventPublished),
