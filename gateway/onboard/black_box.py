@@ -11,7 +11,7 @@ from gateway.model.black_box.format import RING_FILE
 from gateway.own_command import this_command
 from gateway.people.recorder import ring_reader
 from gateway.people.recorder.export import write
-from gateway.people.recorder.incidents import Incident, find, is_id, time_of
+from gateway.people.recorder.incidents import Incident, find, time_of
 from gateway.people.recorder.messages import messages
 from gateway.people.recorder.story import headline, story
 from gateway.people.terminal import hint, say
@@ -96,6 +96,4 @@ def _one(settings: Settings, name: str) -> _Found:
     for found in reversed(_find(folder)):
         if name in (LAST, found[0].name):
             return found
-    if name != LAST and not is_id(name):
-        raise GatewayError(f"{name!r} is no id of an incident: `incidents list` shows them, and `last` is the newest")
-    raise GatewayError(f"there is no incident {'' if name == LAST else name + ' '}in {folder}")
+    raise GatewayError(f"there is no incident {name!r} in {folder}: `incidents list` shows all")

@@ -44,10 +44,6 @@ HEADER_BYTES: Final = 4096
 SLOT: Final = 128
 """Room for a command of one leg with a source of 60 characters. One of all legs with a long name takes two slots."""
 ROOM: Final = SLOT - 24
-MAX_NS: Final = 2**62
-"""Later than any time of a record: the year 2116, or a machine that runs for 146 years."""
-MAX_SEQUENCE: Final = 2**63
-"""Sequence numbers continue across restarts, and never reach this."""
 MAX_TEXT: Final = 1000
 """Characters of a text in JSON; the longest sentence of an event has about 400."""
 MAX_BYTES: Final = 8000
@@ -105,26 +101,21 @@ def read_slot(data: bytes) -> Slot | None:
     """Decode a slot of SLOT bytes. Return None if it holds no valid record."""
     (checksum,) = _CRC.unpack_from(data)
     length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
-    if (
-        not 0 <= ns < MAX_NS
-        or not 0 < sequence < MAX_SEQUENCE
-        or not _HEAD.size <= length <= SLOT - _CRC.size
-        or zlib.crc32(data[4 : 4 + length]) != checksum
-    ):
+    if not _HEAD.size <= length <= SLOT - _CRC.size or zlib.crc32(data[4 : 4 + length]) != checksum:
         return None
     return Slot(kind, bool(more), sequence, ns, data[4 + _HEAD.size : 4 + length])
 
 
-def newest(buffer: Any, slots: int) -> tuple[int, int]:
-    """Return the highest sequence number of a valid record (0: none), and how many damaged records are above it."""
+def newest(buffer: Any, slots: int) -> int:
+    """Return the highest sequence number of a valid record; 0: there is none."""
     with memoryview(buffer) as whole, whole[HEADER_BYTES:].cast("Q") as words:
         numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
-    in_place = [number for slot, number in enumerate(numbers) if number and number % slots == slot]
-    for torn, number in enumerate(sorted(in_place, reverse=True)):
+    in_place = (number for slot, number in enumerate(numbers) if number and number % slots == slot)
+    for number in sorted(in_place, reverse=True):
         offset = HEADER_BYTES + number % slots * SLOT
         if read_slot(buffer[offset : offset + SLOT]) is not None:
-            return int(number), torn
-    return 0, len(in_place)
+            return int(number)
+    return 0
 
 
 # ---- content, by type: structures, and functions that return the bytes of a record's content

@@ -1,8 +1,6 @@
 """Finds the incidents in a ring: what the gateway noted as one, and each end of a gateway that did not end in order."""
 
 import itertools
-import re
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
@@ -24,8 +22,6 @@ from schemas.telemetry import Cause, Kind
 BEFORE_NS: Final = 10_000_000_000
 """An incident includes this time before its zero."""
 CRASH: Final = "crash"
-_ID: Final = re.compile(r"\d{8}-\d{6}-\d{3}-[a-z-]{1,20}", re.ASCII)
-"""The form of an id. An id is also a file's name."""
 JUST_BEFORE_NS: Final = 1_000_000_000
 NEAR_RECORDS: Final = 200
 """The cause of an incident is searched this long before it was noted, and this many records on both sides."""
@@ -52,13 +48,6 @@ class Incident:
     def wall_ns(self, ns: int) -> int:
         """Return ns since 1970 at monotonic time `ns`, at least 0: a machine without a clock begins in 1970."""
         return max(0, ns + self.wall_offset_ns)
-
-
-def is_id(name: str) -> bool:
-    """Return whether this is an incident's id. An id is safe as a file's name."""
-    with suppress(ValueError):
-        return _ID.fullmatch(name) is not None and time_of(name) is not None
-    return False
 
 
 def time_of(name: str) -> datetime:

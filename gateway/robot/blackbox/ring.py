@@ -43,7 +43,7 @@ class RecordRing:
     def __init__(self, path: Path, slots: int) -> None:
         """Open the file. If it has another version or size, begin it anew. Raises OSError, also for another's file."""
         self.note = ""
-        """A sentence about a file that was begun anew or is damaged, else ""."""
+        """A sentence about a file that was begun anew, else ""."""
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         self._fd = os.open(path, flags, 0o600)
         try:
@@ -68,10 +68,7 @@ class RecordRing:
         self._slots = slots
         if not whole:
             self._map[: form.HEADER_BYTES] = form.new_header(slots)
-        newest, torn = form.newest(self._map, slots)
-        if newest and torn:
-            self.note = f"the black box continues; {torn} of its newest records are incomplete"
-        self.sequence = newest + 1
+        self.sequence = form.newest(self._map, slots) + 1
         """Number of the next record."""
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:

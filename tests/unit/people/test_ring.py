@@ -180,18 +180,6 @@ def test_a_reader_says_what_it_cannot_read(path: Path, tmp_path: Path) -> None:
         ring_reader.read(path)
 
 
-@pytest.mark.parametrize("sequence", [0, 2**63, 2**64 - 1])
-def test_a_gateway_does_not_run_out_of_sequence_numbers(path: Path, sequence: int) -> None:
-    filled(path, 1, 15)  # divides 2**64 - 1
-    image = bytearray(path.read_bytes())
-    offset = form.HEADER_BYTES + sequence % 15 * form.SLOT
-    put(image, offset, form.NOTE, sequence, 2, form.fields("mode", "idle"))
-    path.write_bytes(image)
-    assert [record.sequence for record in ring_reader.read(path)] == [1]
-    filled(path, 1, 15)
-    assert [record.sequence for record in ring_reader.read(path)] == [1, 2]
-
-
 def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
     ring = bytearray(image())
     form.put_calibration(ring, b"{}" * 2000)
