@@ -5,6 +5,7 @@ import logging
 import selectors
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from math import ceil
@@ -14,6 +15,7 @@ import zenoh
 
 from gateway import __version__, certs
 from gateway.allowance import NS_PER_MS, NS_PER_S
+from gateway.errors import GatewayError
 from gateway.host import descriptors, effective, logs, realtime
 from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.mounts import forgets
@@ -132,10 +134,14 @@ def run(
 
     # epoll and poll round a timer up to the next millisecond, which would delay Stops; select takes microseconds.
     with (
-        Recorder(settings, facts, time.monotonic_ns, time.time_ns) as recorder,
+        closing(Recorder(settings, facts, time.monotonic_ns, time.time_ns)) as recorder,
         asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner,
     ):
-        end = runner.run(serve(recorder))
+        try:
+            end = runner.run(serve(recorder))
+        except GatewayError as error:  # after any other error the black box has no end
+            recorder.ended(str(error))
+            raise
         if end.failure is not None:
             recorder.ended(end.failure)
     end.leave()  # the interpreter's own exit would abort while a thread is inside Zenoh

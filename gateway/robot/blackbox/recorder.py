@@ -14,12 +14,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from gateway import __version__, durable
 from gateway.allowance import MOST_SOURCES, Allowance, AllowanceBySource
-from gateway.errors import GatewayError
 from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
 from gateway.model import elkapod
@@ -58,7 +56,7 @@ def _take(ring: Path, newest: int) -> None:
 
 
 def copy(ring: Path, newest: int) -> None:
-    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError for a bad form."""
+    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError for a bad header."""
     staged = durable.staged_for(ring)
     staged.unlink(missing_ok=True)  # from a killed process
     with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
@@ -67,8 +65,7 @@ def copy(ring: Path, newest: int) -> None:
         count = max(1, slots // COPIED_SHARE)
         made = bytearray(form.new_header(count))
         form.put_calibration(made, form.calibration_in(head))
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-        with os.fdopen(os.open(staged, flags, 0o600), "wb") as target:
+        with open(staged, "xb", opener=partial(os.open, mode=0o600)) as target:
             target.write(made)
             number = max(1, newest + 1 - count)
             while number <= newest:
@@ -176,17 +173,6 @@ class Recorder:
         }
         self._about = form.fields(about)
         self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Record a GatewayError as the end. After any other error the black box has no end."""
-        if isinstance(error, GatewayError):
-            self.ended(str(error))
-        self.close()
 
     def open(self) -> None:
         """Open the ring, and write the records that wait for it. Never raises."""
