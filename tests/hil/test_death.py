@@ -19,8 +19,7 @@ import pytest
 from gateway.model.black_box.format import RING_FILE
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
-from gateway.people.recorder import records as rec
-from gateway.people.recorder import ring_reader
+from gateway.people.recorder import ring_reader as rec
 from schemas.robot import LEGS
 from schemas.telemetry import Cause
 from tests.benchmarks.processes import publishing
@@ -107,7 +106,7 @@ def check_black_box(ring: Path, transfers: list[Transfer]) -> None:
     these and their records. No record stands for a frame that was not written, and each frame that moves stands behind
     its command.
     """
-    content = ring_reader.read(ring)
+    content = rec.read(ring)
     assert not content.written
     starts = [index for index, record in enumerate(content) if isinstance(record.content, rec.Start)]
     records = list(content)[starts[-1] :]

@@ -1,4 +1,4 @@
-"""The black box's files: names, header and records. `people/recorder/records.py` has what a record contains.
+"""The black box's files: names, header and records. `people.recorder.ring_reader` has what a record contains.
 
 A file begins with a header of a page:
 

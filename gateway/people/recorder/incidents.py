@@ -14,8 +14,7 @@ from gateway.model.black_box.incidents import (
     follow_ns,
     incident_id,
 )
-from gateway.people.recorder import records as rec
-from gateway.people.recorder.ring_reader import Records
+from gateway.people.recorder import ring_reader as rec
 from schemas import keys
 from schemas.telemetry import Cause, Kind
 
@@ -60,7 +59,7 @@ def kind_of(name: str) -> str:
     return name.split("-", 3)[-1]
 
 
-def find(records: Records) -> list[Incident]:
+def find(records: rec.Records) -> list[Incident]:
     """Return the incidents of a ring, oldest first."""
     if not len(records):
         return []
@@ -69,7 +68,7 @@ def find(records: Records) -> list[Incident]:
     return [each for begin, end in runs for each in _of_one_run(records, range(begin, end))]
 
 
-def _of_one_run(records: Records, run: range) -> list[Incident]:
+def _of_one_run(records: rec.Records, run: range) -> list[Incident]:
     """Return the incidents of one gateway, oldest first. `run`: the places of its records."""
     found, last = _noted(records, run), run[-LAST_RECORDS:]
     alive = records.written and run.stop == len(records)
@@ -82,7 +81,7 @@ def _of_one_run(records: Records, run: range) -> list[Incident]:
     return found if crash is None else [*found, crash]
 
 
-def _noted(records: Records, run: range) -> list[Incident]:
+def _noted(records: rec.Records, run: range) -> list[Incident]:
     """Return the incidents that the gateway noted itself. Later events prolong one, as in the gateway."""
     found: list[Incident] = []
     longest_ns = 0
@@ -101,7 +100,7 @@ def _noted(records: Records, run: range) -> list[Incident]:
     return found
 
 
-def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
+def _zero(records: rec.Records, near: range, noted_ns: int, kind: str) -> int:
     """Return its time: the watchdog's deadline, or the emergency stop's arrival; otherwise when it was noted."""
     zero_ns = noted_ns
     for index in near:
@@ -118,7 +117,7 @@ def _zero(records: Records, near: range, noted_ns: int, kind: str) -> int:
     return zero_ns
 
 
-def _crash(records: Records, run: range, killed_ns: int) -> Incident | None:
+def _crash(records: rec.Records, run: range, killed_ns: int) -> Incident | None:
     """The end of a gateway that did not record it; None if no record shows the time of day."""
     for index in reversed(run):
         if records.kinds[index] in _TELL_THE_TIME:

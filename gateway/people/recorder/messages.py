@@ -13,9 +13,8 @@ from gateway.model.black_box.format import ACCEPTED
 from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
-from gateway.people.recorder import records as rec
+from gateway.people.recorder import ring_reader as rec
 from gateway.people.recorder.incidents import Incident
-from gateway.people.recorder.ring_reader import Records
 from schemas import keys
 from schemas.calibration import Calibration
 from schemas.telemetry import Event, FrameRecord, Report
@@ -75,7 +74,7 @@ class Note(Report):
     key: str | None = None
 
 
-def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
+def messages(incident: Incident, records: rec.Records) -> Iterator[RecordedMessage]:
     """Return a note of the incident and the messages within its time, oldest first.
 
     What became of a command is found before its message is made. So each record is decoded twice rather than kept.
@@ -117,7 +116,7 @@ def messages(incident: Incident, records: Records) -> Iterator[RecordedMessage]:
         yield _killed(incident.wall_ns(killed_ns))
 
 
-def _decisions(records: Records, taken: Iterable[int]) -> tuple[Sequence[int], Sequence[int]]:
+def _decisions(records: rec.Records, taken: Iterable[int]) -> tuple[Sequence[int], Sequence[int]]:
     """Return for each record the place of the decision on it (0: none), and whether it is the Decision on another.
 
     An accepted command names its frame, any other has a Decision.

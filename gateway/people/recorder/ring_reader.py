@@ -1,4 +1,6 @@
-"""Reads a ring that may be in use, cut off, damaged or another user's. It trusts what is in a whole record.
+"""The records of a black box, and their reader.
+
+Reads a ring that may be in use, cut off, damaged or another user's. It trusts what is in a whole record.
 
 It holds a copy of the file, never more than `format.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the
 file would end the reader with SIGBUS. It also holds about 26 bytes for each record. All records as objects would take
@@ -14,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from pydantic import TypeAdapter
 from pydantic_core import from_json
@@ -23,16 +25,107 @@ from gateway.errors import GatewayError
 from gateway.host.file_lock import is_locked
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import MAX_SLOTS, copies_of
-from gateway.model.elkapod import measured
+from gateway.model.elkapod import Measured, measured
 from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
-from gateway.people.recorder import records as rec
 from schemas.calibration import Calibration
 from schemas.telemetry import Cause
 
 _MAX_BYTES: Final = form.file_bytes(MAX_SLOTS)
 
 
-C = TypeVar("C", bound=rec.Content)
+# ---- records
+
+
+class Start(NamedTuple):
+    """A gateway starts. `wall_ns`: wall-clock time at this moment."""
+
+    wall_ns: int
+    facts: dict[str, Any]
+
+
+class CommandRecord(NamedTuple):
+    """A decoded command; the record's time is its arrival. A Decision with its number follows (0: none does)."""
+
+    number: int
+    verb: str
+    key: str
+    source: str | None
+    sent_ms: float | None
+    targets: tuple[tuple[int, ServoOp], ...]
+
+
+class Decision(NamedTuple):
+    """The outcome of a command: "accepted", "coalesced", or the reason of its rejection."""
+
+    number: int
+    verdict: str
+    key: str
+    source: str | None
+
+
+class FrameWritten(NamedTuple):
+    """A written frame; the record's time is the end of its transfer. `late_ns`: a watchdog's Stop after its deadline.
+
+    `number`: the command accepted with it, which then has no Decision; 0: none.
+    """
+
+    data: bytes
+    cause: str
+    transfer_ns: int
+    late_ns: int = 0
+    number: int = 0
+
+
+class EventPublished(NamedTuple):
+    """A published event."""
+
+    kind: str
+    source: str | None
+    key: str | None
+    reason: str | None
+    detail: str
+    left_out: int
+
+
+class Noted(NamedTuple):
+    """What happened to the gateway itself; `what` is end, mode, lag or left_out, as in a Note."""
+
+    what: str
+    detail: str
+    source: str | None = None
+
+
+class WallTime(NamedTuple):
+    """Wall-clock time at this moment: once a second, and at the beginning of an incident."""
+
+    wall_ns: int
+    incident: str = ""
+    """Its id, or ""."""
+
+
+class About(NamedTuple):
+    """Version and settings, recorded every ten seconds, so that each incident's file has them."""
+
+    facts: dict[str, Any]
+
+
+Content = (
+    Start | CommandRecord | Decision | FrameWritten | EventPublished | Noted | WallTime | About | Calibration | Measured
+)
+"""A Calibration is in force from then on; before a change, the previous one is recorded, too."""
+
+
+class Record(NamedTuple):
+    """One record; `ns` is of the monotonic clock."""
+
+    sequence: int
+    ns: int
+    content: Content
+
+
+# ---- reading
+
+C = TypeVar("C", bound=Content)
 
 
 class NoRingError(GatewayError):
@@ -77,10 +170,10 @@ class Records:
     def __len__(self) -> int:
         return len(self.times_ns)
 
-    def __getitem__(self, index: int) -> rec.Record:
+    def __getitem__(self, index: int) -> Record:
         return self._files[self._places[index]].decoded(self._numbers[index])[self.kinds[index]]
 
-    def __iter__(self) -> Iterator[rec.Record]:
+    def __iter__(self) -> Iterator[Record]:
         return map(self.__getitem__, range(len(self)))
 
     def calibration_at(self, ns: int) -> Calibration | None:
@@ -101,7 +194,7 @@ class Records:
                 found = {}
             elif kind == form.ABOUT and (not found or self.times_ns[index] <= ns):
                 content = self[index].content
-                found = content.facts if isinstance(content, rec.About) else found
+                found = content.facts if isinstance(content, About) else found
         return found
 
     @cached_property
@@ -174,7 +267,7 @@ class _Slots:
         found = form.calibration_in(self._data[: form.HEADER_BYTES])
         return Calibration.model_validate_json(found) if found else None
 
-    def decoded(self, number: int) -> dict[int, rec.Record]:
+    def decoded(self, number: int) -> dict[int, Record]:
         """Return what a record states, with what continues it (itself MORE, which states nothing); see `decode`."""
         slot = last = self._slot(number)
         if slot.kind == form.MORE:
@@ -194,7 +287,7 @@ class _Slots:
         return slot
 
 
-def decode(kind: int, number: int, ns: int, rest: bytes) -> dict[int, rec.Record]:
+def decode(kind: int, number: int, ns: int, rest: bytes) -> dict[int, Record]:
     """Return what a record states, by type: nothing of a later version's, two records if it was CARRIED_OUT.
 
     Raises form.DamagedRingError if `rest` is damaged.
@@ -202,9 +295,9 @@ def decode(kind: int, number: int, ns: int, rest: bytes) -> dict[int, rec.Record
     try:
         if kind == form.CARRIED_OUT:
             command, frame, after_ns = _carried_out(rest)
-            return {form.COMMAND: rec.Record(number, ns, command), form.FRAME: rec.Record(number, ns + after_ns, frame)}
+            return {form.COMMAND: Record(number, ns, command), form.FRAME: Record(number, ns + after_ns, frame)}
         reader = _READERS.get(kind)
-        return {} if reader is None else {kind: rec.Record(number, ns, reader(rest))}
+        return {} if reader is None else {kind: Record(number, ns, reader(rest))}
     except (struct.error, ValueError, IndexError, RecursionError) as error:
         raise form.DamagedRingError(str(error)) from error
 
@@ -215,32 +308,30 @@ def _fields(kind: type[C]) -> Callable[[bytes], C]:
     return lambda rest: adapter.validate_python(from_json(rest, allow_inf_nan=False))
 
 
-def _command(rest: bytes) -> rec.CommandRecord:
+def _command(rest: bytes) -> CommandRecord:
     number, sent_ms, count = form.COMMAND_HEAD.unpack_from(rest)
     flat = form.TARGET_STRUCTS[count].unpack_from(rest, form.COMMAND_HEAD.size)
     targets = tuple((flat[index], _op(flat[index + 1])) for index in range(0, len(flat), 2))
     verb, key, source = _read_texts(rest, form.COMMAND_HEAD.size + form.TARGET_STRUCTS[count].size, 3)
-    return rec.CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
+    return CommandRecord(number, verb, key, source or None, sent_ms if math.isfinite(sent_ms) else None, targets)
 
 
-def _decision(rest: bytes) -> rec.Decision:
+def _decision(rest: bytes) -> Decision:
     verdict, key, source = _read_texts(rest, form.DECISION_HEAD.size, 3)
-    return rec.Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
+    return Decision(form.DECISION_HEAD.unpack_from(rest)[0], verdict, key, source or None)
 
 
-def _frame(rest: bytes) -> rec.FrameWritten:
+def _frame(rest: bytes) -> FrameWritten:
     transfer_ns, late_ns, number, length = form.FRAME_HEAD.unpack_from(rest)
     (cause,) = _read_texts(rest, form.FRAME_HEAD.size + length, 1)
-    return rec.FrameWritten(
-        rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number
-    )
+    return FrameWritten(rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number)
 
 
-def _carried_out(rest: bytes) -> tuple[rec.CommandRecord, rec.FrameWritten, int]:
+def _carried_out(rest: bytes) -> tuple[CommandRecord, FrameWritten, int]:
     """Return a command, the frame that it was accepted with, and the ns from its arrival to the transfer's end."""
     after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
     command = _command(rest[form.CARRIED_OUT_HEAD.size :])
-    return command, rec.FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number), after_ns
+    return command, FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number), after_ns
 
 
 def _op(value: int) -> ServoOp:
@@ -261,15 +352,15 @@ def _read_texts(rest: bytes, begin: int, count: int) -> list[str]:
     return texts
 
 
-_READERS: Final[dict[int, Callable[[bytes], rec.Content]]] = {
+_READERS: Final[dict[int, Callable[[bytes], Content]]] = {
     form.COMMAND: _command,
     form.DECISION: _decision,
     form.FRAME: _frame,
     form.CALIBRATION: Calibration.model_validate_json,
     form.MEASURED: measured,
-    form.START: _fields(rec.Start),
-    form.EVENT: _fields(rec.EventPublished),
-    form.ABOUT: _fields(rec.About),
-    **dict.fromkeys((form.NOTE, form.END), _fields(rec.Noted)),
-    **dict.fromkeys((form.CLOCK, form.INCIDENT), _fields(rec.WallTime)),
+    form.START: _fields(Start),
+    form.EVENT: _fields(EventPublished),
+    form.ABOUT: _fields(About),
+    **dict.fromkeys((form.NOTE, form.END), _fields(Noted)),
+    **dict.fromkeys((form.CLOCK, form.INCIDENT), _fields(WallTime)),
 }

@@ -13,8 +13,7 @@ from gateway.model.black_box.format import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.model.framing import Framing
-from gateway.people.recorder import records as rec
-from gateway.people.recorder import ring_reader
+from gateway.people.recorder import ring_reader as rec
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings
 from schemas import keys
@@ -36,7 +35,7 @@ def recorded(folder: Path, **sections: Any) -> Robot:
 
 
 def contents(folder: Path, *types: type[rec.Content]) -> list[Any]:
-    records = ring_reader.read(folder / RING_FILE)
+    records = rec.read(folder / RING_FILE)
     return [record.content for record in records if not types or isinstance(record.content, types)]
 
 
@@ -52,7 +51,7 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
         await asyncio.sleep(1)
     for _ in range(80_000):  # the ring comes round
         robot.conductor.recorder.beat(1_000_000_000)
-    records = ring_reader.read(folder / RING_FILE)
+    records = rec.read(folder / RING_FILE)
     assert form.CALIBRATION not in records.kinds
     assert in_force(records, robot.now_ns()) == 2
     robot.conductor.recorder.close()
@@ -60,11 +59,11 @@ async def test_what_was_in_force_is_known_after_any_time_and_across_runs(folder:
     before_ns = after.now_ns()
     await asyncio.sleep(1)
     after.conductor.recorder.calibration(RobotCalibration())
-    records = ring_reader.read(folder / RING_FILE)
+    records = rec.read(folder / RING_FILE)
     assert [in_force(records, ns) for ns in (min(revisions), before_ns, after.now_ns())] == [2, 2, 0]
 
 
-def in_force(records: ring_reader.Records, ns: int) -> int | None:
+def in_force(records: rec.Records, ns: int) -> int | None:
     """The revision of what was in force."""
     found = records.calibration_at(ns)
     return None if found is None else found.revision
@@ -110,11 +109,11 @@ async def test_nothing_is_recorded_before_a_frame_is_written(
 async def test_a_setpoint_is_one_record(folder: Path, framing: Framing) -> None:
     robot = recorded(folder, spi={"framing": framing}, rules={"repeats": 0})
     robot.put(LEG_3, START)
-    before = ring_reader.read(folder / RING_FILE)
+    before = rec.read(folder / RING_FILE)
     for angle in (0.01, 90, 180):
         await asyncio.sleep(0.1)
         robot.put(LEG_3, leg("set", angle, 46, 120, source="anna"), received_ns=robot.now_ns() - 3)
-    records = list(ring_reader.read(folder / RING_FILE))[len(before) :]
+    records = list(rec.read(folder / RING_FILE))[len(before) :]
     kinds = [type(record.content) for record in records if not isinstance(record.content, rec.WallTime)]
     assert kinds == [rec.CommandRecord, rec.FrameWritten] * 3
     assert len({record.sequence for record in records if not isinstance(record.content, rec.WallTime)}) == 3

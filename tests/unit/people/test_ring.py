@@ -17,8 +17,8 @@ from gateway.model.black_box.format import RING_FILE
 from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
-from gateway.people.recorder import export, ring_reader
-from gateway.people.recorder import records as rec
+from gateway.people.recorder import export
+from gateway.people.recorder import ring_reader as rec
 from gateway.people.recorder.drawing import JOINT_STATES
 from gateway.people.recorder.incidents import CRASH, Incident, find
 from gateway.people.recorder.messages import messages
@@ -84,7 +84,7 @@ def filled(path: Path, records: int, slots: int = 50) -> None:
 
 
 def modes(path: Path) -> list[int]:
-    return [int(record.content.detail) for record in ring_reader.read(path) if isinstance(record.content, rec.Noted)]
+    return [int(record.content.detail) for record in rec.read(path) if isinstance(record.content, rec.Noted)]
 
 
 def test_everything_is_read_as_it_was_written(path: Path) -> None:
@@ -93,7 +93,7 @@ def test_everything_is_read_as_it_was_written(path: Path) -> None:
         ring.append(kind, ns, write(*values))
     ring.append(99, 0, b"of a later version")
     ring.close()
-    content = ring_reader.read(path)
+    content = rec.read(path)
     assert [record.content for record in content] == [made(*values) for _, _, made, values in WRITTEN]
     assert [record.ns for record in content] == list(range(len(WRITTEN)))
 
@@ -110,7 +110,7 @@ def test_a_text_of_any_characters_is_no_error(path: Path) -> None:
         ring.append(form.COMMAND, 0, form.command(1, "put", "key", text, None, ()))
         ring.append(form.EVENT, 0, form.fields("kind", text, text, text, text * 100, 0))
     ring.close()
-    content = ring_reader.read(path)
+    content = rec.read(path)
     assert len(content) == 8
 
 
@@ -150,11 +150,11 @@ def test_another_file_is_begun_anew_and_said(path: Path, found: bytes, note: str
 
 def test_two_gateways_never_write_to_one_ring(path: Path) -> None:
     ring = RecordRing(path, 50)
-    assert ring_reader.read(path).written
+    assert rec.read(path).written
     with pytest.raises(OSError, match="another gateway writes to it"):
         RecordRing(path, 50)
     ring.close()
-    assert not ring_reader.read(path).written
+    assert not rec.read(path).written
     RecordRing(path, 50).close()
 
 
@@ -174,10 +174,10 @@ def test_nobody_else_may_have_put_the_file_there(path: Path, tmp_path: Path) -> 
 def test_a_reader_says_what_it_cannot_read(path: Path, tmp_path: Path) -> None:
     for bad, sentence in ((tmp_path / "none", "No such file"), (tmp_path, "it is no black box|Is a directory")):
         with pytest.raises(NoRingError, match=sentence):
-            ring_reader.read(bad)
+            rec.read(bad)
     os.mkfifo(path)
     with pytest.raises(NoRingError, match="it is no black box"):
-        ring_reader.read(path)
+        rec.read(path)
 
 
 def test_a_calibration_that_does_not_fit_the_header_is_unknown() -> None:
@@ -197,12 +197,12 @@ START = leg("start", 90, 45, 120, source="anna")
 SECOND = 1_000_000_000
 
 
-def incidents(folder: Path) -> tuple[list[Incident], ring_reader.Records]:
-    content = ring_reader.read(folder / RING_FILE)
+def incidents(folder: Path) -> tuple[list[Incident], rec.Records]:
+    content = rec.read(folder / RING_FILE)
     return find(content), content
 
 
-def exported(folder: Path, incident: Incident, content: ring_reader.Records) -> Path:
+def exported(folder: Path, incident: Incident, content: rec.Records) -> Path:
     path = folder / f"{incident.name}.mcap"
     export.write(path, incident, content)
     return path

@@ -9,7 +9,7 @@ import pytest
 from gateway.errors import SpiError
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
-from gateway.people.recorder import records as rec
+from gateway.people.recorder import ring_reader as rec
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.message import Verb
 from schemas import keys

@@ -14,8 +14,7 @@ from gateway import durable
 from gateway.model.black_box import format as form
 from gateway.model.black_box.format import COPIED_SHARE, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
-from gateway.people.recorder import records as rec
-from gateway.people.recorder import ring_reader
+from gateway.people.recorder import ring_reader as rec
 from gateway.robot.blackbox import recorder
 from gateway.robot.blackbox.recorder import SHARE, RecordShares
 from gateway.robot.blackbox.ring import RecordRing
@@ -128,7 +127,7 @@ def filled(ring: Path, last: int, first: int = 1) -> None:
 
 
 def sequences(file: Path) -> list[int]:
-    return [record.sequence for record in ring_reader.read(file)]
+    return [record.sequence for record in rec.read(file)]
 
 
 @pytest.mark.parametrize("newest", [1, 5, 19, 20, 21, 159, 160, 161, 170, 1003])
