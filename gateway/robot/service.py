@@ -30,10 +30,9 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import stop_note
-from gateway.robot.host.disk_writer import report_mistake
+from gateway.robot.host.disk import StateFolder, report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import ServosFile
-from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor

@@ -20,7 +20,7 @@ from gateway.model.framing import Framing
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.host.state_folder import StateFolder
+from gateway.robot.host.disk import StateFolder
 from gateway.robot.protocol import Wire
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor

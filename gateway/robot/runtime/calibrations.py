@@ -13,8 +13,7 @@ from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import explain, name_given_twice
 from gateway.robot.host import calibration_file
 from gateway.robot.host.calibration_file import CALIBRATION_FILE
-from gateway.robot.host.disk_writer import DiskWriter
-from gateway.robot.host.state_folder import StateFolder
+from gateway.robot.host.disk import DiskWriter, StateFolder
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io.receiver import OwnersTask

@@ -23,9 +23,8 @@ from gateway import durable
 from gateway.errors import ConfigError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.robot.core.events import Announce, EstopKept
-from gateway.robot.host.disk_writer import report_mistake
+from gateway.robot.host.disk import StateFolder, report_mistake
 from gateway.robot.host.ownership import OwnersTimer
-from gateway.robot.host.state_folder import StateFolder
 from gateway.robot.runtime.conductor import Conductor
 from schemas.keys import ESTOP
 from schemas.telemetry import Kind

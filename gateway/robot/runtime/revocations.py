@@ -12,7 +12,7 @@ from gateway import certs
 from gateway.errors import ConfigError
 from gateway.robot.core.events import Announce
 from gateway.robot.core.message import Reply
-from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.disk import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
 from gateway.robot.zenoh_io import revoked

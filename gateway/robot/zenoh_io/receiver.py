@@ -12,7 +12,7 @@ from zenoh.handlers import Handler
 
 from gateway.host.realtime import RECEIVER_PRIORITY, prefer_thread
 from gateway.robot.core.message import Reply
-from gateway.robot.host.disk_writer import report_mistake
+from gateway.robot.host.disk import report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.zenoh_io.questions import WokenRing
 

@@ -16,8 +16,7 @@ from gateway.model.calibration import RobotCalibration, calibration_of, changed,
 from gateway.model.frames import OneLeg, Op
 from gateway.robot.core.rejections import Rejection
 from gateway.robot.host.calibration_file import CALIBRATION_FILE, load
-from gateway.robot.host.disk_writer import DiskWriter
-from gateway.robot.host.state_folder import StateFolder
+from gateway.robot.host.disk import DiskWriter, StateFolder
 from gateway.robot.runtime import calibrations
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.request_answers import PAUSE_S

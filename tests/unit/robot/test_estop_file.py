@@ -18,7 +18,7 @@ import pytest
 from gateway import durable
 from gateway.errors import ConfigError
 from gateway.robot import service
-from gateway.robot.host.state_folder import StateFolder
+from gateway.robot.host.disk import StateFolder
 from gateway.robot.runtime import estop_keeper
 from gateway.robot.runtime.estop_keeper import (
     ESTOP_FILE,

@@ -11,7 +11,7 @@ from types import FrameType
 import pytest
 
 from gateway.model.frames import SETS
-from gateway.robot.host.disk_writer import DiskWriter
+from gateway.robot.host.disk import DiskWriter
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.servos_file import SERVOS_FILE, ServosFile
 from gateway.robot.host.systemd import PINGS_PER_TIMEOUT, SystemdNotifier
