@@ -1,14 +1,7 @@
 """The black box's files: names, header and records. `people.recorder.ring_reader` has what a record contains.
 
-A file begins with a header of a page:
-
-| bytes   | content                                                                                       |
-|---------|-----------------------------------------------------------------------------------------------|
-| 0-27    | magic, version, the size of a slot, and how many there are                                    |
-| 128-133 | CRC-32 and length of the calibration; 0: none                                                 |
-| 134-    | the calibration in force, since the ring overwrites its record                                |
-
-Slots of SLOT bytes follow. The record with sequence number n is in slot n modulo the number of slots:
+A file begins with a page that has magic, version, the size of a slot, and how many there are (`new_header`). Slots of
+SLOT bytes follow. The record with sequence number n is in slot n modulo the number of slots:
 
 | bytes  | content                                                                                        |
 |--------|------------------------------------------------------------------------------------------------|
@@ -233,9 +226,6 @@ VERSION: Final = 3
 MAGIC: Final = b"hexapod black box\n"
 
 _BEGIN: Final = struct.Struct("<18sHII")
-_CALIBRATION: Final = struct.Struct("<IH")
-_CALIBRATION_AT: Final = 128
-_CALIBRATION_BEGIN: Final = _CALIBRATION_AT + _CALIBRATION.size
 
 
 def new_header(slots: int) -> bytes:
@@ -260,23 +250,6 @@ def slots_of(head: bytes, size: int) -> int:
     if not slots or size != file_bytes(slots):
         raise DamagedRingError(f"it has {size} bytes, and its header states {slots} records")
     return int(slots)
-
-
-def put_calibration(buffer: Any, data: bytes) -> None:
-    """Write the calibration in force, as JSON. One that does not fit counts as unknown."""
-    if len(data) > HEADER_BYTES - _CALIBRATION_BEGIN:
-        data = b""
-    _CALIBRATION.pack_into(buffer, _CALIBRATION_AT, zlib.crc32(data), len(data))
-    buffer[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + len(data)] = data
-
-
-def calibration_in(head: bytes) -> bytes:
-    """Return the bytes written by `put_calibration`; empty if there are none, or they are damaged."""
-    if len(head) < HEADER_BYTES:
-        return b""
-    checksum, length = _CALIBRATION.unpack_from(head, _CALIBRATION_AT)
-    data = head[_CALIBRATION_BEGIN : _CALIBRATION_BEGIN + length]
-    return data if len(data) == length and zlib.crc32(data) == checksum else b""
 
 
 # ---- the files

@@ -97,6 +97,10 @@ def messages(incident: Incident, records: rec.Records) -> Iterator[RecordedMessa
     before_ns = incident.begin_ns
     for index in sorted(taken, key=times_ns.__getitem__):
         record = records[index]
+        if isinstance(record.content, Calibration):
+            if record.content == calibration:
+                continue
+            calibration = record.content
         if killed_ns is not None and record.ns > killed_ns:
             yield _killed(incident.wall_ns(killed_ns))
             killed_ns = last = None

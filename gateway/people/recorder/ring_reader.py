@@ -14,7 +14,6 @@ import struct
 from array import array
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
@@ -104,7 +103,7 @@ class WallTime(NamedTuple):
 
 
 class About(NamedTuple):
-    """Version and settings, recorded every ten seconds, so that each incident's file has them."""
+    """Version and settings, recorded every five seconds, so that each incident's file has them."""
 
     facts: dict[str, Any]
 
@@ -112,7 +111,7 @@ class About(NamedTuple):
 Content = (
     Start | CommandRecord | Decision | FrameWritten | EventPublished | Noted | WallTime | About | Calibration | Measured
 )
-"""A Calibration is in force from then on; before a change, the previous one is recorded, too."""
+"""A Calibration is in force from then on. It is recorded every five seconds; before a change, the former one, too."""
 
 
 class Record(NamedTuple):
@@ -147,11 +146,9 @@ class Records:
         self._files: list[_Slots] = []
         self._places = array("B")  # in `_files`
         self._numbers = array("Q")
-        self._in_headers: list[tuple[int, Calibration]] = []
 
     def take(self, file: "_Slots", numbers: Iterable[int]) -> None:
         """Add those of these records of a file that can be decoded."""
-        begin = len(self)
         self._files.append(file)
         for place, number in enumerate(numbers):
             if not place and self.newest and number > self.newest + 1:
@@ -163,9 +160,6 @@ class Records:
                     self._numbers.append(number)
                     self.times_ns.append(record.ns)
                     self.kinds.append(kind)
-        calibration = file.in_force
-        if calibration is not None and self.kinds.find(form.CALIBRATION, begin) < 0:
-            self._in_headers.append((self.times_ns[begin] if begin < len(self) else 0, calibration))
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -178,31 +172,19 @@ class Records:
 
     def calibration_at(self, ns: int) -> Calibration | None:
         """Return the calibration in force at `ns`; None: unknown."""
-        found = None
-        for since_ns, calibration in self._calibrations:
-            if found is None or since_ns <= ns:
-                found = calibration  # if all are later, the first: what was in force until then
-        return found
+        content = self._latest(form.CALIBRATION, ns)
+        return content if isinstance(content, Calibration) else None
 
     def about_at(self, ns: int) -> dict[str, Any]:
         """Return versions and settings of the gateway that ran at `ns`; empty if unknown."""
-        found: dict[str, Any] = {}
-        for index, kind in enumerate(self.kinds):
-            if kind == form.START and self.times_ns[index] > ns:
-                break
-            if kind == form.START:
-                found = {}
-            elif kind == form.ABOUT and (not found or self.times_ns[index] <= ns):
-                content = self[index].content
-                found = content.facts if isinstance(content, About) else found
-        return found
+        content = self._latest(form.ABOUT, ns)
+        return content.facts if isinstance(content, About) else {}
 
-    @cached_property
-    def _calibrations(self) -> list[tuple[int, Calibration]]:
-        """The changes, and what headers state, oldest first, and since when each is in force."""
-        changes = [self[index] for index, kind in enumerate(self.kinds) if kind == form.CALIBRATION]
-        found = [(each.ns, each.content) for each in changes if isinstance(each.content, Calibration)]
-        return sorted([*self._in_headers, *found], key=lambda each: each[0])
+    def _latest(self, kind: int, ns: int) -> Content | None:
+        """Return the content of the latest record of this type at `ns`, else of the first; None: there is none."""
+        places = [index for index, each in enumerate(self.kinds) if each == kind]
+        found = [index for index in places if self.times_ns[index] <= ns][-1:] or places[:1]
+        return self[found[0]].content if found else None
 
 
 def read(path: Path) -> Records:
@@ -260,12 +242,6 @@ class _Slots:
         slots, sequences = self._slots, self._sequences
         begin, end = max(begin, self.newest - slots + 1, 1), min(end, self.newest + 1)
         return (number for number in range(begin, end) if sequences[number % slots] == number)
-
-    @property
-    def in_force(self) -> Calibration | None:
-        """The calibration in the header; None: it has none."""
-        found = form.calibration_in(self._data[: form.HEADER_BYTES])
-        return Calibration.model_validate_json(found) if found else None
 
     def decoded(self, number: int) -> dict[int, Record]:
         """Return what a record states, with what continues it (itself MORE, which states nothing); see `decode`."""

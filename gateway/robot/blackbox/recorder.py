@@ -63,10 +63,8 @@ def copy(ring: Path, newest: int) -> None:
         head = source.read(form.HEADER_BYTES)
         slots = form.slots_of(head, os.fstat(source.fileno()).st_size)
         count = max(1, slots // COPIED_SHARE)
-        made = bytearray(form.new_header(count))
-        form.put_calibration(made, form.calibration_in(head))
         with open(staged, "xb", opener=partial(os.open, mode=0o600)) as target:
-            target.write(made)
+            target.write(form.new_header(count))
             number = max(1, newest + 1 - count)
             while number <= newest:
                 run = min(CHUNK, newest + 1 - number, slots - number % slots, count - number % count)
@@ -107,8 +105,8 @@ class RecordShares:
 LAG_NS: Final = 10_000_000
 """A timer later than this is recorded, since it would have delayed a Stop as much."""
 CLOCK_NS: Final = 1_000_000_000
-ABOUT_NS: Final = 10_000_000_000
-"""Period of version and settings records. An incident begins this far back, so it contains one."""
+ABOUT_NS: Final = 5_000_000_000
+"""Period of records of version, settings and calibration. So also a short copy contains one."""
 MEASURED_NS: Final = 100_000_000
 """Shortest time between records of measurements: 1 % of the ring, and a fall takes longer."""
 KEPT_BEFORE_OPEN: Final = 200
@@ -156,7 +154,8 @@ class Recorder:
         self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._clock_ns = 0  # of the latest record of the wall clock
-        self._about_ns = -ABOUT_NS
+        self._about_ns = clock()
+        self._calibration = b""
         self._measured_ns = -MEASURED_NS
         self._first_ns = self._until_ns = 0  # begin and end of the latest incident
         self._copy_due = self._runs = False
@@ -173,6 +172,7 @@ class Recorder:
         }
         self._about = form.fields(about)
         self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
+        self._append(form.ABOUT, self._about_ns, self._about)
 
     def open(self) -> None:
         """Open the ring, and write the records that wait for it. Never raises."""
@@ -293,6 +293,7 @@ class Recorder:
         if now_ns - self._about_ns >= ABOUT_NS:
             self._about_ns = now_ns
             self._append(form.ABOUT, now_ns, self._about)
+            self._record_calibration(self._calibration, now_ns)
 
     def _copy(self, ring: RecordRing, now_ns: int) -> None:
         """Have the time before an incident copied, if that is due. Returns at once.
@@ -316,17 +317,15 @@ class Recorder:
         self._happened(MISTAKE, now_ns)
 
     def calibration(self, calibration: RobotCalibration) -> None:
-        """Record the calibration in force. Call it at the start, and at each change."""
-        if self._ring is None:
-            return
-        before, now = self._ring.calibration, report_of(calibration).model_dump_json().encode()
-        if before == now:
-            return
-        if before:
-            ns = self._clock()
-            self._append(form.CALIBRATION, ns, before)
-            self._append(form.CALIBRATION, ns, now)
-        self._ring.calibration = now  # last: if killed before, the records have it
+        """Record the calibration in force, after the former one. Call it at the start, and at each change."""
+        before, self._calibration = self._calibration, report_of(calibration).model_dump_json().encode()
+        now_ns = self._clock()
+        for each in (before, self._calibration):
+            self._record_calibration(each, now_ns)
+
+    def _record_calibration(self, calibration: bytes, now_ns: int) -> None:
+        if calibration:
+            self._append(form.CALIBRATION, now_ns, calibration)
 
     def ended(self, why: str) -> None:
         """Record the end, after the last Stops."""

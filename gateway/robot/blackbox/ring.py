@@ -84,15 +84,6 @@ class RecordRing:
         pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, zlib.crc32(body), body)
         self.sequence = sequence + 1
 
-    @property
-    def calibration(self) -> bytes:
-        """The header's calibration, as JSON; empty: none."""
-        return form.calibration_in(self._map[: form.HEADER_BYTES])
-
-    @calibration.setter
-    def calibration(self, data: bytes) -> None:
-        form.put_calibration(self._map, data)
-
     def close(self) -> None:
         """Unmap and close the file; its content stays."""
         self._map.close()
