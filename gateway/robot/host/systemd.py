@@ -30,9 +30,7 @@ class SystemdNotifier:
         if path:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)  # the loop must not wait for systemd to read
-        timeout_us, for_whom = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
-        ours = bool(path) and timeout_us.isdecimal() and for_whom in {"", str(os.getpid())}
-        self._timeout_us = int(timeout_us) if ours else 0
+        self._timeout_us = int(environment.get("WATCHDOG_USEC", 0)) if path else 0
         """systemd's watchdog period; 0: there is no watchdog."""
         self.ping_period_s: Final = self._timeout_us / 1e6 / PINGS_PER_TIMEOUT if self._timeout_us else None
         """How often to call `alive`: a quarter of systemd's watchdog period. None: there is no watchdog."""
