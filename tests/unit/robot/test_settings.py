@@ -35,7 +35,6 @@ FILE_FAULTS = [
     ("x = 1", "x: is no setting"),
     ("[spi]\nsped_hz = 1", "spi.sped_hz: is no setting"),
     ('[spi]\n"a\\nb" = 1', r'spi."a\nb": is no setting'),
-    (f"{'k' * 500} = 1", f'"{"k" * 79}…: is no setting'),
     ("[limits.servos.14]", f"limits.servos: 14 {NO_SERVO}"),
     ("[watchdog.landing]\n11 = 170\n[limits.servos.11]\nmax_deg = 120",
      "watchdog.landing.11: 170 is not allowed: limits.servos.11 allows 0 to 120"),
@@ -60,8 +59,7 @@ FILE_FAULTS = [
      "limits.servos.11: min_deg is 170 and max_deg 160; min_deg must not be larger"),
     *((f'[telemetry]\nmetrics = "{text}"',
        'telemetry.metrics: write a host and a port, such as "127.0.0.1:9464", or "" for none')
-      for text in ("9464", ":9464", "localhost", "localhost:", "localhost:0", "localhost:65536", "localhost:٣")),
-    ('[controller]\nuart = "ttyAMA1"', "controller.uart: write the path of a device, such as /dev/ttyAMA1"),
+      for text in ("9464", ":9464", "localhost:0", "localhost:65536", "localhost:٣")),
     ("[safety]\nmax_tilt_deg = 45", "safety.max_tilt_deg: hexapod-1.0 has nothing that measures it; leave it at 0"),
     ('[wire]\nname = "elkapod-2025"\n[limits]\nstart_stagger_ms = 1',
      "limits.start_stagger_ms: elkapod-2025 starts all servos at once, so leave it at 0"),
@@ -69,8 +67,6 @@ FILE_FAULTS = [
      "limits.start_stagger_ms: a leg's start may not wait for as long as watchdog.timeout_ms, 250"),
     ('[wire]\nname = "elkapod-2025"\n[safety]\nmax_tilt_deg = 9',
      "safety.max_tilt_deg: write 10 to 90, since a robot that walks tilts by some degrees, or 0 for never"),
-    # much is not repeated
-    (f'[spi]\ndevice = ["{"x" * 999}"]', f'spi.device: ["{"x" * 78}… {STRING}'),
 ]  # fmt: skip
 
 
@@ -210,13 +206,6 @@ def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
     assert faults(file) == [f"file: {line}"]
 
 
-def test_each_fault_has_its_line(file: Path) -> None:
-    file.write_text('y = 1\n[telemetry]\nframes = "no"\n[watchdog]\nscope = "loud"\n[spi]\nx = 1\n')
-    assert [line.split(": ")[1] for line in faults(file)] == [
-        "spi.x", "watchdog.scope", "telemetry.frames", "y"
-    ]  # fmt: skip
-
-
 def test_a_file_that_is_none(file: Path, tmp_path: Path) -> None:
     assert faults(file) == ["file: there is no such file; name another with --config"]
     assert faults(tmp_path) == ["file: cannot be read (Is a directory); name another file with --config"]
@@ -242,30 +231,18 @@ def test_a_pose_in_the_file_that_limits_in_the_environment_forbid(file: Path, mo
 # ---- the framing of a real device
 
 
-def framing_of(path: Path | None) -> Framing:
-    return settings.load(path).spi.framing
-
-
 def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for text in ("", "[spi]\n", '[spi]\ndevice = "/dev/spidev0.1"\n'):
-        file.write_text(text)
-        with pytest.raises(FramingNotSetError) as raised:
-            framing_of(file)
-        assert raised.value.exit_code == 2
-        unset, *wanted = str(raised.value).splitlines()
-        assert unset.startswith(f"{file}: spi.framing: is not set")
-        assert "reset" in unset
-        assert wanted == [f'{file}: spi.framing: {framing.controller} needs "{framing}"' for framing in Framing]
-        assert load(file).spi.framing is Framing.PLAIN, "a simulated controller needs nobody to say it"
+    file.write_text('[spi]\ndevice = "/dev/spidev0.1"\n')
+    with pytest.raises(FramingNotSetError) as raised:
+        settings.load(file)
+    unset, *wanted = str(raised.value).splitlines()
+    assert unset.startswith(f"{file}: spi.framing: is not set")
+    assert wanted == [f'{file}: spi.framing: {framing.controller} needs "{framing}"' for framing in Framing]
+    assert load(file).spi.framing is Framing.PLAIN, "a simulated controller needs nobody to say it"
     with pytest.raises(FramingNotSetError, match=r"default\.toml: spi.framing: is not set"):
-        framing_of(None)
-    for framing in Framing:
-        file.write_text(f'[spi]\nframing = "{framing}"\n')
-        assert framing_of(file) is load(file).spi.framing is framing
-        file.write_text("")
-        monkeypatch.setenv("HEXAPOD_SPI__FRAMING", framing)
-        assert framing_of(file) is framing_of(None) is framing
-        monkeypatch.delenv("HEXAPOD_SPI__FRAMING")
+        settings.load()
+    monkeypatch.setenv("HEXAPOD_SPI__FRAMING", "length-prefixed")
+    assert settings.load(file).spi.framing is settings.load().spi.framing is Framing.LENGTH_PREFIXED
 
 
 def test_a_removed_setting_names_what_takes_its_place(file: Path) -> None:
@@ -287,11 +264,9 @@ PREVENTING = [
     ("spi = 3\n", "spi: 3"),
     ('spi.framing = "Plain"\n', "spi.framing"),
     (FRAMED + "spi.speed = 5\n", "spi.speed: is no setting"),
-    (FRAMED + 'spi.speed_hz = "5"\n', "spi.speed_hz"),
     (FRAMED + 'spi.device = "spidev0.0"\n', "spi.device"),
     (FRAMED + 'wire.name = "elkapod"\n', "wire"),
     ('wire.name = ["hexapod-1.0"]\n', "wire.name"),
-    ('wire.name = "hexapod-1.0"\n', "spi.framing: is not set"),
     ('wire.name = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n', "controller.uart"),
     ("no TOML", "is not TOML"),
 ]
@@ -358,7 +333,6 @@ def test_it_is_what_the_service_uses(file: Path, monkeypatch: pytest.MonkeyPatch
 PREFIXED = 'spi.framing = "length-prefixed"\n'
 TOO_FAST = {
     "spi.speed_hz = 5_000_001\n": (5_000_000, 50.0, "speed_hz is 5000001, and length-prefixed allows 5000000 at most"),
-    "spi.speed_hz = 20_000_000\n": (5_000_000, 50.0, "speed_hz is 20000000"),
     "spi.frame_gap_us = 19.9\n": (2_500_000, 20.0, "frame_gap_us is 19.9, and length-prefixed wants 20 at least"),
     "spi.frame_gap_us = 0\nspi.speed_hz = 6_000_000\n": (5_000_000, 20.0, "6000000"),
 }
@@ -374,13 +348,3 @@ def test_what_the_service_rejects_stop_servos_writes_as_the_framing_allows(file:
     assert spi == SpiSettings(framing=Framing.LENGTH_PREFIXED, speed_hz=speed_hz, frame_gap_us=gap_us)
     assert sentence in changed
     assert changed.endswith(f"stop-servos uses {speed_hz} Hz and {gap_us:g} µs")
-
-
-def test_a_variable_that_is_too_fast_is_rejected_by_its_name_and_stops_all_the_same(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file.write_text(PREFIXED)
-    monkeypatch.setenv("HEXAPOD_SPI__SPEED_HZ", "8000000")
-    with pytest.raises(ConfigError, match="HEXAPOD_SPI__SPEED_HZ: speed_hz is 8000000"):
-        settings.load(file)
-    assert settings.load_for_stops(file).spi.speed_hz == 8_000_000
