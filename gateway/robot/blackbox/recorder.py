@@ -112,8 +112,6 @@ MEASURED_NS: Final = 100_000_000
 KEPT_BEFORE_OPEN: Final = 200
 """Records kept before the ring is open; the first Stops do not wait for the ring."""
 
-MODES_A_SECOND: Final = 50
-"""Emergency stops and resets in turns change the mode more often."""
 EVENT_SLOTS: Final = 3
 """Slots of an event with a long sentence."""
 _ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
@@ -148,9 +146,6 @@ class Recorder:
         self._clock = clock
         self._wall_ns = wall_ns
         self._ring: RecordRing | None = None
-        self._modes = Allowance(MODES_A_SECOND, MODES_A_SECOND)
-        self._mode: Mode | None = None
-        """The mode, if it is not recorded yet."""
         self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._clock_ns = 0  # of the latest record of the wall clock
@@ -252,18 +247,12 @@ class Recorder:
         return True
 
     def mode(self, mode: Mode) -> None:
-        """Record a change of the gateway's mode. If it changes too often, record it at the next beat."""
+        """Record a change of the gateway's mode. Emergency stops and resets in turns use up a share."""
         now_ns = self._clock()
-        self._mode = mode
         self._runs = mode is Mode.ACTIVE
         self._ran |= self._runs
-        if self._modes.take(now_ns):
-            self._record_mode(now_ns)
-
-    def _record_mode(self, now_ns: int) -> None:
-        if self._mode is not None:
-            self._append(form.NOTE, now_ns, form.fields("mode", self._mode))
-            self._mode = None
+        if self._shares.admit(None, 1, now_ns):
+            self._append(form.NOTE, now_ns, form.fields("mode", mode))
 
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
         """Record a published event. Return the id of the incident that it begins or belongs to, or None."""
@@ -282,7 +271,6 @@ class Recorder:
         now_ns = self._clock()
         if self._ring is not None:
             self._copy(self._ring, now_ns)
-        self._record_mode(now_ns)
         if lag_ns > LAG_NS:
             self._append(form.NOTE, now_ns, form.fields("lag", f"{lag_ns / 1e6:.1f} ms"))
         if now_ns - self._clock_ns >= CLOCK_NS:
