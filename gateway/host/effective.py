@@ -73,8 +73,9 @@ def read() -> Effective | None:
     except (OSError, ValueError):
         return None
     found, faults = read_for_stops(tables)
-    unsaid = found.wire.framed and "framing" not in tables.get("spi", {})
-    return None if faults or unsaid else Effective(found.wire, found.spi, found.controller, found.power, tables)
+    if faults or (found.wire.framed and "framing" not in tables.get("spi", {})):
+        return None
+    return Effective(found.wire, found.spi, found.controller, found.power, tables)
 
 
 def running() -> Effective | None:

@@ -46,7 +46,7 @@ def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\xff", b'spi.framing = "Plain"', b'spi.framing = "plain"\nspi.speed_hz = 0']
+    "content", [b"", b"\xff", b"spi = 3", b'spi.framing = "Plain"', b'spi.framing = "plain"\nspi.speed_hz = 0']
 )
 def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
     assert effective.read() is None
