@@ -17,9 +17,8 @@ from gateway import nesting
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
 from gateway.host.settings_table import FOR_STOPS
-from gateway.text import key_name
 
-NAME: Final = "effective.toml"
+NAME: Final = "effective.json"
 _INVOCATION: Final = "INVOCATION_ID"
 """systemd's id for one start of a unit, which the unit's commands after its end have, too."""
 
@@ -51,11 +50,8 @@ def write(used: ForStops) -> None:
     if folder is None or used.power is None:
         return
     process = {"process": os.getpid(), "begun": _begun(os.getpid()), "invocation": os.environ.get(_INVOCATION, "")}
-    lines = ["# What the service uses. Written by it at its start; to change it, see /etc/hexapod-gateway."]
-    for head, table in {"": process, **{f"[{name}]": table for name, table in _tables(used).items()}}.items():
-        lines += [head, *(f"{key_name(name)} = {_toml(value)}" for name, value in table.items())]
     staged = folder / f".{NAME}.new"
-    staged.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    staged.write_text(json.dumps(process | _tables(used), indent=1, default=str), encoding="utf-8")
     staged.replace(folder / NAME)  # complete at any time; the folder is in memory, so no sync is needed
 
 
@@ -69,8 +65,12 @@ def read() -> Effective | None:
         # O_NONBLOCK: the service's user may have put a FIFO there, for which root must not wait.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(descriptor, "rb") as file:
-            tables = nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
+            data = file.read(nesting.MOST_BYTES + 1)
+        nesting.check(data)
+        tables = json.loads(data)
     except (OSError, ValueError):
+        return None
+    if not isinstance(tables, dict):
         return None
     found, faults = read_for_stops(tables)
     if faults or (found.wire.framed and "framing" not in tables.get("spi", {})):
@@ -114,14 +114,6 @@ def _tables(used: ForStops) -> dict[str, dict[str, Any]]:
 def differs_here(path: Path = CONFIGURATION) -> list[str]:
     """Return `differences` for the service that runs on this machine; empty if none runs or it cannot be read."""
     return differences(used, path) if (used := running()) is not None else []
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key_name(name)} = {_toml(each)}" for name, each in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool | int) else str(value)
 
 
 def _shown(value: Any) -> str:

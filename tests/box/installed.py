@@ -63,7 +63,7 @@ class InstalledGateway(Closing):
         self.unit.systemctl("stop", check=False)
         self.unit.systemctl("reset-failed", check=False)
         self.box.write(CONFIGURATION, self._configuration)
-        self.box.run("rm", "-f", f"/run/{NAME}/effective.toml")  # as after a boot
+        self.box.run("rm", "-f", f"/run/{NAME}/effective.json")  # as after a boot
         self.box.run("find", DROP_IN, "-type", "f", "!", "-name", "emulated.conf", "-delete")
         self.box.run("systemctl", "daemon-reload")
 

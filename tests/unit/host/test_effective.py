@@ -1,5 +1,6 @@
 """What the service in fact uses: written at its start, read by `stop-servos` and `check`, judged by its process."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -35,18 +36,26 @@ def test_without_a_runtime_directory_nothing_is_written(monkeypatch: pytest.Monk
 def test_a_process_that_ended_and_one_that_has_its_number(folder: Path) -> None:
     """A number alone shows nothing: the kernel gives it again."""
     effective.write(ForStops(USED.wire, USED.spi, USED.controller, USED.power))
-    written = (folder / effective.NAME).read_text()
+    written = json.loads((folder / effective.NAME).read_text())
     beyond = 2**22 + 1  # which the kernel gives to none
-    for line, others in {"process": beyond, "begun": 1}.items():
-        lines = [f"{line} = {others}" if each.startswith(f"{line} = ") else each for each in written.splitlines()]
-        (folder / effective.NAME).write_text("\n".join(lines))
+    for others in ({"process": beyond}, {"begun": 1}):
+        (folder / effective.NAME).write_text(json.dumps(written | others))
         found = effective.read()
         assert found is not None
         assert not found.runs
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\xff", b"spi = 3", b'spi.framing = "Plain"', b'spi.framing = "plain"\nspi.speed_hz = 0']
+    "content",
+    [
+        b"",
+        b"\xff",
+        b"[]",
+        b"[" * 5000,
+        b'{"spi": 3}',
+        b'{"spi": {"framing": "Plain"}}',
+        b'{"spi": {"framing": "plain", "speed_hz": 0}}',
+    ],
 )
 def test_a_damaged_file_says_nothing(folder: Path, content: bytes) -> None:
     assert effective.read() is None

@@ -61,7 +61,7 @@ class Robot:
             self._patch.delenv("INVOCATION_ID")
         if state in {ENDED, ENDED_HERE}:
             path = self._folder / effective.NAME
-            path.write_text(path.read_text().replace("begun = ", "begun = 1"))
+            path.write_text(path.read_text().replace('"begun": ', '"begun": 1'))
 
 
 @pytest.fixture
