@@ -52,9 +52,10 @@ class RecordRing:
                 lock(self._fd, fcntl.F_WRLCK)
             except OSError as error:
                 raise OSError(error.errno, "another gateway writes to it") from error
-            size = form.file_bytes(slots)
-            whole = self._is_whole(slots)
+            size, found = form.file_bytes(slots), os.fstat(self._fd).st_size
+            whole = found == size and os.pread(self._fd, form.HEADER_BYTES, 0) == form.new_header(slots)
             if not whole:
+                self.note = "the black box starts empty: its file is of another version or size" if found else ""
                 os.ftruncate(self._fd, 0)
                 for copy in form.copies_of(path):  # they have sequence numbers of another ring
                     with suppress(OSError):
@@ -88,19 +89,6 @@ class RecordRing:
         """Unmap and close the file; its content stays."""
         self._map.close()
         os.close(self._fd)
-
-    def _is_whole(self, slots: int) -> bool:
-        size = os.fstat(self._fd).st_size
-        if size == 0:
-            return False
-        try:
-            found = form.slots_of(os.pread(self._fd, form.HEADER_BYTES, 0), size)
-        except form.DamagedRingError as error:
-            self.note = f"the black box starts empty: {error}"
-            return False
-        if found != slots:
-            self.note = f"the black box starts empty: it has {found} records, and the settings want {slots}"
-        return found == slots
 
 
 def _check_owner(fd: int, path: Path) -> None:
