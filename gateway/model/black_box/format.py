@@ -39,8 +39,6 @@ SLOT: Final = 128
 ROOM: Final = SLOT - 24
 MAX_TEXT: Final = 1000
 """Characters of a text in JSON; the longest sentence of an event has about 400."""
-MAX_BYTES: Final = 8000
-"""Bytes of content of a continued record."""
 
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")

@@ -2,17 +2,16 @@
 
 Reads a ring that may be in use, cut off, damaged or another user's. It trusts what is in a whole record.
 
-It holds a copy of the file, never more than `format.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the
-file would end the reader with SIGBUS. It also holds about 26 bytes for each record. All records as objects would take
-eight times the file's size, on the computer of a running gateway (docs/recordings.md).
+It copies the file, never more than `format.file_bytes(MAX_SLOTS)`: with a mapping, somebody who shortens the file
+would end the reader with SIGBUS. It keeps the records' bytes, which takes four times the file's size on the computer of
+a running gateway. All records as objects would take eight times.
 """
 
 import math
 import os
 import stat
-import struct
 from array import array
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
@@ -132,40 +131,31 @@ class NoRingError(GatewayError):
 
 
 class Records:
-    """Decodable records of several files, in the order in which they were written. Each is decoded again at its use."""
+    """The records of a ring and its copies, in the order in which they were written. Each is decoded at its use."""
 
-    def __init__(self) -> None:
+    def __init__(self, slots: Mapping[int, form.Slot], *, written: bool) -> None:
+        """Take whole slots by sequence number. `written`: whether a gateway writes to the ring now."""
+        self.written = written
         self.times_ns = array("q")
         self.kinds = bytearray()
         self.gaps: set[int] = set()
         """The places before which the ring has overwritten records that no copy has."""
-        self.newest = 0
-        """Sequence number of the newest record taken."""
-        self.written = False
-        """Whether a gateway writes to the ring now."""
-        self._files: list[_Slots] = []
-        self._places = array("B")  # in `_files`
         self._numbers = array("Q")
-
-    def take(self, file: "_Slots", numbers: Iterable[int]) -> None:
-        """Add those of these records of a file that can be decoded."""
-        self._files.append(file)
-        for place, number in enumerate(numbers):
-            if not place and self.newest and number > self.newest + 1:
+        self._rests: list[bytes] = []
+        for number in sorted(slots):
+            if len(self) and number - 1 not in slots:
                 self.gaps.add(len(self))
-            self.newest = number
-            with suppress(form.DamagedRingError):
-                for kind, record in file.decoded(number).items():
-                    self._places.append(len(self._files) - 1)
-                    self._numbers.append(number)
-                    self.times_ns.append(record.ns)
-                    self.kinds.append(kind)
+            for kind, ns, rest in _contents(slots, number):
+                self.kinds.append(kind)
+                self.times_ns.append(ns)
+                self._numbers.append(number)
+                self._rests.append(rest)
 
     def __len__(self) -> int:
         return len(self.times_ns)
 
     def __getitem__(self, index: int) -> Record:
-        return self._files[self._places[index]].decoded(self._numbers[index])[self.kinds[index]]
+        return Record(self._numbers[index], self.times_ns[index], _READERS[self.kinds[index]](self._rests[index]))
 
     def __iter__(self) -> Iterator[Record]:
         return map(self.__getitem__, range(len(self)))
@@ -189,19 +179,16 @@ class Records:
 
 def read(path: Path) -> Records:
     """Return all whole records of a ring and its copies. Raises NoRingError if `path` is no readable ring."""
-    found = Records()
-    data, found.written = _read_file(path, path)
+    data, written = _read_file(path, path)
     try:
-        ring = _Slots(data)
+        slots = _slots(data)
     except form.DamagedRingError as error:
         raise NoRingError(f"{path}: {error}") from error
     with suppress(OSError):
-        for file in copies_of(path.resolve()):  # oldest first; of each its records that are older than all of the ring
+        for file in copies_of(path.resolve()):
             with suppress(NoRingError, form.DamagedRingError):  # cut off, or another user's
-                copy = _Slots(_read_file(file, path)[0])
-                found.take(copy, copy.numbers(found.newest + 1, ring.oldest))
-    found.take(ring, ring.numbers(ring.oldest, ring.newest + 1))
-    return found
+                slots |= _slots(_read_file(file, path)[0])
+    return Records(slots, written=written)
 
 
 def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
@@ -221,61 +208,31 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
         raise NoRingError(f"{path}: {error.strerror}") from error
 
 
-class _Slots:
-    """A file's slots, by sequence number."""
-
-    def __init__(self, data: bytes) -> None:
-        """Raises DamagedRingError."""
-        self._data = data
-        self._slots = slots = form.slots_of(data[: form.HEADER_BYTES], len(data))
-        self._sequences = array("Q", bytes(slots * 8))  # of each slot's record; 0: it has none
-        for index in range(slots):
-            slot = form.read_slot(form.slot_bytes(data, index))
-            if slot is not None and slot.sequence % slots == index:
-                self._sequences[index] = slot.sequence
-        self.newest = max(self._sequences)
-        # Records more than a round old are partly overwritten, so a leftover slot does not count.
-        self.oldest = next(self.numbers(max(1, self.newest - slots + 1), self.newest + 1), 0)
-
-    def numbers(self, begin: int, end: int) -> Iterator[int]:
-        """Return the sequence numbers of whole records from `begin` to before `end`, in order."""
-        slots, sequences = self._slots, self._sequences
-        begin, end = max(begin, self.newest - slots + 1, 1), min(end, self.newest + 1)
-        return (number for number in range(begin, end) if sequences[number % slots] == number)
-
-    def decoded(self, number: int) -> dict[int, Record]:
-        """Return what a record states, with what continues it (itself MORE, which states nothing); see `decode`."""
-        slot = last = self._slot(number)
-        if slot.kind == form.MORE:
-            return {}
-        rest = slot.rest
-        while last.more:
-            last = self._slot(last.sequence + 1)
-            if last.kind != form.MORE or len(rest) > form.MAX_BYTES:
-                raise form.DamagedRingError("a continued record is cut off")
-            rest += last.rest
-        return decode(slot.kind, number, slot.ns, rest)
-
-    def _slot(self, number: int) -> form.Slot:
-        slot = form.read_slot(form.slot_bytes(self._data, number % self._slots))
-        if slot is None or slot.sequence != number:
-            raise form.DamagedRingError("a continued record is cut off")
-        return slot
+def _slots(data: bytes) -> dict[int, form.Slot]:
+    """Return a file's whole slots by sequence number. Raises DamagedRingError."""
+    count = form.slots_of(data[: form.HEADER_BYTES], len(data))
+    slots = (form.read_slot(form.slot_bytes(data, index)) for index in range(count))
+    return {slot.sequence: slot for slot in slots if slot is not None}
 
 
-def decode(kind: int, number: int, ns: int, rest: bytes) -> dict[int, Record]:
-    """Return what a record states, by type: nothing of a later version's, two records if it was CARRIED_OUT.
-
-    Raises form.DamagedRingError if `rest` is damaged.
-    """
-    try:
-        if kind == form.CARRIED_OUT:
-            command, frame, after_ns = _carried_out(rest)
-            return {form.COMMAND: Record(number, ns, command), form.FRAME: Record(number, ns + after_ns, frame)}
-        reader = _READERS.get(kind)
-        return {} if reader is None else {kind: Record(number, ns, reader(rest))}
-    except (struct.error, ValueError, IndexError, RecursionError) as error:
-        raise form.DamagedRingError(str(error)) from error
+def _contents(slots: Mapping[int, form.Slot], number: int) -> Iterator[tuple[int, int, bytes]]:
+    """Yield type, time (ns) and content of what a record states: nothing if it is cut off, or continues another."""
+    slot = last = slots[number]
+    rest = slot.rest
+    while last.more:
+        more = slots.get(last.sequence + 1)
+        if more is None or more.kind != form.MORE:
+            return
+        last = more
+        rest += last.rest
+    if slot.kind == form.CARRIED_OUT:
+        after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
+        command = rest[form.CARRIED_OUT_HEAD.size :]
+        accepted, _, _ = form.COMMAND_HEAD.unpack_from(command)
+        yield form.COMMAND, slot.ns, command
+        yield form.FRAME, slot.ns + after_ns, form.frame(data[:length], Cause.COMMAND, transfer_ns, 0, accepted)
+    elif slot.kind in _READERS:
+        yield slot.kind, slot.ns, rest
 
 
 def _fields(kind: type[C]) -> Callable[[bytes], C]:
@@ -303,15 +260,7 @@ def _frame(rest: bytes) -> FrameWritten:
     return FrameWritten(rest[form.FRAME_HEAD.size : form.FRAME_HEAD.size + length], cause, transfer_ns, late_ns, number)
 
 
-def _carried_out(rest: bytes) -> tuple[CommandRecord, FrameWritten, int]:
-    """Return a command, the frame that it was accepted with, and the ns from its arrival to the transfer's end."""
-    after_ns, transfer_ns, length, data = form.CARRIED_OUT_HEAD.unpack_from(rest)
-    command = _command(rest[form.CARRIED_OUT_HEAD.size :])
-    return command, FrameWritten(data[:length], Cause.COMMAND, transfer_ns, 0, command.number), after_ns
-
-
 def _op(value: int) -> ServoOp:
-    """Raises FrameError, a ValueError, if it is no operation."""
     if value == form.STOP_CODE:
         return ServoOp(Op.STOP)
     if value <= MAX_ANGLE_CDEG:
