@@ -126,6 +126,15 @@ def test_every_byte_counts(path: Path) -> None:
         assert list(parse(bytes(changed))) == [record for record in whole if record.sequence != 2]
 
 
+def test_a_record_that_a_killed_gateway_began_states_nothing(path: Path) -> None:
+    ring = RecordRing(path, 50)
+    ring.append(form.EVENT, 0, form.fields("kind", None, None, None, "x" * 300, 0))
+    ring.sequence -= 1  # the next gateway overwrites what is not whole
+    ring.append(form.NOTE, 0, form.fields("mode", "7"))
+    ring.close()
+    assert (len(rec.read(path)), modes(path)) == (1, [7])
+
+
 @pytest.mark.parametrize(
     "found",
     [
@@ -430,6 +439,16 @@ def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> 
     assert (found().begin_ns, found().end_ns) == (10 * SECOND, 25 * SECOND)
     assert found(24.0, 28.0).end_ns == 33 * SECOND
     assert found(*range(24, 65, 4)).end_ns == 50 * SECOND
+
+
+@pytest.mark.parametrize(("second", "crashes"), [(2, 1), (5, 0)])
+def test_where_records_are_missing_nobody_knows_how_a_gateway_ended(second: int, crashes: int) -> None:
+    made = bytearray(form.new_header(10).ljust(form.file_bytes(10), b"\0"))
+    for number in (1, second):
+        put(made, form.HEADER_BYTES + number * form.SLOT, form.START, number, number, form.fields(WALL_NS, {}))
+    records = parse(bytes(made))
+    records.written = True
+    assert len(find(records)) == crashes
 
 
 def test_every_kind_of_incident_has_its_words_and_its_rank() -> None:
