@@ -272,7 +272,11 @@ def write(folder: Path, kept: KeptEstop) -> None:
         if kept.engaged:
             source = None if kept.source is None else kept.source.encode(errors="replace").decode()
             engaged = _Content(number=kept.number, source=source, time=kept.time or datetime.now(UTC))
-            _write_engaged(folder / ESTOP_FILE, engaged.model_dump_json().encode())
+            data = engaged.model_dump_json().encode()
+            # First without a sync, which a kill may interrupt. A part of a file counts as engaged, too.
+            with suppress(FileExistsError), (folder / ESTOP_FILE).open("xb") as file:
+                file.write(data)
+            durable.write(folder / ESTOP_FILE, data)
         else:  # the number first: after a crash between the two, the emergency stop is engaged
             left = _Content(number=kept.number).model_dump_json(exclude_unset=True)
             durable.write(folder / LAST_FILE, left.encode())
@@ -280,20 +284,3 @@ def write(folder: Path, kept: KeptEstop) -> None:
             durable.sync(folder)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from error
-
-
-def _write_engaged(path: Path, data: bytes) -> None:
-    """Write the file. A new file exists before its sync, so a gateway killed meanwhile leaves it.
-
-    A power cut may leave a part of it, and a damaged file counts as engaged.
-    """
-    try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-    except FileExistsError:
-        durable.write(path, data)
-        return
-    with open(descriptor, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(descriptor)
-    durable.sync(path.parent)

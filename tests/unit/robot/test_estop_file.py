@@ -139,7 +139,7 @@ def test_after_a_power_cut_the_disk_has_what_was_written(tmp_path: Path, monkeyp
 
     monkeypatch.setattr(os, "fsync", note)
     write(tmp_path, ENGAGED)
-    assert synced == [(ESTOP_FILE, True), (tmp_path.name, True)]
+    assert synced == [(durable.staged_for(tmp_path / ESTOP_FILE).name, True), (tmp_path.name, True)]
     write(tmp_path, KeptEstop(7))
     assert synced[-1] == (tmp_path.name, False)
 
