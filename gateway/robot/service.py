@@ -216,7 +216,7 @@ class _Service:
                 Cycle(self.bus, conductor, self.failed).start()
             wires.warn_of_driver(self.settings.wire, self.settings.spi, simulated=self.simulated.controller)
             opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known())
-            ended = asyncio.ensure_future(end.wait())
+            ended = asyncio.ensure_future(end.requested.wait())
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
             if not opening.done():
                 notifier.stopping()
@@ -243,7 +243,7 @@ class _Service:
             connection_limiter = ConnectionLimiter(session, conductor.metrics.count_sessions, self.revoked)
             self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
             self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all)
-            await end.wait()
+            await end.requested.wait()
             notifier.stopping(anew=end.starts_anew)
             self.beat.cancel()
             deadline = self.loop.time() + SHUTDOWN_S

@@ -11,10 +11,10 @@ import fcntl
 import mmap
 import os
 import stat
-import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
+from zlib import crc32
 
 from gateway.host.directories import runtime_directory, state_to_read, users_state
 from gateway.host.file_lock import lock
@@ -82,7 +82,7 @@ class RecordRing:
     def put(self, body: bytes) -> None:
         """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
         sequence = self.sequence
-        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, zlib.crc32(body), body)
+        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
         self.sequence = sequence + 1
 
     def close(self) -> None:
@@ -142,7 +142,7 @@ def in_memory(folder: Path) -> Path:
     runtime = runtime_directory()
     if runtime is not None:
         return runtime / RING_FILE
-    name = f"hexapod-gateway-{os.geteuid()}-{zlib.crc32(bytes(folder.resolve())):08x}"
+    name = f"hexapod-gateway-{os.geteuid()}-{crc32(bytes(folder.resolve())):08x}"
     for candidate in (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm"):  # noqa: S108  the owner is checked
         if candidate and os.access(candidate, os.W_OK):
             return Path(candidate) / name

@@ -48,39 +48,32 @@ class ServiceEnd:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, recorder: Recorder) -> None:
         self.failure: str | None = None
-        self._starts_anew = False
+        self.starts_anew = False
+        """Whether the process restarts the service. After a failure it does not."""
+        self.requested = asyncio.Event()
+        """Set when the service has to end."""
         self._owner = owner
         self._recorder = recorder
-        self._event = asyncio.Event()
         # Its terminal sends SIGQUIT at Ctrl-\, and SIGHUP when it is gone.
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
             if number is signal.SIGHUP and signal.getsignal(number) is signal.SIG_IGN:
                 continue  # nohup
-            loop.add_signal_handler(number, self._event.set)
+            loop.add_signal_handler(number, self.requested.set)
         for number in (signal.SIGTSTP, signal.SIGTTOU):
             signal.signal(number, signal.SIG_IGN)  # a gateway suspended by its terminal would stop no leg
         loop.set_exception_handler(self._failed)
-
-    async def wait(self) -> None:
-        """Return when the service has to end."""
-        await self._event.wait()
 
     def because(self, failure: str) -> None:
         """End the service as failed. `failure` goes to the black box and stderr."""
         with self._owner:
             self._recorder.mistake(failure)
-        self.failure = self.failure or failure
-        self._event.set()
+        self.failure, self.starts_anew = self.failure or failure, False
+        self.requested.set()
 
     def begin_again(self) -> None:
         """End the service and restart it in the same process. Its files are read again."""
-        self._starts_anew = True
-        self._event.set()
-
-    @property
-    def starts_anew(self) -> bool:
-        """Whether the process restarts the service. After a failure it does not."""
-        return self._starts_anew and self.failure is None
+        self.starts_anew = self.failure is None
+        self.requested.set()
 
     def leave(self) -> NoReturn:
         """Exit, or restart in the same process: at once, since a thread in Zenoh keeps the interpreter from ending."""
