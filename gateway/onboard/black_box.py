@@ -13,6 +13,7 @@ from gateway.people.recorder import ring_reader
 from gateway.people.recorder.export import write
 from gateway.people.recorder.incidents import Incident, find, time_of
 from gateway.people.recorder.messages import messages
+from gateway.people.recorder.ring_reader import Records
 from gateway.people.recorder.story import headline, story
 from gateway.people.terminal import hint, say
 from gateway.robot.blackbox import ring as rings
@@ -21,16 +22,12 @@ from gateway.robot.settings import Settings
 LAST: Final = "last"
 
 
-_Found = tuple[Incident, ring_reader.Records]
-"""An incident, and all records of the ring."""
-
-
 def list_all(settings: Settings, *, as_json: bool = False) -> None:
     """Print the incidents, newest first. Raises ConfigError."""
-    folder = _folder(settings)
+    records = _read(settings)
     rows = [
         {"id": incident.name, "time": time_of(incident.name).isoformat(), "what": headline(messages(incident, records))}
-        for incident, records in reversed(_find(folder))
+        for incident in reversed(find(records))
     ]
     if as_json:
         typer.echo(json.dumps(rows, indent=1))
@@ -38,7 +35,7 @@ def list_all(settings: Settings, *, as_json: bool = False) -> None:
     for row in rows:
         say(f"{row['id']:<32}  {row['time'][:19].replace('T', ' ')} UTC  {row['what']}")
     if not rows:
-        say(f"No incidents in {folder}.")
+        say(f"No incidents in {_folder(settings)}.")
 
 
 def show(settings: Settings, name: str, *, as_json: bool = False) -> None:
@@ -77,23 +74,22 @@ def _folder(settings: Settings) -> Path:
     return folder
 
 
-def _find(folder: Path) -> list[_Found]:
-    """Return all incidents, oldest first: ids need not be in order after a change of the clock."""
+def _read(settings: Settings) -> Records:
+    """Return all records, none without a ring. Raises ConfigError if the black box is off or belongs to others."""
     try:
-        records = ring_reader.read(folder / RING_FILE)
+        return ring_reader.read(_folder(settings) / RING_FILE)
     except ring_reader.NoRingError as error:
         if isinstance(error.__cause__, PermissionError):  # "no incidents" would not be true
             raise ConfigError(f"{error}; only the gateway's own user may read its black box, or root: sudo") from error
         if not isinstance(error.__cause__, FileNotFoundError):
             hint(f"hexapod-gateway: {error}")
-        return []
-    return [(each, records) for each in find(records)]
+        return Records({}, written=False)
 
 
-def _one(settings: Settings, name: str) -> _Found:
-    """Return the incident with this id; the newest for `last`. Raises GatewayError."""
-    folder = _folder(settings)
-    for found in reversed(_find(folder)):
-        if name in (LAST, found[0].name):
-            return found
-    raise GatewayError(f"there is no incident {name!r} in {folder}: `incidents list` shows all")
+def _one(settings: Settings, name: str) -> tuple[Incident, Records]:
+    """Return the incident with this id, the newest for `last`, and all records. Raises GatewayError."""
+    records = _read(settings)
+    for found in reversed(find(records)):
+        if name in (LAST, found.name):
+            return found, records
+    raise GatewayError(f"there is no incident {name!r} in {_folder(settings)}: `incidents list` shows all")

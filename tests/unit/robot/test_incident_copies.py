@@ -14,6 +14,7 @@ from gateway.model.black_box import format as form
 from gateway.model.black_box.format import COPIED_SHARE, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader as rec
+from gateway.people.recorder.incidents import find
 from gateway.robot.blackbox import recorder
 from gateway.robot.blackbox.recorder import SHARE, RecordShares
 from gateway.robot.blackbox.ring import RecordRing
@@ -82,7 +83,7 @@ async def test_a_flood_that_overwrites_the_whole_ring_leaves_what_precedes_the_i
     assert any(each.incident for each in contents(folder, rec.WallTime))
     left_out = sum(int(each.detail.split()[0]) for each in contents(folder, rec.Noted) if each.what == "left_out")
     assert left_out > 1000, "and the ring says how much it lacks"
-    first = black_box._find(folder)[0][0].name
+    first = find(rec.read(folder / RING_FILE))[0].name
     black_box.show(Settings.of(settings), first)
     story = capsys.readouterr().out
     assert "anna sent 11 commands for leg 3" in story
