@@ -103,8 +103,7 @@ def newest(buffer: Any, slots: int) -> int:
         numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
     in_place = (number for slot, number in enumerate(numbers) if number and number % slots == slot)
     for number in sorted(in_place, reverse=True):
-        offset = HEADER_BYTES + number % slots * SLOT
-        if read_slot(buffer[offset : offset + SLOT]) is not None:
+        if read_slot(slot_bytes(buffer, number % slots)) is not None:
             return int(number)
     return 0
 

@@ -191,6 +191,15 @@ async def test_a_disk_that_takes_it_again_ends_the_fault(kept: Kept, tmp_path: P
     assert robot.states[-1].estop_fault is None
 
 
+async def test_one_that_is_kept_already_is_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, ENGAGED)
+    robot, keeper = begun(tmp_path, monkeypatch)
+    await keeper.known()
+    assert (robot.mode, robot.conductor.supervisor.latch.number) == (Mode.ESTOPPED, ENGAGED.number)
+    assert keeper._idle.is_set()
+    robot.conductor.close()
+
+
 async def test_beside_another_gateway_it_counts_as_engaged_and_removes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
