@@ -1,8 +1,8 @@
 """Reads a TOML file's values into the sections of the settings' table."""
 
 import enum
-import json
 import math
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import Field, dataclass, fields, is_dataclass
@@ -128,18 +128,11 @@ def _value(kind: Any, allowed: Allowed, value: Any, place: Place, faults: list[F
     return found
 
 
-_BOOLEANS: Final = {
-    **dict.fromkeys(("true", "1", "yes", "on"), True),
-    **dict.fromkeys(("false", "0", "no", "off"), False),
-}
-
-
 def _typed(kind: Any, text: str) -> Any:
-    """Return a variable's text as a file would have the value; a plain text if it is none of this type."""
-    if kind is bool:
-        return _BOOLEANS.get(text.lower(), str(text))
+    """Return a variable's text as the value that a file would have; the text itself for texts, or if it is no value."""
     with suppress(ValueError, RecursionError):
-        return json.loads(text) if get_origin(kind) is tuple else kind(text) if kind in {int, float} else str(text)
+        if kind in {bool, int, float} or get_origin(kind) is tuple:
+            return tomllib.loads(f"value = {text}")["value"]
     return str(text)
 
 

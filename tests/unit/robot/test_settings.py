@@ -77,7 +77,7 @@ ENVIRONMENT_FAULTS = [
     ("HEXAPOD_", "x", NO_VARIABLE),
     ("hexapod_spi__device", "x", NO_VARIABLE),
     ("HEXAPOD_LIMITS__SERVOS__14__MIN_DEG", "1", f"14 {NO_SERVO}"),
-    ("HEXAPOD_SPI__SPEED_HZ", "1e6", f'"1e6" {INTEGER}'),
+    ("HEXAPOD_SPI__SPEED_HZ", "1e6", f"1000000.0 {INTEGER}"),
     ("HEXAPOD_WATCHDOG__TIMEOUT_MS", "nan", f"NaN {FINITE}"),
     ("HEXAPOD_TELEMETRY__FRAMES", "maybe", '"maybe" is not allowed: input should be a valid boolean'),
     ("HEXAPOD_SPI__FRAMING", "x\ny", r'"x\ny" is not allowed: '
@@ -112,8 +112,8 @@ def faults(path: Path | None = None) -> list[str]:
 # ---- values out of range, or anything
 
 
-RANGES: dict[str, tuple[type, tuple[float, float]]] = {
-    name.replace(".N.", ".32."): (setting.kind, setting.allowed.limits)
+RANGES: dict[str, tuple[float, float]] = {
+    name.replace(".N.", ".32."): setting.allowed.limits
     for name, setting in settings_page.settings().items()
     if setting.allowed.limits is not None and name != "watchdog.landing.N"
 }
@@ -121,7 +121,7 @@ RANGES: dict[str, tuple[type, tuple[float, float]]] = {
 
 @pytest.mark.parametrize("place", RANGES)
 def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
-    kind, (low, high) = RANGES[place]
+    low, high = RANGES[place]
     variable = f"HEXAPOD_{place.upper().replace('.', '__')}"
     protocol = "elkapod-2025" if place.startswith("safety.") else "hexapod-1.0"  # what only that one measures
     monkeypatch.setenv("HEXAPOD_WIRE__NAME", protocol)
@@ -138,7 +138,7 @@ def test_a_range_holds_at_both_ends(file: Path, monkeypatch: pytest.MonkeyPatch,
         file.write_text(f'wire.name = "{protocol}"\n{place} = {value}')
         assert faults(file) == [f"file: {place}: {value} is not allowed: input should be {limit}"]
         monkeypatch.setenv(variable, str(value))
-        assert faults() == [f"{variable}: {kind(value)} is not allowed: input should be {limit}"]
+        assert faults() == [f"{variable}: {value} is not allowed: input should be {limit}"]
         monkeypatch.delenv(variable)
 
 
