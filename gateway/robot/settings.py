@@ -6,7 +6,6 @@ They come from a TOML file; environment variables (`HEXAPOD_SPI__DEVICE`) overri
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -129,14 +128,14 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     which no Stop reaches its servos until a reset.
     """
     tables, variables = _read(path), _variables()
-    merged = _merged(tables, variables)
     in_file, faults = list[Fault](), list[Fault]()
     read(Settings, tables, in_file)
-    found = read(Settings, merged, faults)
+    _merge(tables, variables)
+    found = read(Settings, tables, faults)
     lines = [_line(path, fault) for fault in in_file]
     lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
     if not simulated:
-        _require_framing(path, merged, lines)
+        _require_framing(path, tables, lines)
     _raise(lines)
     return found
 
@@ -146,13 +145,13 @@ def load_for_stops(path: Path | None = None) -> ForStops:
 
     Everything else is ignored, even removed settings. `SpiSettings.within_limits` adds the framing's limits.
     """
-    variables = _variables()
-    merged = _merged(_read(path), variables)
-    found, faults = read_for_stops(merged)
+    tables, variables = _read(path), _variables()
+    _merge(tables, variables)
+    found, faults = read_for_stops(tables)
     added = ("wire", NO_SETTING)  # by a variable: no wire has such an option
     preventing = [(at, why) for at, why in faults if at not in settings_table.REMOVED and (at[0], why) != added]
     lines = [_line(path, fault, variables) for fault in preventing]
-    _require_framing(path, merged, lines)
+    _require_framing(path, tables, lines)
     _raise(lines)
     return found
 
@@ -220,16 +219,14 @@ def _variables() -> Variables:
     return found
 
 
-def _merged(tables: Mapping[str, Any], variables: Variables) -> dict[str, Any]:
-    merged = deepcopy(dict(tables))
+def _merge(tables: dict[str, Any], variables: Variables) -> None:
     for (*path, last), (_, value) in variables.items():
-        table = merged
+        table = tables
         for name in path:
             if not isinstance(table.get(name), dict):
                 table[name] = {}
             table = table[name]
         table[last] = value
-    return merged
 
 
 _NAMES: Final = (

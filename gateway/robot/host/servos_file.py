@@ -27,11 +27,9 @@ class ServosFile:
             return
         try:
             descriptor = os.open(folder / SERVOS_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-            try:
-                os.ftruncate(descriptor, _BYTES)
+            with os.fdopen(descriptor, "r+b") as file:
+                file.truncate(_BYTES)
                 self._map = mmap.mmap(descriptor, _BYTES)
-            finally:
-                os.close(descriptor)
         except OSError as error:
             logger.warning("an upgrade cannot see whether a servo runs: %s", error)
 
