@@ -110,7 +110,7 @@ class About(NamedTuple):
 Content = (
     Start | CommandRecord | Decision | FrameWritten | EventPublished | Noted | WallTime | About | Calibration | Measured
 )
-"""A Calibration is in force from then on. It is recorded every five seconds; before a change, the former one, too."""
+"""A Calibration is in force from then on. It is recorded every five seconds, and at each change."""
 
 
 class Record(NamedTuple):

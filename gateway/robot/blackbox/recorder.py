@@ -281,7 +281,8 @@ class Recorder:
         if now_ns - self._about_ns >= ABOUT_NS:
             self._about_ns = now_ns
             self._append(form.ABOUT, now_ns, self._about)
-            self._record_calibration(self._calibration, now_ns)
+            if self._calibration:
+                self._append(form.CALIBRATION, now_ns, self._calibration)
 
     def _copy(self, ring: RecordRing, now_ns: int) -> None:
         """Have the time before an incident copied, if that is due. Returns at once.
@@ -305,15 +306,9 @@ class Recorder:
         self._happened(MISTAKE, now_ns)
 
     def calibration(self, calibration: RobotCalibration) -> None:
-        """Record the calibration in force, after the former one. Call it at the start, and at each change."""
-        before, self._calibration = self._calibration, report_of(calibration).model_dump_json().encode()
-        now_ns = self._clock()
-        for each in (before, self._calibration):
-            self._record_calibration(each, now_ns)
-
-    def _record_calibration(self, calibration: bytes, now_ns: int) -> None:
-        if calibration:
-            self._append(form.CALIBRATION, now_ns, calibration)
+        """Record the calibration in force. Call it at the start, and at each change."""
+        self._calibration = report_of(calibration).model_dump_json().encode()
+        self._append(form.CALIBRATION, self._clock(), self._calibration)
 
     def ended(self, why: str) -> None:
         """Record the end, after the last Stops."""

@@ -438,6 +438,7 @@ def test_what_happens_in_its_time_prolongs_an_incident_up_to_half_a_minute() -> 
 
     assert (found().begin_ns, found().end_ns) == (10 * SECOND, 25 * SECOND)
     assert found(24.0, 28.0).end_ns == 33 * SECOND
+    assert found(25.1).end_ns == 25 * SECOND, "it is over"
     assert found(*range(24, 65, 4)).end_ns == 50 * SECOND
 
 

@@ -241,14 +241,32 @@ async def test_requests_that_come_slower_than_the_disk_writes_wait_for_their_tur
     assert begun_s[1] - ended_s[0] >= 0.9 * PAUSE_S
 
 
-async def test_a_reset_waits_for_no_turn(kept: Kept, tmp_path: Path) -> None:
+@pytest.mark.parametrize("reset", [True, False], ids=["a reset", "the end of the service"])
+async def test_neither_a_reset_nor_the_end_waits_for_its_turn(
+    kept: Kept, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reset: bool
+) -> None:
     robot, keeper = kept
+    begun, goes_on = threading.Event(), threading.Event()
+
+    def hold(folder: Path, estop: KeptEstop) -> None:
+        begun.set()
+        goes_on.wait(15)
+        write(folder, estop)
+
+    monkeypatch.setattr(estop_keeper, "write", hold)
+    monkeypatch.setattr(estop_keeper, "PAUSE_S", 60.0)
     robot.put(keys.ESTOP)
+    await until(begun.is_set)
     robot.put(keys.ESTOP)
-    robot.put(keys.RESET, {"estop": 2})
-    keeper.flush()
-    assert not (tmp_path / ESTOP_FILE).exists()
-    assert json.loads((tmp_path / LAST_FILE).read_text()) == {"number": 2}
+    if reset:
+        robot.put(keys.RESET, {"estop": 2})
+    goes_on.set()
+    if reset:
+        await until(keeper._idle.is_set)
+        assert json.loads((tmp_path / LAST_FILE).read_text()) == {"number": 2}
+    else:
+        await asyncio.to_thread(keeper.flush)
+    assert number_kept(tmp_path) == (0 if reset else 2)
 
 
 async def test_the_end_does_not_wait_for_a_disk_that_hangs(

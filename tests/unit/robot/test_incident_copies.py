@@ -20,6 +20,7 @@ from gateway.robot.blackbox.recorder import SHARE, RecordShares
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.settings import Settings
 from schemas import keys
+from schemas.telemetry import Mode
 from tests.support.full_disk import disk_that_takes
 from tests.support.ring import parse
 from tests.support.robot import LEG_3, Robot, leg, servo
@@ -180,3 +181,12 @@ def test_one_source_leaves_some_for_others_and_what_is_left_out_is_counted_once(
     assert written("anna") == 1000 - SHARE * 1000
     assert dict(shares.left_out()) == {"flood": 4250, "anna": 4750}
     assert shares.left_out() == []
+
+
+@pytest.mark.virtual_time
+async def test_modes_that_change_in_turns_overwrite_no_ring(folder: Path) -> None:
+    robot = recorded(folder, limits={"leg_rate_hz": 2})
+    for _ in range(2000):
+        robot.conductor.recorder.mode(Mode.ESTOPPED)
+        robot.conductor.recorder.mode(Mode.IDLE)
+    assert 0 < len([each for each in contents(folder, rec.Noted) if each.what == "mode"]) < 200
