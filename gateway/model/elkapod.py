@@ -13,6 +13,7 @@ servos. The values' units are undocumented; docs/protocol.md states the assumed 
 """
 
 import math
+import re
 import struct
 from collections.abc import Sequence
 from itertools import chain
@@ -37,8 +38,7 @@ START: Final = bytes.fromhex("7E 21 87 00 00 00 00 00 FF 0F")
 SHUTDOWN: Final = bytes.fromhex("7E 11 38 00 00 00 00 00 FF 0F")
 """Messages to the controller, which acknowledges neither."""
 HEARTBEAT_BYTES: Final = 20
-_HEARTBEAT_BEGIN: Final = bytes((BEGIN, 0xAA))
-_HEARTBEAT_END: Final = bytes((0xFF, END))
+_HEARTBEAT: Final = re.compile(rb"\x7e\xaa.{16}\xff\x0f", re.DOTALL)
 
 
 class AnswerError(ValueError):
@@ -84,17 +84,6 @@ def frame(angles_cdeg: Sequence[int]) -> bytes:
     return _FRAME.pack(BEGIN, *(angle_cdeg / 100 for angle_cdeg in angles_cdeg), END)
 
 
-def angles_of(data: bytes) -> dict[int, float]:
-    """Return the angles of a frame by servo id, in degrees. Raises ValueError if the frame is invalid."""
-    if len(data) != FRAME_BYTES or data[0] != BEGIN or data[-1] != END:
-        raise ValueError(f"a frame has {FRAME_BYTES} bytes from 7e to 0f; these are {len(data)}")
-    _, *angles_deg, _ = _FRAME.unpack(data)
-    for servo_id, angle_deg in zip(SERVO_IDS, angles_deg, strict=True):
-        if not 0 <= angle_deg <= MAX_ANGLE_CDEG / 100:  # false for what is no number, too
-            raise ValueError(f"servo {servo_id} at {angle_deg} degrees; 0 to 180 are legal")
-    return dict(zip(SERVO_IDS, angles_deg, strict=True))
-
-
 def measured(data: bytes) -> Measured:
     """Read an answer. Raises AnswerError if its length, first or last byte is wrong, or a value is not finite."""
     if len(data) != FRAME_BYTES:
@@ -123,22 +112,11 @@ def answer(values: Measured) -> bytes:
 
 def heartbeat(content: bytes = bytes(16)) -> bytes:
     """Return a heartbeat with this content (16 bytes, meaning unknown): for simulated controllers."""
-    return _HEARTBEAT_BEGIN + content + _HEARTBEAT_END
+    return bytes((BEGIN, 0xAA, *content, 0xFF, END))
 
 
-class Heartbeats:
-    """Finds heartbeats in the bytes that the UART has received, between any others."""
-
-    def __init__(self) -> None:
-        self._left = b""
-
-    def feed(self, data: bytes) -> int:
-        """Take more bytes. Return how many heartbeats they completed."""
-        found, at, left = 0, 0, self._left + data
-        while (at := left.find(_HEARTBEAT_BEGIN, at)) >= 0 and at + HEARTBEAT_BYTES <= len(left):
-            whole = left[at : at + HEARTBEAT_BYTES].endswith(_HEARTBEAT_END)
-            found += whole
-            at += HEARTBEAT_BYTES if whole else len(_HEARTBEAT_BEGIN)
-        # A possible begin of a heartbeat is kept: from the place found, or (at is -1) the last byte, half of a begin.
-        self._left = left[at:]
-        return found
+def heartbeats(data: bytes) -> tuple[int, bytes]:
+    """Return how many heartbeats are in these bytes, and the last bytes, in which another one may begin."""
+    found = list(_HEARTBEAT.finditer(data))
+    rest = data[found[-1].end() :] if found else data
+    return len(found), rest[1 - HEARTBEAT_BYTES :]

@@ -36,7 +36,6 @@ from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.cycle import Cycle
 from gateway.robot.runtime.estop_keeper import EstopKeeper
 from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
@@ -213,7 +212,8 @@ class _Service:
                 conductor.start()
                 self.recorder.open()
             if isinstance(self.bus, CyclicBus):
-                Cycle(self.bus, conductor, self.failed).start()
+                exchange = partial(self.bus.run, self.owner, conductor.measured, conductor.bus_failed)
+                in_thread("cycle", exchange).add_done_callback(asyncio.Future.result)  # a mistake ends the service
             wires.warn_of_driver(self.settings.wire, self.settings.spi, simulated=self.simulated.controller)
             opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known())
             ended = asyncio.ensure_future(end.requested.wait())

@@ -12,9 +12,8 @@ from gateway.host.settings_table import SpiSettings, WireSettings
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.own_command import command
-from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
-from gateway.robot.spi import DuplexDevice, ioctls
+from gateway.robot.spi import DuplexDevice, Wire, ioctls
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from gateway.model.frames import Frame, Op, decode
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.protocol import BatchReport, Wire
+from gateway.robot.spi import BatchReport, Wire
 from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS
 from tests.deaf.minute import Message

@@ -17,12 +17,13 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.model.elkapod import SHUTDOWN, START, angles_of
+from gateway.model.elkapod import SHUTDOWN, START
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.wire import LATE_S
 from tests.support.controllers import Elkapod
+from tests.support.elkapod import angles_of
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states

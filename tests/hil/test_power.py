@@ -13,7 +13,6 @@ from typing import Final
 
 import pytest
 
-from gateway.model.elkapod import angles_of
 from gateway.people.client.blocking import Client
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind, Mode, Reason
@@ -21,6 +20,7 @@ from tests.hil.bed import SpiTestbed, Transfer
 from tests.hil.test_elkapod import ElkapodBed
 from tests.hil.wire import LATE_S, START_3, STOPS, Wire, start
 from tests.support.child import frozen
+from tests.support.elkapod import angles_of
 from tests.support.fixtures import client_fixture
 from tests.support.gateway_process import COMMAND, Gateway
 from tests.support.heard import events, servos_on, states

@@ -12,8 +12,7 @@ from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
-from gateway.robot.protocol import BatchReport
-from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi import Batch, BatchReport, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, RESYNC_NS, Bus
 from schemas.robot import LEGS
 from tests.support.lines import play

@@ -1,15 +1,15 @@
 """A robot of elkapod-2025 without Zenoh and in virtual time: conductor, cycle and a simulated controller."""
 
 import asyncio
+import struct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from gateway.errors import SpiError
 from gateway.model.elkapod import SHUTDOWN, START
-from gateway.robot.protocol import Wire
-from gateway.robot.runtime.cycle import CYCLE_HZ, Cycle
-from gateway.robot.spi.cyclic import CyclicBus
-from schemas.robot import LEGS
+from gateway.robot.spi import Wire
+from gateway.robot.spi.cyclic import CYCLE_HZ, CyclicBus
+from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.controllers import Elkapod
 from tests.support.robot import MS, Robot, leg
@@ -32,11 +32,9 @@ class ElkapodRobot(Robot):
     def __init__(self, sections: Mapping[str, Mapping[str, Any]] | None = None) -> None:
         sections = sections or {}
         super().__init__({**sections, "wire": {"name": "elkapod-2025"}})
-        self.failed: list[Exception] = []
-        self._cycle = Cycle(self.cyclic, self.conductor, self.failed.append, clock=self.now_ns)
         self.conductor.start()
         self.conductor.reports.announce_start()
-        self.loop.call_later(1 / self._hz, self._go_on)
+        self.loop.call_later(1 / CYCLE_HZ, self._go_on)
 
     def wire(self) -> Wire:
         self.elkapod = FailingElkapod(clock=self.now_ns)
@@ -50,13 +48,9 @@ class ElkapodRobot(Robot):
         )
         return self.cyclic
 
-    @property
-    def _hz(self) -> float:
-        return CYCLE_HZ
-
     def _go_on(self) -> None:
-        self._cycle.exchange()
-        self.loop.call_later(1 / self._hz, self._go_on)
+        self.cyclic.cycle(self.conductor.owner, self.conductor.measured, self.conductor.bus_failed)
+        self.loop.call_later(1 / CYCLE_HZ, self._go_on)
 
     @property
     def said(self) -> list[tuple[float, str]]:
@@ -67,6 +61,12 @@ class ElkapodRobot(Robot):
     def kinds(self) -> list[Kind]:
         """Of the events so far."""
         return [Kind(event.kind) for event in self.events()]
+
+
+def angles_of(frame: bytes) -> dict[int, float]:
+    """The angles in a frame, in degrees."""
+    assert (len(frame), frame[0], frame[-1]) == (80, 0x7E, 0x0F)
+    return dict(zip(SERVO_IDS, struct.unpack_from("<18f", frame, 1), strict=True))
 
 
 def all_legs(op: str, angle_deg: float | None = None, legs: Iterable[int] = LEGS) -> dict[str, Any]:

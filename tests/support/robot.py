@@ -21,7 +21,6 @@ from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.disk import StateFolder
-from gateway.robot.protocol import Wire
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.event_publisher import wall_clock
@@ -29,7 +28,7 @@ from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, R
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
-from gateway.robot.spi import Batch
+from gateway.robot.spi import Batch, Wire
 from gateway.robot.spi.bus import Bus
 from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys

@@ -36,8 +36,8 @@ from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.ring import RecordRing
 from gateway.robot.core.events import Announce, Request, Result, Transmit
-from gateway.robot.protocol import Sent
 from gateway.robot.settings import Settings
+from gateway.robot.spi import Sent
 from schemas.telemetry import Cause, Kind, Mode
 
 CHUNK: Final = 4096

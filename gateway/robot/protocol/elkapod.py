@@ -12,7 +12,7 @@ from typing import Final
 
 from gateway.allowance import NS_PER_MS
 from gateway.model import elkapod
-from gateway.model.elkapod import AnswerError, Heartbeats, Measured
+from gateway.model.elkapod import AnswerError, Measured
 from gateway.model.frames import OP_START, OP_STOP, Frame
 from schemas.robot import SERVO_IDS
 
@@ -22,7 +22,6 @@ FROZEN_NS: Final = 500 * NS_PER_MS
 """A controller is frozen if values that never rested stay equal for this long: a gyroscope's noise always changes."""
 _BEATS: Final = 9
 """Heartbeats from which their period is computed: one that is a cycle late changes it by an eighth of a cycle."""
-_PLACES: Final = {servo_id: place for place, servo_id in enumerate(SERVO_IDS)}
 
 
 class Commanded:
@@ -34,18 +33,16 @@ class Commanded:
 
     def __init__(self, *, fed_singly: bool = False) -> None:
         self._fed_singly = fed_singly
-        self._angles_cdeg = [elkapod.MIDDLE_CDEG] * len(SERVO_IDS)
+        self._angles_cdeg = dict.fromkeys(SERVO_IDS, elkapod.MIDDLE_CDEG)
+        self._frames = 0
         self._to_start: dict[int, int] = {}
-        """Servos with a pending start, and how many frames with its angle have left."""
-        self._carried: set[int] = set()
-        """Those of them whose angle is in the latest frame."""
+        """Servos with a pending start, and how many frames had been made before."""
         self.ready: frozenset[int] = frozenset()
         """Servos that may be powered: their angles were on the wire, and then the UART sent start."""
 
     def shut_down(self) -> bytes:
         """Stop all servos, and drop waiting starts. Return the UART message to send."""
         self._to_start.clear()
-        self._carried.clear()
         self.ready = frozenset()
         return elkapod.SHUTDOWN
 
@@ -53,7 +50,6 @@ class Commanded:
         """Stop these servos. Return the UART message to send, or None if others run and only the board stops these."""
         for servo_id in servo_ids:
             self._to_start.pop(servo_id, None)
-        self._carried.difference_update(servo_ids)
         self.ready = self.ready.difference(servo_ids)
         return None if self._fed_singly and (self.ready or self._to_start) else self.shut_down()
 
@@ -63,36 +59,30 @@ class Commanded:
             for servo_id, op in frame.servos:
                 if op.op is OP_STOP:
                     continue  # a servo that does not run keeps its angle
-                self._angles_cdeg[_PLACES[servo_id]] = op.angle_cdeg
+                self._angles_cdeg[servo_id] = op.angle_cdeg
                 if op.op is OP_START and not (self._fed_singly and servo_id in self.ready):
-                    self._to_start[servo_id] = 0
-                    self._carried.discard(servo_id)
+                    self._to_start[servo_id] = self._frames
 
     def prepare(self, to_feed: Mapping[int, int | None]) -> frozenset[int]:
         """Prepare servos for power. `to_feed` has the angle at which supply starts each (hundredths of a degree; None:
         it runs). Return those that may be powered now. Starts of servos that are not in `to_feed` are forgotten."""
         self.ready &= to_feed.keys()
-        for servo_id in self._to_start.keys() - to_feed.keys():
-            del self._to_start[servo_id]
-        self._carried &= self._to_start.keys()
+        self._to_start = {each: since for each, since in self._to_start.items() if each in to_feed}
         for servo_id, angle_cdeg in to_feed.items():
             if angle_cdeg is not None and servo_id not in self.ready and servo_id not in self._to_start:
-                self._angles_cdeg[_PLACES[servo_id]] = angle_cdeg
-                self._to_start[servo_id] = 0
+                self._angles_cdeg[servo_id] = angle_cdeg
+                self._to_start[servo_id] = self._frames
         return self.ready
 
     def frame(self) -> bytes:
-        whole = self._fed_singly or len(self._to_start) == len(SERVO_IDS)
-        self._carried = set(self._to_start) if whole else set()
-        return elkapod.frame(self._angles_cdeg)
+        """Return the next frame. Raises ValueError for illegal angles, a bug: the controller checks nothing."""
+        self._frames += 1
+        return elkapod.frame(tuple(self._angles_cdeg.values()))
 
     def left(self) -> bytes | None:
         """Record that the frame has left. Return the UART message that must follow at once, or None."""
-        for servo_id in self._carried:
-            self._to_start[servo_id] += 1
-        done = {servo_id for servo_id in self._carried if self._to_start[servo_id] >= START_CYCLES}
-        self._carried.clear()
-        if not done:
+        done = {each for each, since in self._to_start.items() if self._frames - since >= START_CYCLES}
+        if not done or not (self._fed_singly or len(done) == len(SERVO_IDS)):
             return None
         for servo_id in done:
             del self._to_start[servo_id]
@@ -108,29 +98,25 @@ class Changes:
     """
 
     def __init__(self, begun_ns: int) -> None:
-        self._answer = b""
         self._values: tuple[float, ...] = ()
         self._changed_ns = [begun_ns] * elkapod.VALUES
-        self._newest_ns = begun_ns
         self._changed: set[int] = set()
         self._rested: set[int] = set()
 
     def note(self, answer: bytes, now_ns: int) -> bool:
         """Take a well-formed answer. Return whether it is a measurement; False: the controller is frozen."""
-        witnesses = self._changed - self._rested
-        frozen = bool(witnesses) and now_ns - self._newest_ns >= FROZEN_NS
-        if answer == self._answer:
+        frozen = not self._changed <= self._rested and now_ns - max(self._changed_ns) >= FROZEN_NS
+        before, self._values = self._values, elkapod.values_of(answer)
+        if self._values == before:
             return not frozen
-        before, self._values, self._answer = self._values, elkapod.values_of(answer), answer
-        for place, value in enumerate(self._values):
-            changed = bool(before) and value != before[place]
-            if before and now_ns - self._changed_ns[place] >= FROZEN_NS and not (changed and frozen):
+        if not before:
+            self._changed_ns = [now_ns] * elkapod.VALUES
+        for place, changed in enumerate(now != then for now, then in zip(self._values, before, strict=False)):
+            if now_ns - self._changed_ns[place] >= FROZEN_NS and not (changed and frozen):
                 self._rested.add(place)
             if changed:
                 self._changed.add(place)
-            if changed or not before:
                 self._changed_ns[place] = now_ns
-        self._newest_ns = now_ns
         return True
 
 
@@ -144,7 +130,7 @@ class Beats:
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
         self._least_ns, self._poll_ns = silent_ns // 3, silent_ns // 8
-        self._heartbeats = Heartbeats()
+        self._rest = b""
         self._polled_ns = begun_ns
         self._came_ns: deque[int] = deque(maxlen=_BEATS)
         self._quiet_ns = 0
@@ -158,8 +144,8 @@ class Beats:
 
     def take(self, data: bytes, now_ns: int) -> None:
         """Take the bytes that the UART has received since the last call."""
-        count, since_ns = self._heartbeats.feed(data), now_ns - self._polled_ns
-        self._polled_ns = now_ns
+        count, self._rest = elkapod.heartbeats(self._rest + data)
+        since_ns, self._polled_ns = now_ns - self._polled_ns, now_ns
         self._quiet_ns += min(since_ns, self._poll_ns)
         if len(self._came_ns) == _BEATS:
             two_and_a_half_ns = 5 * (self._came_ns[-1] - self._came_ns[0]) // (2 * (_BEATS - 1))
@@ -183,7 +169,7 @@ class SignsOfLife:
         self._silent_ns = silent_ns
         self._begun_ns = begun_ns
         self._beats = Beats(silent_ns, begun_ns)
-        self.changes = Changes(begun_ns)
+        self._changes = Changes(begun_ns)
         self._why = "none has come"
         self.answered_ns: int | None = None
         """When the last well-formed answer was received."""
@@ -191,6 +177,7 @@ class SignsOfLife:
         """Why the controller counts as restarted, or "". Then continue with `anew`."""
 
     def receive(self, data: bytes, now_ns: int) -> None:
+        """Take the bytes that the UART has received since the last call."""
         self._beats.take(data, now_ns)
         if self._beats.missing:
             self.restarted = "two of its heartbeats are missing"
@@ -204,7 +191,7 @@ class SignsOfLife:
             if self.answered_ns is not None:
                 self.restarted = f"after well-formed answers, one is malformed: {error}"
             return None
-        if not self.changes.note(data, now_ns):
+        if not self._changes.note(data, now_ns):
             self._why = f"it has not changed for {FROZEN_NS // NS_PER_MS} ms"
             return None
         self.answered_ns = now_ns
@@ -221,10 +208,10 @@ class SignsOfLife:
 
     def silent(self, now_ns: int) -> str | None:
         """Return a sentence that names what has been missing for too long, or None."""
-        silent_ms = self._silent_ns // NS_PER_MS
-        if now_ns - (self._begun_ns if self.answered_ns is None else self.answered_ns) >= self._silent_ns:
-            return f"no well-formed answer of the controller for {silent_ms} ms (the last one: {self._why})"
-        beat_ns = self._beats.newest_ns
-        if now_ns - (self._begun_ns if beat_ns is None else beat_ns) >= self._silent_ns:
-            return f"no heartbeat of the controller for {silent_ms} ms"
+        for sign, newest_ns, why in (
+            ("well-formed answer", self.answered_ns, f" (the last one: {self._why})"),
+            ("heartbeat", self._beats.newest_ns, ""),
+        ):
+            if now_ns - (self._begun_ns if newest_ns is None else newest_ns) >= self._silent_ns:
+                return f"no {sign} of the controller for {self._silent_ns // NS_PER_MS} ms{why}"
         return None

@@ -36,7 +36,6 @@ from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, V
 from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.metrics import Metrics
@@ -44,6 +43,7 @@ from gateway.robot.runtime.report import StateReports
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
+from gateway.robot.spi import Wire
 from gateway.robot.spi.bus import Bus
 from schemas.keys import COMMAND_KEYS
 from schemas.robot import LEGS, SERVO_IDS

@@ -24,9 +24,9 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.rejections import echo_of
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher
 from gateway.robot.runtime.supply import RobotSupply
+from gateway.robot.spi import Wire
 from gateway.text import legs_named
 from schemas.telemetry import Ack, Cause, Kind, Reason
 

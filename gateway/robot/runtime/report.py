@@ -13,10 +13,10 @@ from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.protocol import Wire
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
+from gateway.robot.spi import Wire
 from schemas import keys, telemetry
 from schemas.robot import SERVO_IDS
 from schemas.state import Payloads

@@ -21,9 +21,9 @@ from gateway.host.worker import in_thread
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.protocol import Wire
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.supply import RobotSupply
+from gateway.robot.spi import Wire
 from gateway.robot.spi.stop_all import stop_once
 from schemas.robot import LEGS, SERVO_IDS
 

@@ -26,8 +26,8 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.power.board import Confirmed
 from gateway.robot.power.line import PowerLine
-from gateway.robot.protocol import Wire
 from gateway.robot.settings import Settings
+from gateway.robot.spi import Wire
 from gateway.robot.spi.cyclic import CyclicBus
 from schemas.keys import ESTOP
 from schemas.robot import LEGS, SERVO_IDS

@@ -1,8 +1,17 @@
-"""The contract of an SPI device, real or simulated."""
+"""The contracts of a wire to a controller, and of an SPI device below it, real or simulated.
 
-from abc import abstractmethod
+The supervisor decides what servos do (`model.frames`), and a wire sends that: `bus.Bus` in frames of HexapodProtocol
+v1.0.0, `cyclic.CyclicBus` in frames of 80 bytes, with a UART. The supervisor only knows whether the robot starts and
+stops as a whole (`Rules.starts_whole`).
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Protocol
+from dataclasses import dataclass, field
+
+from gateway.errors import ControllerSilentError, SpiError
+from gateway.model.frames import Frame
+from gateway.robot.protocol.latency import Latency
 
 Transfer = tuple[bytes, int]
 """The bytes of one chip-select cycle, and the shortest pause after them in µs. In v1.0.0 nothing comes back."""
@@ -10,7 +19,7 @@ Batch = Sequence[Transfer]
 """Transfers that leave together. No other transfer, of any program, comes between them or into the last pause."""
 
 
-class OpenDevice(Protocol):
+class OpenDevice(ABC):  # noqa: B024  (its kinds differ in how they write)
     """An opened SPI device. No other program reaches it, unless a device documents otherwise."""
 
     def stop_servos_at_work(self) -> bool | None:
@@ -24,12 +33,11 @@ class OpenDevice(Protocol):
         """
         return None
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027
         """Release the device. Never raises; closing twice is harmless."""
-        return  # without this, mypy takes the method for an abstract one
 
 
-class SpiDevice(OpenDevice, Protocol):
+class SpiDevice(OpenDevice):
     """A device that writes batches; nothing comes back."""
 
     most_transfers: int = 32
@@ -43,9 +51,88 @@ class SpiDevice(OpenDevice, Protocol):
         """
 
 
-class DuplexDevice(OpenDevice, Protocol):
+class DuplexDevice(OpenDevice):
     """A device that makes single transfers, during which as many bytes come back."""
 
     @abstractmethod
     def exchange(self, data: bytes) -> bytes:
         """Write `data` and return the bytes that came back. Raises SpiError: any part may have been written."""
+
+
+@dataclass(slots=True)
+class Sent:
+    """A frame that was written, or is queued for the next cycle."""
+
+    place: int
+    """The frame's index in the batch."""
+    data: bytes
+    """The frame in the bytes of HexapodProtocol v1.0.0, on any wire."""
+    ns: int
+    """When its call ended: by then its last bit had left, or a UART's message was with the kernel."""
+    call_ns: int
+    received: bool
+    """False if the frame counts as failed, since the zeros before it failed."""
+
+
+@dataclass(slots=True)
+class BatchReport:
+    sent: list[Sent] = field(default_factory=list)
+    fault: SpiError | None = None
+    """The first failure."""
+    rejection: str | None = None
+    """Why each transfer is a separate call from this batch on, or None."""
+    meddled: str | None = None
+    """Another program's changes to the device, undone before this batch. Handle them as a fault, since earlier frames
+    may have arrived damaged."""
+
+
+class Wire(ABC):
+    """The way to one robot's controller. Its owner calls it, one call at a time."""
+
+    _device: OpenDevice | None
+    """None: closed."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.errors = 0
+        self.ended_ns = 0
+        """When the last call ended (ns, monotonic)."""
+        self.transfer_latency = Latency()
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the device again. Raises SpiError if that fails."""
+
+    @abstractmethod
+    def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
+        """Write frames that all stop, or that all move. `preamble` marks Stops of a repeated run. Return any fault."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the device. Never raises; closing twice is harmless."""
+
+    def release(self) -> None:
+        """Release the part at fault, so that `open` opens it again. Never raises."""
+        self.close()
+
+    def stop_servos_at_work(self) -> bool | None:
+        """Return whether `stop-servos` uses the same device now; None: not known (closed)."""
+        return None if self._device is None else self._device.stop_servos_at_work()
+
+    def put_right(self) -> str | None:
+        """Undo another program's changes to the device. Return what was found, or None."""
+        return None if self._device is None else self._device.put_right()
+
+    @property
+    def controller_alive(self) -> bool | None:
+        """Whether the controller gives signs of life; None: this wire brings none back."""
+        return None
+
+    @property
+    def answered_ns(self) -> int | None:
+        """When the controller last answered; None: not yet, or this wire brings no answer back."""
+        return None
+
+    def silent(self, now_ns: int) -> ControllerSilentError | None:  # noqa: ARG002
+        """Return why the controller counts as silent from now on, which is a bus fault; None: no change."""
+        return None

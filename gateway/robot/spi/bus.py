@@ -28,9 +28,8 @@ from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import ONE_LEG_LEN, Frame
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
-from gateway.robot.protocol import BatchReport, Sent, Wire
 from gateway.robot.protocol.latency import Latency
-from gateway.robot.spi import Batch, SpiDevice, Transfer
+from gateway.robot.spi import Batch, BatchReport, Sent, SpiDevice, Transfer, Wire
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import Guard
 from schemas.robot import LEGS

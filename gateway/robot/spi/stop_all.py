@@ -10,7 +10,7 @@ from typing import Final
 from gateway.host.settings_table import ControllerSettings, SpiSettings, WireSettings
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, stop_leg
 from gateway.robot.host import stop_note
-from gateway.robot.protocol import Wire
+from gateway.robot.spi import Wire
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice

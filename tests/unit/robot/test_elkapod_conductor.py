@@ -8,7 +8,7 @@ import pytest
 from gateway.model import elkapod as wire
 from schemas import keys
 from schemas.telemetry import Kind, Mode
-from tests.support.elkapod import ElkapodRobot, all_legs, elkapod
+from tests.support.elkapod import ElkapodRobot, all_legs, angles_of, elkapod
 from tests.support.robot import leg
 
 pytestmark = pytest.mark.virtual_time
@@ -28,7 +28,7 @@ async def walking(**sections: dict[str, object]) -> ElkapodRobot:
 
 def angles(robot: ElkapodRobot, last: int) -> list[set[float]]:
     """What the last frames say."""
-    return [set(wire.angles_of(data).values()) for _, data in list(robot.elkapod.transfers)[-last:]]
+    return [set(angles_of(data).values()) for _, data in list(robot.elkapod.transfers)[-last:]]
 
 
 STOPS = {

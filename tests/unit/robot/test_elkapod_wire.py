@@ -1,6 +1,7 @@
 """elkapod-2025: what is said when, and whether the controller is alive."""
 
 from collections.abc import Callable, Collection, Iterable
+from contextlib import nullcontext
 from typing import Final
 
 import pytest
@@ -9,13 +10,12 @@ from gateway.errors import SpiError
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START, Measured
 from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo, stop_leg
-from gateway.robot.protocol import BatchReport
 from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
-from gateway.robot.spi import DuplexDevice
+from gateway.robot.spi import BatchReport, DuplexDevice
 from gateway.robot.spi.cyclic import CyclicBus
-from gateway.robot.spi.guard import IllegalTransferError
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
+from tests.support.elkapod import angles_of
 from tests.support.lines import play
 
 MS = 1_000_000
@@ -31,7 +31,7 @@ def starts(legs: Iterable[int] = LEGS, angle_cdeg: int = 80_00) -> list[Frame]:
 
 def angles(frame: bytes | None) -> set[float]:
     assert frame is not None
-    return set(elkapod.angles_of(frame).values())
+    return set(angles_of(frame).values())
 
 
 # ---- what is said when
@@ -187,7 +187,7 @@ def test_a_pause_of_ours_is_no_restart(paused_ms: int, *, kept: bool) -> None:
 # ---- the bus: SPI and UART, neither waiting for the other
 
 
-class Parts(DuplexDevice, Uart):
+class Parts(Uart):
     """Both sides of a controller, which fail as the test sets them to."""
 
     def __init__(self, **more: bool) -> None:
@@ -199,8 +199,12 @@ class Parts(DuplexDevice, Uart):
         self.frame: bytes | None = None
         self.report = BatchReport()
         self.error: Exception | None = None
-        self.news: bool | None = None
-        """Whether the last cycle that failed is to be reported."""
+        self.takes_ns = 0
+        """What a transfer takes."""
+        self.during: list[str] = []
+        """What is done during the next transfer."""
+        self.meanwhile: tuple[str | None, int] = ("", 0)
+        """What was found of other programs during the last transfer, and what had been closed."""
         self.failing: set[str] = set()
         """What fails: `spi`, `uart` (also its opening), `writing`, `reading`."""
         self.beats = False
@@ -220,23 +224,11 @@ class Parts(DuplexDevice, Uart):
     def _open(self) -> DuplexDevice:
         self._fail("spi", "no SPI")
         self.opened += 1
-        return self
+        return Opened(self)
 
     def _open_uart(self) -> Uart:
         self._fail("uart", "no UART")
         return self
-
-    def stop_servos_at_work(self) -> bool:
-        return True
-
-    def put_right(self) -> str | None:
-        return "mode 0"
-
-    def exchange(self, _data: bytes) -> bytes:
-        self._fail("spi", "timed out")
-        if self.answers:
-            return self.answers.pop()
-        return elkapod.answer(AT_REST._replace(temperature_c=self.now_ns / 1e9))
 
     def write(self, data: bytes) -> None:
         self._fail("uart", "hung up")
@@ -267,27 +259,16 @@ class Parts(DuplexDevice, Uart):
         except SpiError as error:
             self.error = error
 
-    def begin(self) -> None:
-        self.frame = self.bus.begin_cycle(self.now_ns)
+    def go(self) -> None:
+        """One cycle, now."""
+        self.frame = None
+        self.bus.cycle(nullcontext(), lambda _values, _ns: None, lambda fault: setattr(self, "error", fault))
 
-    def end(self, took_ms: float = 1) -> None:
-        assert self.frame is not None
-        try:
-            answer = self.bus.exchange(self.frame)
-        except SpiError:
-            self.news = self.bus.failed_cycle()
-            raise
-        self.bus.end_cycle(answer, round(took_ms * MS), self.now_ns)
-
-    def cycles(self, number: int, *, watched: bool = False) -> None:
-        """So many, each 20 ms after the last; `watched`: it is asked whether the controller is silent."""
+    def cycles(self, number: int) -> None:
+        """So many, each 20 ms after the last."""
         for _ in range(number):
             self.now_ns += 20 * MS
-            self.begin()
-            if self.frame is not None:
-                self.end()
-            if watched:
-                self.error = self.error or self.bus.silent(self.now_ns)
+            self.go()
 
     def wait(self, until_ms: float) -> None:
         """Ask in each cycle whether it is silent, until it is, while no frame is exchanged."""
@@ -303,6 +284,34 @@ class Parts(DuplexDevice, Uart):
         return None if found is None else f"{type(found).__name__}: {found}"
 
 
+class Opened(DuplexDevice):
+    """One opening of the device."""
+
+    def __init__(self, parts: Parts) -> None:
+        self._parts = parts
+
+    def stop_servos_at_work(self) -> bool:
+        return True
+
+    def put_right(self) -> str | None:
+        return "mode 0"
+
+    def exchange(self, data: bytes) -> bytes:
+        parts = self._parts
+        parts.frame, during, parts.during = data, parts.during, []
+        for what in during:
+            DONE[what](parts, "")
+        parts.now_ns += parts.takes_ns
+        parts.meanwhile = parts.bus.put_right(), parts.closed
+        parts._fail("spi", "timed out")
+        if parts.answers:
+            return parts.answers.pop()
+        return elkapod.answer(AT_REST._replace(temperature_c=parts.now_ns / 1e9))
+
+    def close(self) -> None:
+        self._parts.closed += 1
+
+
 DONE: Final[dict[str, Callable[[Parts, str], object]]] = {
     "open": lambda parts, _: parts.try_to(parts.bus.open),
     "release": lambda parts, _: parts.bus.release(),
@@ -310,12 +319,10 @@ DONE: Final[dict[str, Callable[[Parts, str], object]]] = {
     "at": lambda parts, ms: setattr(parts, "now_ns", round(float(ms) * MS)),
     "starts": lambda parts, _: setattr(parts, "report", parts.bus.write(starts())),
     "stops": lambda parts, legs: setattr(parts, "report", parts.bus.write(STOPS[: int(legs or 6)])),
-    "cycle": lambda parts, number: parts.try_to(lambda: parts.cycles(int(number or 1))),
-    "watched": lambda parts, number: parts.try_to(lambda: parts.cycles(int(number), watched=True)),
-    "begin": lambda parts, _: parts.begin(),
-    "end": lambda parts, ms: parts.try_to(lambda: parts.end(float(ms))),
-    "exchange": lambda parts, _: parts.try_to(lambda: parts.bus.exchange(b"")),
-    "failed": lambda parts, _: setattr(parts, "news", parts.bus.failed_cycle()),
+    "cycle": lambda parts, number: parts.cycles(int(number or 1)),
+    "go": lambda parts, _: parts.go(),
+    "takes": lambda parts, ms: setattr(parts, "takes_ns", round(float(ms) * MS)),
+    "during": lambda parts, what: setattr(parts, "during", what.split()),
     "wait": lambda parts, until_ms: parts.wait(float(until_ms)),
     "silent": lambda parts, _: setattr(parts, "error", parts.bus.silent(parts.now_ns)),
     "fails": lambda parts, what: parts.failing.update(what.split()),
@@ -332,7 +339,7 @@ FACTS: Final[dict[str, Callable[[Parts], object]]] = {
     "errors": lambda parts: parts.bus.errors,
     "frames": lambda parts: parts.bus.frames,
     "received": lambda parts: [sent.received for sent in parts.report.sent],
-    "news": lambda parts: parts.news,
+    "meanwhile": lambda parts: parts.meanwhile,
     "longest": lambda parts: parts.bus.transfer_latency.max_us,
     "found": lambda parts: parts.bus.put_right(),
     "at-work": lambda parts: parts.bus.stop_servos_at_work(),
@@ -344,22 +351,20 @@ SCENES: Final = {
         cycle 3 → nothing; frame None
         cycle → nothing; frame {90.0}""",
     "the first frame leaves when its time has come": """
-        open; at 69.999999; begin → shutdown; frame None
-        at 70; begin → nothing; frame {90.0}""",
+        open; at 69.999999; go → shutdown; frame None
+        at 70; go → nothing; frame {90.0}""",
     "a transfer that hangs delays no stop and its start does not come": """
         open; at 100; starts; cycle → shutdown
-        begin → nothing; found None  # the kernel would answer at the transfer's end
-        stops; end 300 → shutdown; found mode 0; frames 2""",
+        takes 300; during stops; cycle → shutdown; meanwhile (None, 0); found mode 0; frames 2; longest 300000.0""",
     "a failed transfer shuts down at once and the device opens anew": """
-        open; at 100; starts; fails spi; cycle → shutdown shutdown; fault timed out; news True
-        release → nothing; closed 1  # the UART stays open
+        open; at 100; starts; fails spi; cycle → shutdown shutdown; fault timed out; closed 1  # the UART stays open
         open → shutdown; fault no SPI
         works; open; cycle 10 → shutdown""",
     "no device is closed in the middle of a transfer": """
-        open; at 100; begin; release → shutdown; frame {90.0}; closed 0
-        open → shutdown; fault has not ended
-        failed → nothing; closed 1; news False
-        open → shutdown; opened 2""",
+        open; at 100; during release; cycle → shutdown; frame {90.0}; meanwhile (None, 0); closed 1; frames 0
+        open → shutdown; opened 2
+        at 200; during release open; cycle → shutdown; meanwhile (None, 1); closed 2; opened 3; frames 0
+        cycle 4 → nothing; frames 1""",
     "a uart that fails opens anew and begins with a shutdown": """
         open; fails uart; stops → shutdown; fault hung up
         stops → nothing; fault closed
@@ -367,8 +372,8 @@ SCENES: Final = {
         works; open → shutdown""",
     "a silent controller is shut down and counts as back when both signs are": """
         open; beats on; cycle 4 → shutdown; frame {90.0}; alive True
-        beats off; watched 14 → nothing
-        watched 1 → shutdown; fault no heartbeat
+        beats off; cycle 14 → nothing
+        cycle 1 → shutdown; fault no heartbeat
         silent → nothing; alive False  # reported once
         release → nothing; closed 0  # its signs of life would come there
         open → shutdown; fault no heartbeat
@@ -381,16 +386,14 @@ SCENES: Final = {
         cycle; open → shutdown; alive True
         cycle 4 → nothing; frame {80.0}; errors 1  # counted once""",
     "a uart that hangs up is found by the cycle": """
-        open; at 100; begin; fails reading; end 1 → shutdown; fault disconnected; closed 1; errors 1; longest 1000.0
+        open; at 100; fails reading; cycle → shutdown; fault disconnected; closed 1; errors 1
         works; open → shutdown""",
     "a shutdown that cannot be said opens the uart anew": """
-        open; at 100; fails spi uart; cycle → shutdown; fault timed out; closed 1
-        works; fails spi; cycle → nothing; fault timed out  # nothing is left to say it with""",
+        open; at 100; fails spi uart; cycle → shutdown; fault timed out; closed 2""",
     "an opening that cannot shut down fails": "open; fails writing; open → shutdown; fault hung up; closed 1",
     "the end releases both": """
         open; close → shutdown; closed 2
-        close → nothing; closed 2
-        exchange → nothing; fault closed""",
+        close → nothing; closed 2""",
     "other programs are seen on the device": """
         at 0 → nothing; found None; at-work None
         open → shutdown; found mode 0; at-work True""",
@@ -439,17 +442,11 @@ def test_when_it_left_and_how_long_it_took() -> None:
     parts = Parts().play("open; at 100")
     parts.write_takes_ns = 50_000
     stops = parts.bus.write(STOPS).sent[0]
-    assert (stops.ns, stops.call_ns) == (100 * MS + 50_000 + 95_486, 50_000), "ten bytes, 1 152 000 baud"
+    assert (stops.ns, stops.call_ns) == (100 * MS + 50_000, 50_000)
     assert parts.bus.ended_ns == 100 * MS + 50_000
     moves = parts.bus.write(starts()).sent[0]
     assert (moves.ns, moves.call_ns) == (100 * MS + 50_000, 0)
     assert [sent.data for sent in parts.bus.write(STOPS).sent] == [each.data for each in STOPS]
-
-
-def test_a_frame_that_the_encoder_should_not_have_made_does_not_leave(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(elkapod, "frame", lambda _angles: b"\x7e" + b"\xff" * 78 + b"\x0f")
-    with pytest.raises(IllegalTransferError, match="servo 11 at nan"):
-        Parts().play("open; at 100; begin")
 
 
 # ---- with a power board that feeds each servo: which may be fed, and when the UART speaks
@@ -521,7 +518,7 @@ def test_a_servo_that_is_to_be_fed_is_prepared_and_one_that_is_not_any_more_begi
 def test_a_servo_that_does_not_run_keeps_its_angle_in_a_frame_about_others(commanded: Commanded) -> None:
     commanded.take([one(13, 70_00)])
     commanded.take([OneLeg(1, (STARTS[80_00], STARTS[80_00], STOP))])
-    assert elkapod.angles_of(commanded.frame())[13] == 70.0
+    assert angles_of(commanded.frame())[13] == 70.0
 
 
 def test_the_board_stops_one_leg_and_the_others_go_on() -> None:

@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.model import elkapod
 from gateway.model.elkapod import START
 from gateway.model.power_board import ALL, ASK_RAILS, SERVO_OVERCURRENT, CanFrame, set_supply
 from gateway.robot.core.message import Verb
@@ -22,7 +21,7 @@ from gateway.simulation.board import SimulatedBoard
 from schemas import keys
 from schemas.robot import LEGS, SERVO_IDS
 from schemas.telemetry import Ack
-from tests.support.elkapod import all_legs
+from tests.support.elkapod import all_legs, angles_of
 from tests.support.power import FedElkapod, FedRobot
 from tests.support.robot import leg, servo
 
@@ -121,9 +120,7 @@ class Judge:
         assert self.waits(servo_id), f"nobody started {servo_id}, or it runs on where it lost its supply"
         if isinstance(robot, FedElkapod):
             for _, frame in list(robot.elkapod.transfers)[-2:]:
-                assert elkapod.angles_of(frame)[servo_id] in self.angles[servo_id], (
-                    f"{servo_id} is fed before its angle"
-                )
+                assert angles_of(frame)[servo_id] in self.angles[servo_id], f"{servo_id} is fed before its angle"
             assert robot.elkapod.messages[-1][1] == START
 
     def off_is_off(self, key: str, payload: object, servo_ids: Collection[int]) -> None:
