@@ -18,7 +18,7 @@ from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.machine import driver_of, gpio_selects
-from gateway.robot.spi.plugin import PluginBus
+from gateway.robot.spi.plugin import plugin_bus
 from gateway.robot.spi.uart import SerialUart, Uart
 
 BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
@@ -51,7 +51,7 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
     """Return the wire to the robot's controller, not yet open. A simulated controller keeps its state when reopened."""
     protocol, spi, spare = settings.wire.built_in, settings.spi, Spare()
     if protocol is None and not simulated.controller:
-        return PluginBus(settings.wire)
+        return plugin_bus(settings.wire)
     if protocol is None or protocol.framed:
         if not simulated.controller:
             return Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, spare=spare))

@@ -13,7 +13,7 @@ from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import ZERO, Framing
 from gateway.robot.spi import Batch, BatchReport, SpiDevice
-from gateway.robot.spi.bus import CS_CHANGE_NS, RESYNC_NS, Bus
+from gateway.robot.spi.bus import CS_CHANGE_NS, Bus
 from schemas.robot import LEGS
 from tests.support.lines import play
 
@@ -44,7 +44,6 @@ class Bench(SpiDevice):
         framing: Framing = Framing.LENGTH_PREFIXED,
         *,
         frame_gap_us: float = 50,
-        resync_ns: int = RESYNC_NS,
         most_transfers: int = 32,
         synchronised: bool = True,
     ) -> None:
@@ -73,7 +72,6 @@ class Bench(SpiDevice):
             self.open,
             clock=lambda: self.now_ns,
             pause=self.pause,
-            resync_ns=resync_ns,
         )
         if synchronised:
             self.bus.open()

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.frames import OneServo, Op, ServoOp, stop_leg
+from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.model.framing import Framing
 from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.leg import Rules
@@ -158,14 +158,14 @@ def test_the_guard_knows_them(framing: str, written: bool) -> None:
     assert (frame.to_bytes() in [data for _, data in controller.transfers]) is written
 
 
-@pytest.mark.parametrize(("speed_hz", "last_ns"), [(2_500_000, 44_800), (1_000_000, 112_000)])
-def test_speed_hz(speed_hz: int, last_ns: int) -> None:
-    """It says where a frame's place on the wire is."""
-    settings = Settings.of({"spi": {"speed_hz": speed_hz}})
-    now_ns = iter((0, 0, 10**8))
-    bus = Bus(settings.spi, Batches, clock=lambda: next(now_ns))
+@pytest.mark.parametrize(("speed_hz", "sizes"), [(2_500_000, [6]), (500_000, [3, 3])])
+def test_speed_hz(speed_hz: int, sizes: list[int]) -> None:
+    """A slower clock makes frames longer, and a call that moves takes a millisecond at most."""
+    controller = Batches()
+    bus = Bus(Settings.of({"spi": {"speed_hz": speed_hz}}).spi, lambda: controller)
     bus.open()
-    assert [sent.ns for sent in bus.write([stop_leg(1)]).sent] == [last_ns]
+    bus.write([OneLeg(leg, (ServoOp(Op.SET, 90_00),) * 3) for leg in LEGS])
+    assert [len(batch) for batch in controller.batches] == sizes
 
 
 def test_none_is_forgotten() -> None:

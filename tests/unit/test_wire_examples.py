@@ -17,7 +17,7 @@ from gateway.host.settings_table import WireSettings
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.onboard.check import conformance
 from gateway.people.walking.robot import Robot, ranges
-from gateway.robot.spi.plugin import PluginBus
+from gateway.robot.spi.plugin import plugin_bus
 from gateway.wire import ServoWire
 from schemas.robot import LEGS
 from schemas.telemetry import LimitsReport
@@ -62,7 +62,7 @@ def leg(number: int, op: Op, *angles_deg: float) -> OneLeg:
 
 
 def test_angles_are_pulses_and_stops_are_full_off(bus: I2cBus, wire: WireSettings) -> None:
-    plugin = PluginBus(wire)
+    plugin = plugin_bus(wire)
     plugin.open()
     assert set(pulses(bus).values()) == {None}
     plugin.write([leg(number, Op.START, 0, 90, 180) for number in LEGS])
@@ -80,7 +80,7 @@ def test_angles_are_pulses_and_stops_are_full_off(bus: I2cBus, wire: WireSetting
 def test_an_absent_board_is_a_fault_and_the_other_ones_servos_are_stopped(
     bus: I2cBus, wire: WireSettings, absent: int
 ) -> None:
-    plugin = PluginBus(wire)
+    plugin = plugin_bus(wire)
     plugin.open()
     plugin.write([leg(number, Op.START, 90, 90, 90) for number in LEGS])
     bus.boards[absent].plugged = False
@@ -94,7 +94,7 @@ def test_an_absent_board_is_a_fault_and_the_other_ones_servos_are_stopped(
 
 
 def test_a_board_that_lost_its_supply_is_a_fault(bus: I2cBus, wire: WireSettings) -> None:
-    plugin = PluginBus(wire)
+    plugin = plugin_bus(wire)
     plugin.open()
     bus.boards[RIGHT].reset()
     report = plugin.write([leg(2, Op.START, 90, 90, 90)])

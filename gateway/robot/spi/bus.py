@@ -20,7 +20,6 @@ and openings which legs are not stopped yet, and what the controller may await.
 
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from math import ceil
 from typing import Final
 
@@ -28,10 +27,9 @@ from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import ONE_LEG_LEN, Frame
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
-from gateway.robot.protocol.latency import Latency
 from gateway.robot.spi import Batch, BatchReport, Sent, SpiDevice, Transfer, Wire
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
-from gateway.robot.spi.guard import Guard
+from gateway.robot.spi.guard import check
 from schemas.robot import LEGS
 
 LONGEST_NS: Final = 1_000_000
@@ -56,11 +54,10 @@ calls. While calls fail slowly it is one, since a slow failure costs more than a
 PAUSE_NS: Final = 100_000_000
 """After this long without a call, the device's settings are checked before frames other than repeats: one system call.
 During a stream, the gateway's check ten times a second suffices."""
-TRIES: Final = 6
-ZEROS_NS: Final = 900_000_000
-"""After this many failed calls of zeros in a row, or this much time, all Stops are tried without zeros: the controller
-may be synchronised. Not sooner: a Stop in the middle of a body leaves the controller awaiting up to 63 bytes (100
-trials each; with one in five transfers failing after 200 ms, 3 never stopped)."""
+TRIES: Final = 5
+"""After this many failed calls of zeros in a row, which may take a second, all Stops are tried without zeros: the
+controller may be synchronised. Not sooner: a Stop in the middle of a body leaves the controller awaiting up to 63 bytes
+(100 trials each; with one in five transfers failing after 200 ms, 3 never stopped)."""
 GIVEN_UP: Final = 18
 """After this many failed calls in a row the device is reopened. Each of six Stops has been tried by then."""
 MOST_CALLS: Final = 1000
@@ -81,32 +78,9 @@ STALE_NS: Final = 500_000_000
 clock and the first bit on the wire."""
 
 
-class OneByOne(SpiDevice):
-    """Writes batches to a device in one call for each transfer, for a kernel that takes no lists of transfers.
-
-    It sleeps the pauses, and writes no body if the program was suspended for too long after its announcement.
-    """
-
-    def __init__(self, device: SpiDevice, clock: Callable[[], int], pause: Callable[[float], None]) -> None:
-        self._device = device
-        self._clock = clock
-        self._pause = pause
-
-    def transfer(self, batch: Batch) -> None:
-        """Write transfer by transfer. Raises SpiError, also if the program was suspended within the batch."""
-        written_ns = None
-        for data, pause_us in batch:
-            if written_ns is not None and self._clock() - written_ns > STALE_NS:
-                raise SpiError("this program was suspended between the two transfers of a frame")
-            written_ns = self._clock()
-            self._device.transfer(((data, 0),))
-            self._pause(pause_us / 1e6)
-
-
 class Bus(Wire):
     """Opens and closes the device, and writes batches of frames. Blocks for the time of a call."""
 
-    # mutants accepted (FalseWithTrue, Step): set before it is read; a nanosecond
     def __init__(
         self,
         settings: SpiSettings,
@@ -114,56 +88,37 @@ class Bus(Wire):
         *,
         clock: Callable[[], int] = time.monotonic_ns,
         pause: Callable[[float], None] = time.sleep,
-        resync_ns: int = RESYNC_NS,
-        computed: bool = True,
     ) -> None:
-        """`pause` sleeps between transfers for a kernel that takes no lists. `resync_ns` 0: never in a stream.
-
-        `computed`: a frame's time on the wire follows from its call's begin and the SPI clock; else it is the call's
-        end.
-        """
+        """`pause` sleeps between transfers for a kernel that takes no lists."""
+        super().__init__()
         self._open_device = open_device
-        self._framing = settings.framing
-        self.announces = self._framing is Framing.LENGTH_PREFIXED
-        """Whether frames have announcements, so that a controller can be out of sync."""
-        self._size = 2 if self.announces else 1
-        self._gap_us = ceil(settings.frame_gap_us)
-        self._gap_ns = self._gap_us * 1000 + CS_CHANGE_NS
-        zero_pause_us = max(self._gap_us, ZERO_PAUSE_US)
-        self._zero: Transfer = ZERO, zero_pause_us
-        self._byte_ns = 8_000_000_000 // settings.speed_hz
-        self._zero_ns = zero_pause_us * 1000 + CS_CHANGE_NS + self._byte_ns
-        self._announced_ns = self._byte_ns + self._gap_ns if self.announces else 0
-        """A frame's time on the wire without its own bytes."""
-        self.preamble_ns = PREAMBLE_ZEROS * (zero_pause_us * 1000 + ZERO_NS)
-        """The longest time of a preamble in parts."""
-        self._lists = True  # until the kernel rejects one
-        self._resync_ns = resync_ns
-        self._computed = computed
-        self._avoid_cdeg = settings.framing.avoid_cdeg
         self._clock = clock
         self._pause = pause
+        self.announces = settings.framing is Framing.LENGTH_PREFIXED
+        """Whether frames have announcements, so that a controller can be out of sync."""
+        self._avoid_cdeg = settings.framing.avoid_cdeg
+        self._size = 2 if self.announces else 1
+        self._gap_us = ceil(settings.frame_gap_us)
+        self._zero: Transfer = ZERO, max(self._gap_us, ZERO_PAUSE_US)
+        self.preamble_ns = PREAMBLE_ZEROS * (self._zero[1] * 1000 + ZERO_NS)
+        """The longest time of a preamble in parts."""
+        gap_ns, byte_ns = self._gap_us * 1000 + CS_CHANGE_NS, 8_000_000_000 // settings.speed_hz
+        frame_ns = byte_ns * ONE_LEG_LEN + (byte_ns + gap_ns if self.announces else 0)
+        self._most_moves = (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)
         self._device: SpiDevice | None = None
-        self._guard: Guard | None = None
-        self._most = PREAMBLE_ZEROS
-        """The most transfers of a call."""
-        self._stops_at_once = self._moves_at_once = 1
-        """The most frames of a call."""
-        self.ended_ns = 0
+        self._most = self._stops_at_once = 1
+        """The most transfers of a call, and the most Stops."""
+        self._transfer = self._write_singly
+        """Writes a batch: the device, or `_write_singly` once the kernel has rejected a list."""
+        self._lists = True  # until the kernel rejects one
         self._awaited = ANYTHING if self.announces else NOTHING
         self._suspect = False  # the device was reopened, and the controller may be out of sync since
         self._slow = False  # a call failed slowly, and no `write` since then passed all Stops and a preamble
         self._received: set[bytes] = set()  # Stops that the controller received since Stops began to fail
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since the last other transfer
-        self.resync_due = False
-        """Whether the stream's next pause has to be used for `write_zeros`."""
         self._failures = 0  # of calls, in a row
         self._zeros_failed = 0  # calls of zeros, in a row
-        self._zeros_failed_ns = 0  # how long these took
-        self.frames = 0
-        self.errors = 0
-        self.transfer_latency = Latency()
 
     def open(self) -> None:
         """Close the device if it is open, and open it. Raises SpiError if that fails."""
@@ -173,12 +128,9 @@ class Bus(Wire):
         except SpiError:
             self.errors += 1
             raise
-        self._guard = self._guarded(self._device)
         self._most = self._device.most_transfers
-        longest_ns = self._byte_ns * ONE_LEG_LEN + self._announced_ns
-        most_moves = (LONGEST_NS + self._gap_ns) // (longest_ns + self._gap_ns)
         self._stops_at_once = max(1, self._most // self._size)
-        self._moves_at_once = max(1, min(self._stops_at_once, most_moves))
+        self._transfer = self._device.transfer if self._lists else self._write_singly
 
     # mutants accepted (Step): all stop, or none; nobody gives 1
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
@@ -188,67 +140,85 @@ class Bus(Wire):
         slowly, further Stops are written one by one, too, since a batch after a preamble would hardly ever pass.
         """
         report, stops, now_ns = BatchReport(), frames[0].is_stop, self._clock()
+        if self._device is None:
+            self.errors += 1
+            report.fault = SpiError("the SPI device is closed")
+            return report
         if not preamble and now_ns - self.ended_ns >= PAUSE_NS:
             report.meddled = self.put_right()
             if report.meddled is not None and not stops:
                 report.fault = SpiError(report.meddled)
                 return report
-        one_by_one = stops and self._slow and self._device is not None
+        one_by_one = stops and self._slow
         try:
             if one_by_one:
                 self._insist(frames, report)
-                self._write_preamble(report)
+                if report.fault is None:
+                    self._write_preamble(report)
             else:
-                zeros = self._zeros_ahead(now_ns, stops=stops, preamble=preamble) if self.announces else 0
-                while zeros and (not stops or zeros + self._size * len(frames) > self._most):
-                    part = min(zeros, ZEROS_AT_ONCE, self._most)
-                    self._call(report, part)
-                    zeros -= part
-                at_once = self._stops_at_once if stops else self._moves_at_once
-                for first in range(0, len(frames), at_once):
-                    self._call(report, zeros, frames[first : first + at_once], first)
-                    zeros = 0
+                self._write_batches(frames, report, now_ns, stops=stops, preamble=preamble)
         except SpiError as fault:
             report.fault = report.fault or fault
-            if stops and not one_by_one and self._device is not None:
+            if stops and not one_by_one:
                 self._insist(frames, report)
         if report.fault is not None:
             self.errors += 1
         elif stops and (self._slow or self._received):
             self._slow = False
             self._received.clear()
-        self.resync_due = (
-            self._resync_ns > 0
-            and self.announces
-            and self.ended_ns - self._synchronised_ns >= self._resync_ns - self._resync_ns // EARLY_SHARE
-        )
         return report
 
+    def _write_batches(
+        self, frames: Sequence[Frame], report: BatchReport, now_ns: int, *, stops: bool, preamble: bool
+    ) -> None:
+        zeros = 0
+        if self.announces and self._needs_preamble(now_ns, stops=stops, preamble=preamble):
+            zeros = PREAMBLE_ZEROS - self._zeros
+            if not stops or zeros + self._size * len(frames) > self._most:
+                self._write_preamble(report)
+                zeros = 0
+        at_once = self._stops_at_once if stops else max(1, min(self._stops_at_once, self._most_moves))
+        for first in range(0, len(frames), at_once):
+            self._call(report, zeros, frames[first : first + at_once], first)
+            zeros = 0
+
+    def _needs_preamble(self, now_ns: int, *, stops: bool, preamble: bool) -> bool:
+        if preamble or self._suspect or self._awaited != NOTHING:
+            return not self.just_resynchronised
+        if now_ns - self.ended_ns >= IDLE_NS:
+            self._synchronised_ns = now_ns
+        # A begun preamble is finished first. If each frame restarted it, it would never end.
+        overdue = now_ns - self._synchronised_ns >= RESYNC_NS or bool(self._zeros)
+        return overdue and not stops and not self.just_resynchronised
+
     def _write_preamble(self, report: BatchReport) -> None:
-        """Write a preamble after Stops that were written one by one, if all have passed. Raises SpiError."""
-        while self.announces and report.fault is None and not self.just_resynchronised:
-            self._call(report, min(ZEROS_AT_ONCE, self._most, PREAMBLE_ZEROS - self._zeros))
+        """Write the rest of a preamble. Raises SpiError."""
+        while self.announces and not self.just_resynchronised:
+            self._write_part(report)
 
-    def stop_servos_at_work(self) -> bool | None:
-        return None if self._device is None else self._device.stop_servos_at_work()
-
-    def put_right(self) -> str | None:
-        """Restore settings that another program has changed. Return what was found, or None for no change."""
-        return None if self._device is None else self._device.put_right()
+    def _write_part(self, report: BatchReport) -> None:
+        at_once = min(ZEROS_AT_ONCE, self._most) if self._lists else 1
+        self._call(report, min(at_once, PREAMBLE_ZEROS - self._zeros))
 
     def write_zeros(self) -> bool:
         """Write a part of a preamble in a pause of the stream. Return whether more parts follow. Raises SpiError.
 
         Between two parts the caller lets Stops pass, so that a Stop waits for one part at most.
         """
-        if self._device is not None and self._zeros < PREAMBLE_ZEROS:
-            at_once = min(ZEROS_AT_ONCE, self._most) if self._lists else 1
-            try:
-                self._call(BatchReport(), min(at_once, PREAMBLE_ZEROS - self._zeros))
-            except SpiError:
-                self.errors += 1
-                raise
-        return self._device is not None and self._zeros < PREAMBLE_ZEROS
+        if self._device is None or self.just_resynchronised:
+            return False
+        try:
+            self._write_part(BatchReport())
+        except SpiError:
+            self.errors += 1
+            raise
+        return not self.just_resynchronised
+
+    @property
+    def resync_due(self) -> bool:
+        """Whether the stream's next pause has to be used for `write_zeros`."""
+        since_ns = self.ended_ns - self._synchronised_ns
+        return self.announces and self._device is not None and since_ns >= RESYNC_NS - RESYNC_NS // EARLY_SHARE
 
     @property
     def just_resynchronised(self) -> bool:
@@ -257,106 +227,88 @@ class Bus(Wire):
 
     def close(self) -> None:
         if self._device is not None:
-            with suppress(SpiError):
-                self._device.close()
-        self._device = self._guard = None
-        self._suspect, self.resync_due = self.announces, False
+            self._device.close()
+        self._device = None
+        self._suspect = self.announces
         self._zeros = 0
-
-    # ---- what precedes a batch, and how it is split
-
-    # mutants accepted (Step): nobody gives 1
-    def _zeros_ahead(self, now_ns: int, *, stops: bool, preamble: bool) -> int:
-        wanted = preamble or self._suspect or self._awaited is not NOTHING
-        if not wanted:
-            if now_ns - self.ended_ns >= IDLE_NS:
-                self._synchronised_ns = now_ns
-            overdue = self._resync_ns > 0 and now_ns - self._synchronised_ns >= self._resync_ns
-            # A begun preamble is finished first. If each frame restarted it, it would never end.
-            wanted = not stops and (overdue or bool(self._zeros))
-        return PREAMBLE_ZEROS - self._zeros if wanted and not self.just_resynchronised else 0
 
     # ---- one call
 
     # mutants accepted (LtE_Lt, Lt_LtE, Step, Sub_Add): equal times; longer than a stall either way
     def _call(self, report: BatchReport, zeros: int, frames: Sequence[Frame] = (), first: int = 0) -> None:
         """Write zeros, then these frames, in one call. `first` is the first frame's place. Raises SpiError."""
-        if self._guard is None:
-            raise SpiError("the SPI device is closed")
         batch = [self._zero] * zeros
         for frame in frames:
             if self.announces:
                 batch += [(frame.data[:1], self._gap_us)]
             batch += [(frame.data, self._gap_us)]
+        check(batch, self._avoid_cdeg, announces=self.announces)
         zeros_before = self._zeros + zeros
         self._zeros = 0 if frames else self._zeros  # failed zeros are not counted; if they arrived, more do no harm
         self._failures += 1
         begun_ns = self._clock()
         try:
             try:
-                self._guard.transfer(batch)
+                self._transfer(batch)
             except BatchRejectedError as rejection:
-                report.rejection = self._go_one_by_one(batch, rejection)
+                self._go_one_by_one(batch, rejection)
+                report.rejection = str(rejection)
         except SpiError:
             self._failed(batch, self._clock() - begun_ns, zeros_only=not frames)
             raise
         finally:
             ended_ns = self.ended_ns = self._clock()
-            self.transfer_latency.record(ended_ns - begun_ns)
-        if ended_ns - begun_ns >= STALLED_NS:
-            self._failed(batch, ended_ns - begun_ns, zeros_only=False)
-            raise SpiError(f"the SPI device took {(ended_ns - begun_ns) / 1e9:.1f} s for a call of milliseconds")
+            took_ns = ended_ns - begun_ns
+            self.transfer_latency.record(took_ns)
+        if took_ns >= STALLED_NS:
+            self._failed(batch, took_ns, zeros_only=False)
+            raise SpiError(f"the SPI device took {took_ns / 1e9:.1f} s for a call of milliseconds")
         received = True
-        if self._awaited is not NOTHING:
+        if self._awaited != NOTHING:
             received = max(self._awaited) <= zeros
-            awaited = after(self._awaited, (each for each, _ in batch))
-            self._awaited = NOTHING if awaited == NOTHING else awaited
+            self._awaited = after(self._awaited, (each for each, _ in batch))
         self._failures = 0
         if zeros:
-            self._zeros_failed = self._zeros_failed_ns = 0
+            self._zeros_failed = 0
             if zeros_before >= PREAMBLE_ZEROS:
-                self._synchronised_ns, self.resync_due, self._suspect = ended_ns, False, False
+                self._synchronised_ns, self._suspect = ended_ns, False
         if not frames:
             self._zeros = zeros_before
-        wire_ns = begun_ns + zeros * self._zero_ns if self._computed else ended_ns
         for frame in frames:
-            wire_ns += self._byte_ns * frame.data[0] + self._announced_ns  # a frame's first byte is its length
-            left_ns = wire_ns if wire_ns < ended_ns else ended_ns
-            report.sent += [Sent(first, frame.data, left_ns, ended_ns - begun_ns, received)]
-            wire_ns += self._gap_ns
+            report.sent += [Sent(first, frame.data, ended_ns, took_ns, received)]
             first += 1
             self.frames += 1
 
-    def _go_one_by_one(self, batch: list[Transfer], rejection: BatchRejectedError) -> str:
-        """Write a rejected batch transfer by transfer, and all later ones, too. Return why. Raises SpiError."""
-        if not self._lists or self._device is None:
+    def _go_one_by_one(self, batch: Batch, rejection: BatchRejectedError) -> None:
+        """Write a rejected batch transfer by transfer, and all later ones, too. Raises SpiError."""
+        if not self._lists:
             raise rejection
-        self._lists = False
-        guard = self._guarded(self._device)
-        try:
-            guard.transfer(batch)
-        except SpiError:
-            self._lists = True
-            raise
-        self._guard = guard
-        return str(rejection)
+        self._write_singly(batch)
+        self._lists, self._transfer = False, self._write_singly
 
-    def _guarded(self, device: SpiDevice) -> Guard:
-        written = device if self._lists else OneByOne(device, self._clock, self._pause)
-        return Guard(written, self._framing, self._avoid_cdeg)
+    def _write_singly(self, batch: Batch) -> None:
+        """Write a batch in one call for each transfer, for a kernel that takes no lists, and sleep the pauses.
+
+        Write no body if the program was suspended for too long after its announcement. Raises SpiError.
+        """
+        written_ns = None
+        for data, pause_us in batch:
+            if written_ns is not None and self._clock() - written_ns > STALE_NS:
+                raise SpiError("this program was suspended between the two transfers of a frame")
+            written_ns = self._clock()
+            if self._device is not None:
+                self._device.transfer(((data, 0),))
+            self._pause(pause_us / 1e6)
 
     # ---- Stops that failed
 
-    def _failed(self, batch: Sequence[Transfer], took_ns: int, *, zeros_only: bool) -> None:
+    def _failed(self, batch: Batch, took_ns: int, *, zeros_only: bool) -> None:
         """Record a failed call, of which any part may have been written."""
         self._slow = self._slow or took_ns >= SLOW_NS
-        if zeros_only:
-            self._zeros_failed += 1
-            self._zeros_failed_ns += took_ns
+        self._zeros_failed += zeros_only
         if self.announces:
             lost = after_stall if took_ns >= STALLED_NS else after_failure
-            awaited = lost(self._awaited, [data for data, _ in batch])
-            self._awaited = NOTHING if awaited == NOTHING else awaited
+            self._awaited = lost(self._awaited, [data for data, _ in batch])
 
     # mutants accepted (BreakWithContinue): the rest of the tries writes nothing
     def _insist(self, frames: Sequence[Frame], report: BatchReport) -> None:
@@ -365,11 +317,10 @@ class Bus(Wire):
         The report gets the first failure.
         """
         written = {sent.place for sent in report.sent}
-        # The transfers before the failed one have most likely arrived, so the last Stops come first.
+        # The transfers before the failed one have most likely arrived, so the last Stops come first; but before them,
+        # legs without a Stop from an earlier call.
         left = [place for place in reversed(range(len(frames))) if place not in written]
-        left.sort(
-            key=lambda place: frames[place].data in self._received
-        )  # legs without a Stop from an earlier call come first
+        left.sort(key=lambda place: frames[place].data in self._received)
         self._failures, give_up_ns = 0, self._clock() + INSIST_NS
         for _ in range(MOST_CALLS):
             if not left:
@@ -404,8 +355,8 @@ class Bus(Wire):
         """Write a few zeros. If none has passed for too long, write these Stops without zeros. Raises SpiError."""
         # If no transfer to the controller is known to be lost, it is most likely synchronised.
         untouched = self._slow and self._awaited == ANYTHING
-        if self._zeros_failed < TRIES and self._zeros_failed_ns < ZEROS_NS and not untouched:
+        if self._zeros_failed < TRIES and not untouched:
             self._call(report, 1 if self._slow else min(ZEROS_ON_A_BAD_BUS, max(self._awaited)))
         else:
-            self._zeros_failed = self._zeros_failed_ns = 0
+            self._zeros_failed = 0
             self._call(report, 0, frames[: self._stops_at_once])

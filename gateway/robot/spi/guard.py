@@ -8,8 +8,7 @@ import re
 from typing import Final
 
 from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op, servo_ids_of
-from gateway.model.framing import Framing
-from gateway.robot.spi import Batch, SpiDevice
+from gateway.robot.spi import Batch
 from schemas.robot import LEGS, SERVO_IDS
 
 _ANNOUNCEMENTS: Final = frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))
@@ -29,49 +28,32 @@ class IllegalTransferError(RuntimeError):
     """The gateway tried to write an illegal transfer: its own bug, never a fault of the caller or the wire."""
 
 
-class Guard:
-    """Rejects every illegal batch before any byte leaves.
+def check(batch: Batch, avoid_cdeg: tuple[int, int] | None, *, announces: bool) -> None:
+    """Raise IllegalTransferError unless a batch is legal. Call it before any byte leaves.
 
-    With PLAIN framing, frames are legal. With LENGTH_PREFIXED framing, an announcement directly followed by a frame of
-    that length is legal, and zeros between frames. A batch ends with a whole frame or with zeros.
-
-    A frame that moves a servo to an angle of `avoid_cdeg` (first included, second not; see `Framing.avoid_cdeg`) is
-    illegal. Stops have no angle.
+    Frames are legal. If frames are announced (LENGTH_PREFIXED framing), an announcement directly followed by a frame of
+    that length is legal, and zeros between frames. A batch ends with a whole frame or with zeros. A frame that moves a
+    servo to an angle of `avoid_cdeg` (first included, second not; see `Framing.avoid_cdeg`) is illegal.
     """
-
-    # mutants accepted (Step): the interval stays empty
-    def __init__(self, device: SpiDevice, framing: Framing, avoid_cdeg: tuple[int, int] | None = None) -> None:
-        self._device = device
-        self._announces = framing is Framing.LENGTH_PREFIXED
-        self._avoid_cdeg = avoid_cdeg or (0, 0)
-
-    # mutants accepted (Step): an announcement's first byte is its last
-    def transfer(self, batch: Batch) -> None:
-        """Write a legal batch. Raises IllegalTransferError before anything is written, or the device's SpiError."""
+    announced_len = None
+    avoid_from_cdeg, avoid_to_cdeg = avoid_cdeg or (0, 0)
+    for data, _ in batch:
+        if announces and announced_len is None:
+            if data in _ANNOUNCEMENTS:
+                announced_len = data[0]
+            elif data != _ZERO:
+                raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
+            continue
+        if announced_len is not None and len(data) != announced_len:
+            raise IllegalTransferError(f"[{data.hex(' ')}] is not the frame of {announced_len} bytes announced")
         announced_len = None
-        for data, _ in batch:
-            if self._announces and announced_len is None:
-                if data in _ANNOUNCEMENTS:
-                    announced_len = data[0]
-                elif data != _ZERO:
-                    raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
-                continue
-            if announced_len is not None and len(data) != announced_len:
-                raise IllegalTransferError(f"[{data.hex(' ')}] is not the frame of {announced_len} bytes announced")
-            announced_len = None
-            check_frame(data, *self._avoid_cdeg)
-        if announced_len is not None:
-            raise IllegalTransferError(f"the frame of {announced_len} bytes announced is in no batch")
-        self._device.transfer(batch)
-
-
-def check_frame(data: bytes, avoid_from_cdeg: int, avoid_to_cdeg: int) -> None:
-    """Raise IllegalTransferError unless these are the bytes of a legal frame."""
-    if not _FRAME.fullmatch(data) or data[2::4] not in _SERVOS:
-        raise IllegalTransferError(f"[{data.hex(' ')}] is no frame of the protocol")
-    for at in range(2, len(data), 4):
-        servo_id, op, whole_deg, hundredths = data[at : at + 4]
-        angle_cdeg = whole_deg * 100 + hundredths
-        if op != _STOP and avoid_from_cdeg <= angle_cdeg < avoid_to_cdeg:
-            angle = f"servo {servo_id} to {angle_cdeg / 100:g} degrees"
-            raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent in this framing")
+        if not _FRAME.fullmatch(data) or data[2::4] not in _SERVOS:
+            raise IllegalTransferError(f"[{data.hex(' ')}] is no frame of the protocol")
+        for at in range(2, len(data), 4) if avoid_cdeg else ():
+            servo_id, op, whole_deg, hundredths = data[at : at + 4]
+            angle_cdeg = whole_deg * 100 + hundredths
+            if op != _STOP and avoid_from_cdeg <= angle_cdeg < avoid_to_cdeg:
+                angle = f"servo {servo_id} to {angle_cdeg / 100:g} degrees"
+                raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent in this framing")
+    if announced_len is not None:
+        raise IllegalTransferError(f"the frame of {announced_len} bytes announced is in no batch")

@@ -30,14 +30,13 @@ SINGLY_NS: Final = 50_000_000
 _STOP_ALL: Final[tuple[tuple[int, float | None], ...]] = tuple((servo_id, None) for servo_id in SERVO_IDS)
 
 
-class PluginBus(Bus):
-    def __init__(self, wire: WireSettings, *, exclusive: bool = True) -> None:
-        """`exclusive` is False for `stop-servos`. Raises ConfigError if the plug-in cannot be loaded."""
-        try:
-            plugin = wire.plugin
-        except ValueError as error:
-            raise ConfigError(f"wire: {error}") from error
-        super().__init__(_FRAMES, lambda: PluginDevice(wire.name, plugin, exclusive=exclusive), computed=False)
+def plugin_bus(wire: WireSettings, *, exclusive: bool = True) -> Bus:
+    """Return the bus of a plug-in. `exclusive` is False for `stop-servos`. Raises ConfigError if it does not load."""
+    try:
+        plugin = wire.plugin
+    except ValueError as error:
+        raise ConfigError(f"wire: {error}") from error
+    return Bus(_FRAMES, lambda: PluginDevice(wire.name, plugin, exclusive=exclusive))
 
 
 class PluginDevice(SpiDevice):

@@ -76,9 +76,9 @@ def _bus(wire: WireSettings, spi: SpiSettings, controller: ControllerSettings, *
         return Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, exclusive=exclusive)), spi.device
     if wire.has_uart:
         return CyclicBus(None, lambda: SerialUart(controller.uart, exclusive=exclusive)), spi.device
-    from gateway.robot.spi.plugin import PluginBus, lock_path  # noqa: PLC0415  (no Stop over SPI waits for it)
+    from gateway.robot.spi.plugin import lock_path, plugin_bus  # noqa: PLC0415  (no Stop over SPI waits for it)
 
-    return PluginBus(wire, exclusive=exclusive), str(lock_path(wire.name))
+    return plugin_bus(wire, exclusive=exclusive), str(lock_path(wire.name))
 
 
 def stop_once(bus: Wire, *, opened: bool = False) -> tuple[set[int], Exception | None]:

@@ -13,7 +13,7 @@ from gateway.host import wire_plugins
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import stop_leg
 from gateway.robot.settings import Settings
-from gateway.robot.spi.plugin import PluginBus
+from gateway.robot.spi.plugin import plugin_bus
 from gateway.wire import GROUP, Capabilities, ServoWire
 
 
@@ -45,7 +45,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped() -> None:
-    bus = PluginBus(WireSettings("exits", {}))
+    bus = plugin_bus(WireSettings("exits", {}))
     bus.open()
     with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
         bus.write([stop_leg(1)])
@@ -56,12 +56,12 @@ def test_one_that_cannot_be_opened_for_a_bug_gets_stops_all_the_same(monkeypatch
     monkeypatch.setattr(Exits, "stopped", set())
     monkeypatch.setattr(Exits, "open", lambda _self: sys.exit(2))
     with pytest.raises(RuntimeError, match="exits: SystemExit: 2"):
-        PluginBus(WireSettings("exits", {})).open()
+        plugin_bus(WireSettings("exits", {})).open()
     assert Exits.stopped == {11}, "up to the servo for which it exits"
 
 
 def test_one_that_is_unplugged_is_a_fault_until_it_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    bus = PluginBus(WireSettings("exits", {}))
+    bus = plugin_bus(WireSettings("exits", {}))
     bus.open()
     with monkeypatch.context() as unplugged:
         for method in ("open", "apply"):
