@@ -6,22 +6,51 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from gateway.robot.spi import machine
-from gateway.robot.spi.machine import ROOT_DIR
-
+ROOT_DIR: Final = Path("/")
 SELECT_BY_GPIO: Final = "let a GPIO select the controller (cs-gpios in the device tree, as on a Raspberry Pi)"
 RP1_FIXED: Final = dt.date(2025, 2, 5)
 """Before this date, Linux for a Pi 5's RP1 lost clock edges of transfers that only send (raspberrypi/linux 6285, 6286;
 fixed by 6646 and 6649). A kernel built earlier lacks the fix. No version shows which later kernels have it."""
+_GPIO_CELLS: Final = 3
+"""Cells of one GPIO in `cs-gpios`: controller, pin and flags (`#gpio-cells` is 2 on each Raspberry Pi)."""
 _RP1_DRIVERS: Final = ("dw_spi_mmio", "spi-dw-mmio")
 _MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
+def driver_of(device: str, root: Path = ROOT_DIR) -> str | None:
+    """Return the driver of the device's SPI controller, such as spi-bcm2835, or None if it is not known."""
+    return _bound(_controller(device, root))
+
+
+def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
+    """Return whether the device's chip select is a GPIO, or None if that is not known.
+
+    Linux drives a GPIO, and releases it between the transfers of one call. An SPI controller's own may stay asserted.
+    """
+    node = _node_of(device, root)
+    chip_select = re.fullmatch(r"spidev\d+\.(\d+)", Path(device).name)
+    if node is None or chip_select is None:
+        return None
+    try:
+        data = (node / "cs-gpios").read_bytes()
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return None
+    cells = [int.from_bytes(data[at : at + 4], "big") for at in range(0, len(data), 4)]
+    selects = []
+    while cells:
+        selects.append(cells[0] != 0)  # 0: the controller's own
+        del cells[: _GPIO_CELLS if cells[0] else 1]
+    place = int(chip_select[1])
+    return place < len(selects) and selects[place]
+
+
 def on_rp1(device: str, root: Path = ROOT_DIR) -> bool:
     """Return whether the SPI controller is in the RP1, a Pi 5's I/O chip."""
-    node = machine.node_of(device, root)
+    node = _node_of(device, root)
     named = node is not None and any(part.startswith("rp1") for part in node.parts)
-    return (named or computer(root).startswith("Raspberry Pi")) and machine.driver_of(device, root) in _RP1_DRIVERS
+    return (named or computer(root).startswith("Raspberry Pi")) and driver_of(device, root) in _RP1_DRIVERS
 
 
 def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
@@ -29,12 +58,42 @@ def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
 
     Devices without a driver are left out, and those with the device's own (spidev), which programs may use.
     """
-    own = machine.spi_device(device, root)
+    own = _spi_device(device, root)
     if own is None:
         return []
     others = [each for each in sorted(own.parent.glob(f"{own.parent.name}.*")) if each != own]
-    found = [(each.name, machine.bound_driver(each)) for each in others]
-    return [(name, driver) for name, driver in found if driver is not None and driver != machine.bound_driver(own)]
+    found = [(each.name, _bound(each)) for each in others]
+    return [(name, driver) for name, driver in found if driver is not None and driver != _bound(own)]
+
+
+def _spi_device(device: str, root: Path) -> Path | None:
+    """Return such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0."""
+    return _resolved(root / "sys/class/spidev" / Path(device).name / "device")
+
+
+def _controller(device: str, root: Path) -> Path | None:
+    """Return such as /sys/devices/platform/soc/fe204000.spi."""
+    found = _spi_device(device, root)
+    return found.parents[2] if found is not None and len(found.parents) > 2 else None
+
+
+def _node_of(device: str, root: Path) -> Path | None:
+    """Return the device tree's node of the SPI controller."""
+    controller = _controller(device, root)
+    return None if controller is None else _resolved(controller / "of_node")
+
+
+def _bound(device: Path | None) -> str | None:
+    """Return the driver that is bound to a device of /sys."""
+    driver = None if device is None else _resolved(device / "driver")
+    return None if driver is None else driver.name
+
+
+def _resolved(path: Path) -> Path | None:
+    try:
+        return path.resolve(strict=True)
+    except (OSError, RuntimeError):
+        return None
 
 
 def computer(root: Path = ROOT_DIR) -> str:

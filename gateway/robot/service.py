@@ -214,7 +214,6 @@ class _Service:
             if isinstance(self.bus, CyclicBus):
                 exchange = partial(self.bus.run, self.owner, conductor.measured, conductor.bus_failed)
                 in_thread("cycle", exchange).add_done_callback(asyncio.Future.result)  # a mistake ends the service
-            wires.warn_of_driver(self.settings.wire, self.settings.spi, simulated=self.simulated.controller)
             opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known())
             ended = asyncio.ensure_future(end.requested.wait())
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)

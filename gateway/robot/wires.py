@@ -8,23 +8,19 @@ from typing import Final, NamedTuple
 
 from gateway.allowance import NS_PER_MS
 from gateway.host.descriptors import Spare
-from gateway.host.settings_table import SpiSettings, WireSettings
 from gateway.host.shared_page import SensedPage, ServoPage
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
-from gateway.own_command import command
 from gateway.robot.settings import Settings
-from gateway.robot.spi import DuplexDevice, Wire, ioctls
+from gateway.robot.spi import DuplexDevice, Wire
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
-from gateway.robot.spi.machine import driver_of, gpio_selects
 from gateway.robot.spi.plugin import plugin_bus
 from gateway.robot.spi.uart import SerialUart, Uart
 
 BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
 """elkapod-2025's first frame waits this long, until the first shutdown has been repeated."""
 
-logger = logging.getLogger(__name__)
 _simulator = logging.getLogger("gateway.simulation.controller")
 
 
@@ -76,18 +72,3 @@ def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
         before_frames_ns=round(BEFORE_FRAMES_MS * NS_PER_MS),
         fed_singly=bool(settings.power.interface),
     )
-
-
-def warn_of_driver(wire: WireSettings, spi: SpiSettings, *, simulated: bool) -> None:
-    """Warn if the driver may not release chip select between the transfers of a call, as `plain` framing needs."""
-    if simulated or wire.built_in is None:
-        return
-    if ioctls.are_used():
-        logger.info("%s", ioctls.USED)
-    if wire.framed and spi.framing.needs_chip_select and not gpio_selects(spi.device):
-        logger.warning(
-            "it is not known whether %s releases chip select between the transfers of one call; if it does not, an "
-            "emergency stop stops only one leg. Test it: %s",
-            driver_of(spi.device) or "the driver of this SPI bus",
-            command("check --move"),
-        )

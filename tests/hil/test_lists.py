@@ -48,7 +48,6 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
         child.tell("no")
         assert child.wait(LATE_S) == 1, str(child)
         assert SELECT_BY_GPIO in child.stdout
-        gateway.child.wait_for_output("it is not known whether")
         left = Replay(wire.framing, selects=True)
         left.play(spi_testbed.transfers)
         assert left.controller.energised == frozenset(), "its last Stop is alone in its call"

@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.text import Text
 
 from gateway.errors import GatewayError
+from gateway.onboard.computer import ROOT_DIR
 from gateway.people.terminal import say
 from gateway.robot.settings import Settings
-from gateway.robot.spi.machine import ROOT_DIR
 from gateway.text import visible
 
 SERVICE: Final = "hexapod-gateway"

@@ -25,9 +25,9 @@ from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
 from gateway.robot.host.calibration_file import CALIBRATION_FILE, load
 from gateway.robot.power.interface import BITRATE, open_bus
-from gateway.robot.spi import ioctls, machine, outside
+from gateway.robot.spi import outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
-from gateway.robot.spi.kernel import KernelDevice
+from gateway.robot.spi.kernel import NO_SPIDEV, KernelDevice, spidev_module
 from gateway.robot.spi.plugin import PluginDevice
 from gateway.robot.spi.uart import SerialUart
 from schemas.robot import LEGS
@@ -103,11 +103,11 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     with suppress(OSError):  # it does not open, which the line reports
         robot.gateway_runs = not any(rows) and outside.is_gateways(spi.device)
     yield _opened("SPI device", spi.device, lambda: device().close(), f"is {spi.device} a SPI device? see dmesg",
-                  rows=rows, runs=robot.gateway_runs, opens=f"opens; {ioctls.USED}" if ioctls.are_used() else "opens")
+                  rows=rows, runs=robot.gateway_runs, opens="opens" if spidev_module() else f"opens; {NO_SPIDEV}")
     release, built = computer.kernel(root)
     selects = {True: "chip select is a GPIO", False: "the controller drives chip select", None: ""}
-    named = (computer.computer(root), release and f"Linux {release}", machine.driver_of(spi.device, root),
-             selects[machine.gpio_selects(spi.device, root)])
+    named = (computer.computer(root), release and f"Linux {release}", computer.driver_of(spi.device, root),
+             selects[computer.gpio_selects(spi.device, root)])
     found = ", ".join(filter(None, named)) or "nothing is known of it"
     loses = computer.on_rp1(spi.device, root) and (built is None or built < computer.RP1_FIXED)
     yield first("SPI controller",
@@ -134,14 +134,14 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
 
 def framing(robot: CheckedRobot) -> Iterator[Result | None]:
     """The framing, and whether the driver is known to release chip select between the transfers of a call."""
-    spi, driver = robot.settings.spi, machine.driver_of(robot.settings.spi.device, robot.root) or "this driver"
+    spi, driver = robot.settings.spi, computer.driver_of(robot.settings.spi.device, robot.root) or "this driver"
     if robot.settings.wire.framed:
         yield first("framing",
             warning(spi.framing is Framing.PLAIN, "plain, as in the protocol document; with it the published STM32 "
                     "firmware hangs until its reset",
                     'set spi.framing = "length-prefixed" for that firmware, and reset it'),
             well(f"{spi.framing}, as {spi.framing.controller} wants it"))
-        releases = not spi.framing.needs_chip_select or machine.gpio_selects(spi.device, robot.root)
+        releases = not spi.framing.needs_chip_select or computer.gpio_selects(spi.device, robot.root)
         yield first("SPI lists",
             warning(not releases, f"it is unknown whether {driver} releases chip select between the "
                     f"transfers of a call", f"{command('check --move')} shows it: if servo 61 still holds when all "

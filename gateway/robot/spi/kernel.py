@@ -1,8 +1,13 @@
-"""The real device: Linux's spidev, with 8 bits, the most significant first; mode 0 for HexapodProtocol v1.0.0."""
+"""The real device: Linux's spidev, with 8 bits, the most significant first; mode 0 for HexapodProtocol v1.0.0.
+
+The Python package spidev opens it, or `open` on a machine without a usable package. PyPI has spidev as source only, and
+a robot may have neither a compiler nor a network. Debian 12 and 13 have spidev 3.6, which cannot open a device by path.
+"""
 
 import array
 import errno
 import fcntl
+import io
 import struct
 import sys
 from contextlib import suppress
@@ -12,35 +17,48 @@ from typing import Any, Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.descriptors import Spare
-from gateway.robot.spi import Batch, DuplexDevice, SpiDevice, ioctls
+from gateway.robot.spi import Batch, DuplexDevice, SpiDevice
 from gateway.robot.spi.outside import Listener
 
+NO_SPIDEV: Final = "the gateway makes the kernel's calls itself: the Python package spidev is missing, or too old"
 _MOST_TRANSFERS: Final = 32
 """The longest list has 1024 bytes; up to this size Python lets other threads run during an `ioctl`."""
 BUFSIZ: Final = Path("/sys/module/spidev/parameters/bufsiz")
-DEFAULT_BUFSIZ: Final = 4096
+_DEFAULT_BUFSIZ: Final = 4096
 _ALIGNED: Final = 128
 """The least part of spidev's buffer that a transfer takes: ARCH_DMA_MINALIGN, 128 bytes on a Raspberry Pi's arm64."""
 _LONGEST: Final = 128  # bytes of a transfer; the longest frames have 14 and 80
 _SEGMENT: Final = struct.Struct("=QQIIHBBBBBB")
 """struct spi_ioc_transfer: tx_buf, rx_buf, len, speed_hz, delay_usecs, bits_per_word, cs_change, and four that stay 0.
 Speed and bits of 0 would mean the device's own, which every program that opens the device can change."""
-_MESSAGES: Final = tuple(1 << 30 | count * _SEGMENT.size << 16 | ord("k") << 8 for count in range(_MOST_TRANSFERS + 1))
-"""SPI_IOC_MESSAGE(count)."""
 _BITS: Final = 8
-_WRITE_MODE: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 1
-"""SPI_IOC_WR_MODE."""
-_READ_MODE: Final = 2 << 30 | 4 << 16 | ord("k") << 8 | 5
-"""SPI_IOC_RD_MODE32."""
-_WRITE_BITS: Final = 1 << 30 | 1 << 16 | ord("k") << 8 | 3
-"""SPI_IOC_WR_BITS_PER_WORD."""
-_WRITE_SPEED: Final = 1 << 30 | 4 << 16 | ord("k") << 8 | 4
-"""SPI_IOC_WR_MAX_SPEED_HZ."""
 _NO_LISTS: Final = (errno.EINVAL, errno.EMSGSIZE)
 
 
+def _ioctl(direction: int, size: int, number: int) -> int:
+    return direction << 30 | size << 16 | ord("k") << 8 | number
+
+
+_MESSAGES: Final = tuple(_ioctl(1, count * _SEGMENT.size, 0) for count in range(_MOST_TRANSFERS + 1))
+"""SPI_IOC_MESSAGE(count)."""
+_WRITE_MODE: Final = _ioctl(1, 1, 1)
+_WRITE_BITS: Final = _ioctl(1, 1, 3)
+_WRITE_SPEED: Final = _ioctl(1, 4, 4)
+_READ_MODE: Final = _ioctl(2, 4, 5)
+"""SPI_IOC_RD_MODE32."""
+
+
+def spidev_module() -> Any:
+    """Return the package spidev, or None if it is missing, too old, or built for another Python."""
+    try:
+        import spidev  # noqa: PLC0415
+    except ImportError:
+        return None
+    return spidev if hasattr(spidev.SpiDev, "open_path") else None
+
+
 class KernelDevice(SpiDevice, DuplexDevice):
-    """`/dev/spidevB.C`, opened by the `spidev` package. A batch is one SPI_IOC_MESSAGE, so it is atomic on its bus.
+    """`/dev/spidevB.C`. A batch is one SPI_IOC_MESSAGE, so it is atomic on its bus.
 
     Mode, speed and bits belong to the device, so another program may change them at any time. Therefore each segment
     contains speed and bits, and `put_right` checks the mode, which no segment has.
@@ -61,17 +79,16 @@ class KernelDevice(SpiDevice, DuplexDevice):
         self._speed_hz = speed_hz
         self._flags = bytes((mode,))
         self._listener: Listener | None = None
-        self.most_transfers = most_transfers()
+        self.most_transfers = _most_transfers()
         self._data = array.array("B", bytes(_MOST_TRANSFERS * _LONGEST))
-        self._data_at = self._data.buffer_info()[0]
         self._bytes = memoryview(self._data)
         # Transfers without a receive buffer lost clock edges on a Raspberry Pi 5. Only `exchange` reads the buffer.
         self._received = array.array("B", bytes(_LONGEST))
-        self._received_at = self._received.buffer_info()[0]
+        self._at = self._data.buffer_info()[0], self._received.buffer_info()[0]
         # Every exception counts as a fault of the device: spidev has raised SystemError and TypeError when a kernel
         # behaved unexpectedly, and the gateway must get to its Stops.
         try:
-            self._open(path)
+            self._open()
             if exclusive:
                 fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._listener = Listener(self._spi.fileno())
@@ -81,22 +98,26 @@ class KernelDevice(SpiDevice, DuplexDevice):
             fcntl.ioctl(self._spi, _WRITE_BITS, bytes((_BITS,)))
             fcntl.ioctl(self._spi, _WRITE_SPEED, struct.pack("=I", speed_hz))
             # The mode may differ from the flags: some kernels add SPI_CS_HIGH if chip select is a GPIO.
-            self._mode = self._read(_READ_MODE)
+            self._mode = self._read_mode()
         except Exception as error:
             self.close()
             raise SpiError(_why_not_opened(path, error)) from error
 
-    def _open(self, path: str) -> None:
+    def _open(self) -> None:
         """Open the device. Clients may hold all other descriptors, so spare ones are closed first."""
+        spidev = spidev_module()
         while True:
             more = self._spare is not None and self._spare.give_up()
             try:
-                self._spi = ioctls.open_device(path)
-            except Exception as error:
-                if not (more and isinstance(error, OSError) and error.errno == errno.EMFILE):
-                    raise
-            else:
+                if spidev is None:
+                    self._spi = io.FileIO(self._path, "r+")
+                else:
+                    self._spi = spidev.SpiDev()
+                    self._spi.open_path(self._path)
                 break
+            except OSError as error:
+                if not more or error.errno != errno.EMFILE:
+                    raise
         if self._spare is not None:
             self._spare.fill()
 
@@ -105,36 +126,23 @@ class KernelDevice(SpiDevice, DuplexDevice):
 
         Raises BatchRejectedError if the kernel rejects the list: it checks the whole list before the first bit leaves.
         """
-        self._write(batch)
-
-    def exchange(self, data: bytes) -> bytes:
-        """Write `data`; return the bytes that the controller sent meanwhile. Raises SpiError if the transfer fails."""
-        self._write(((data, 0),), answered=True)
-        return self._received[: len(data)].tobytes()
-
-    def _write(self, batch: Batch, *, answered: bool = False) -> None:
-        """Write the batch in one call, as in `transfer`; with `answered`, as in `exchange`."""
         try:
             parts, pauses_us = zip(*batch, strict=True)
             data, sizes = b"".join(parts), tuple(map(len, parts))
             self._bytes[: len(data)] = data
-            at = self._data_at, self._received_at
-            try:
-                sent = fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, *at, self._speed_hz))
-            except OSError as error:
-                if error.errno != errno.EINVAL or not self._received_at or answered:
-                    raise
-                # An SPI controller that cannot receive while it sends rejects receive buffers. Nothing was written.
-                sent = fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, self._data_at, 0, self._speed_hz))
-                self._received_at = 0  # the receive buffers were the cause
+            sent = fcntl.ioctl(self._spi, *_segments(sizes, pauses_us, *self._at, self._speed_hz))
         except Exception as error:
-            if not answered and isinstance(error, OSError) and error.errno in _NO_LISTS:
-                raise BatchRejectedError(
-                    f"{self._path}: the kernel rejects a list of {len(batch)} transfers: {_cause_of(error)}"
-                ) from error
+            if isinstance(error, OSError) and error.errno in _NO_LISTS:
+                what = f"the kernel rejects a list of {len(batch)} transfers: {_cause_of(error)}"
+                raise BatchRejectedError(f"{self._path}: {what}") from error
             raise SpiError(f"{self._path}: the transfer failed: {_cause_of(error)}") from error
         if sent != len(data):
             raise SpiError(f"{self._path}: the transfer failed: {sent} of {len(data)} bytes were written")
+
+    def exchange(self, data: bytes) -> bytes:
+        """Write `data`; return the bytes that the controller sent meanwhile. Raises SpiError if the transfer fails."""
+        self.transfer(((data, 0),))
+        return self._received[: len(data)].tobytes()
 
     def stop_servos_at_work(self) -> bool | None:
         """As in `OpenDevice`; None also if not `exclusive`."""
@@ -143,7 +151,7 @@ class KernelDevice(SpiDevice, DuplexDevice):
     def put_right(self) -> str | None:
         """As in `OpenDevice`, for the mode. A changed speed alone does no harm and is not checked."""
         try:
-            mode = self._read(_READ_MODE)
+            mode = self._read_mode()
             if mode == self._mode:
                 return None
         except (OSError, ValueError):  # the device is going away, and the next transfer will report it
@@ -152,9 +160,9 @@ class KernelDevice(SpiDevice, DuplexDevice):
             fcntl.ioctl(self._spi, _WRITE_MODE, self._flags)
         return f"{self._path}: another program had set SPI mode 0x{mode:02x} instead of 0x{self._mode:02x}"
 
-    def _read(self, request: int) -> int:
-        value = bytearray(request >> 16 & 0x3FFF)
-        fcntl.ioctl(self._spi, request, value)
+    def _read_mode(self) -> int:
+        value = bytearray(4)
+        fcntl.ioctl(self._spi, _READ_MODE, value)
         return int.from_bytes(value, sys.byteorder)
 
     def close(self) -> None:
@@ -179,12 +187,12 @@ def _segments(
     return _MESSAGES[len(sizes)], segments
 
 
-def most_transfers(bufsiz: Path = BUFSIZ) -> int:
-    """Return the number of transfers in the longest batch that spidev's buffer (`bufsiz`) holds."""
+def _most_transfers() -> int:
+    """Return the number of transfers in the longest batch that spidev's buffer holds."""
     try:
-        size = int(bufsiz.read_text())
+        size = int(BUFSIZ.read_text())
     except (OSError, ValueError):
-        size = DEFAULT_BUFSIZ
+        size = _DEFAULT_BUFSIZ
     return max(1, min(_MOST_TRANSFERS, size // _ALIGNED))
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from gateway.onboard import computer
-from gateway.robot.spi import machine
 from tests.support.machine_tree import OF_MAY, PI_4, MachineTree
 
 SPIDEV = "/dev/spidev0.0"
@@ -15,8 +14,8 @@ SPIDEV = "/dev/spidev0.0"
 def test_where_nothing_is_said_nothing_is_known(tmp_path: Path) -> None:
     assert computer.computer(tmp_path) == ""
     assert computer.kernel(tmp_path) == ("", None)
-    assert machine.driver_of(SPIDEV, tmp_path) is None
-    assert machine.gpio_selects(SPIDEV, tmp_path) is None
+    assert computer.driver_of(SPIDEV, tmp_path) is None
+    assert computer.gpio_selects(SPIDEV, tmp_path) is None
     assert computer.neighbours(SPIDEV, tmp_path) == []
     assert not computer.on_rp1(SPIDEV, tmp_path)
 
@@ -24,7 +23,7 @@ def test_where_nothing_is_said_nothing_is_known(tmp_path: Path) -> None:
 def test_a_controller_without_a_device_tree_says_nothing_of_chip_select(tmp_path: Path) -> None:
     tree = MachineTree(tmp_path)
     (tree.bus.parents[1] / "of_node").unlink()
-    assert machine.gpio_selects(SPIDEV, tmp_path) is None
+    assert computer.gpio_selects(SPIDEV, tmp_path) is None
 
 
 BUILT = {
