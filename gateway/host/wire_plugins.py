@@ -1,7 +1,7 @@
 """Wires from other packages (`gateway.wire`), found by their entry points."""
 
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 
 from gateway.text import visible
 from gateway.wire import GROUP, Capabilities, ServoWire
@@ -13,20 +13,13 @@ def load(name: str, options: Mapping[str, object], built_in: tuple[str, ...]) ->
     if name not in found:
         known = ", ".join(f'"{each}"' for each in (*built_in, *sorted(found.keys() - {*built_in})))
         raise ValueError(f'there is no wire "{visible(name)}"; installed are {known}')
-    made = _made(found[name], options)
-    if not isinstance(made, ServoWire) or not isinstance(made.capabilities, Capabilities):
-        raise ValueError(f'"{name}" ({found[name].value}) is no gateway.wire.ServoWire with its Capabilities')
-    return made
-
-
-def _made(entry: EntryPoint, options: Mapping[str, object]) -> object:
+    named = f'"{name}" ({found[name].value})'
     try:
-        kind = entry.load()
-    except (Exception, SystemExit) as error:  # a foreign module may raise anything
-        raise ValueError(f'"{entry.name}" ({entry.value}) cannot be loaded: {type(error).__name__}: {error}') from error
-    try:
-        return kind(options)
+        made = found[name].load()(options)
     except ValueError:
         raise
-    except (Exception, SystemExit) as error:
-        raise ValueError(f'"{entry.name}" takes no such options: {type(error).__name__}: {error}') from error
+    except (Exception, SystemExit) as error:  # a foreign module may raise anything
+        raise ValueError(f"{named} cannot be loaded with these options: {type(error).__name__}: {error}") from error
+    if not isinstance(made, ServoWire) or not isinstance(made.capabilities, Capabilities):
+        raise ValueError(f"{named} is no gateway.wire.ServoWire with its Capabilities")
+    return made

@@ -51,7 +51,7 @@ def test_for_programs_each_frame_is_an_object() -> None:
 
 @pytest.mark.parametrize(("arguments", "lines"), [
     ([""], ["nothing: not legal: byte 1 is missing; a frame starts with FRAME LEN and FRAME TYPE"]),
-    (["06 02 20 02 00"], ["06 02 20 02 00: not legal: byte 6 is missing; a ONE SERVO frame has 6 bytes"]),
+    (["06 02 20 02 00"], ["06 02 20 02 00: not legal: byte 6 is missing; a ONE SERVO frame has 6 bytes, here are 5"]),
     ([STOP_32, "07"], [STOP_32_LINE, "07: not legal: byte 2 is missing; a frame starts with FRAME LEN and FRAME TYPE"]),
     # half a byte is not completed by a guess, nor by its neighbour: 0,0 is not 00
     (["6 2 20 2 0 0"], ['"6" ends with half a byte; a byte has two digits, such as 06']),

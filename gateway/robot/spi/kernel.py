@@ -90,7 +90,6 @@ class KernelDevice(SpiDevice, DuplexDevice):
         try:
             self._open()
             if exclusive:
-                fcntl.flock(self._spi.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
                 self._listener = Listener(self._spi.fileno())
             # This clears all flags: a flag of another program, such as "no chip select", outlives that program, and
             # spidev's own `mode` changes two bits only.

@@ -23,6 +23,8 @@ class Listener:
     """The gateway's side, on its open device."""
 
     def __init__(self, fd: int) -> None:
+        """Lock the device. Raises BlockingIOError if another gateway has it."""
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._fd = fd
         self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
 

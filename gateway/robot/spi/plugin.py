@@ -4,7 +4,6 @@ So the rules for SPI frames apply to plug-ins: `spi.guard` checks each frame, St
 that failed is tried alone, first for a leg (`spi.bus`), then for a servo.
 """
 
-import fcntl
 import os
 import time
 from collections.abc import Sequence
@@ -41,11 +40,14 @@ def plugin_bus(wire: WireSettings, *, exclusive: bool = True) -> Bus:
 
 class PluginDevice(SpiDevice):
     def __init__(self, name: str, wire: ServoWire, *, exclusive: bool) -> None:
-        """Open the plug-in. Raises SpiError if it raises OSError, else RuntimeError: a bug of the plug-in."""
+        """Open the plug-in. Raises SpiError if it raises OSError or another gateway has it, else RuntimeError: a bug of
+        the plug-in."""
         self._name = name
         self._wire = wire
-        self._lock = _lock_of(name) if exclusive else None
-        self._listener = None if self._lock is None else Listener(self._lock)
+        self._lock: int | None = None
+        self._listener: Listener | None = None
+        if exclusive and runtime_directory() is not None:
+            self._listen()
         try:
             wire.open()
         except (Exception, SystemExit) as error:  # foreign code, whose exit code would become the gateway's
@@ -54,6 +56,17 @@ class PluginDevice(SpiDevice):
                     wire.apply(_STOP_ALL)
             self.close()
             raise self._fault(error) from error
+
+    def _listen(self) -> None:
+        path = lock_path(self._name)
+        try:
+            self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
+            self._listener = Listener(self._lock)
+        except OSError as error:
+            self.close()
+            held = isinstance(error, BlockingIOError)
+            why = f"another gateway has {self._name}; end it first" if held else f"{path}: {error.strerror}"
+            raise SpiError(why) from error
 
     def transfer(self, batch: Batch) -> None:
         """Apply the batch's frames in one call. Raises SpiError, or RuntimeError for a bug of the plug-in."""
@@ -76,7 +89,7 @@ class PluginDevice(SpiDevice):
     def _fault(self, error: BaseException) -> Exception:
         """Return a fault of the bus for an OSError, else RuntimeError: a bug, which ends the gateway."""
         if isinstance(error, OSError):
-            return SpiError(f"{self._name}: {_words(error)}")
+            return SpiError(f"{self._name}: {error.strerror or error}")
         return RuntimeError(f"{self._name}: {type(error).__name__}: {error}")
 
     def _stop_singly(self, changes: Sequence[tuple[int, float | None]]) -> None:
@@ -101,25 +114,3 @@ class PluginDevice(SpiDevice):
 def lock_path(name: str) -> Path:
     """Return the file by which a gateway with this plug-in and `stop-servos` notice each other (`spi.outside`)."""
     return (runtime_directory() or SERVICE_RUNTIME) / f"{name.replace('/', '_')}.wire"
-
-
-def _lock_of(name: str) -> int | None:
-    """Lock that file and return its descriptor; None without a runtime directory. Raises SpiError if it is locked."""
-    if runtime_directory() is None:
-        return None
-    try:
-        found = os.open(lock_path(name), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
-        try:
-            fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(found)
-            raise
-    except BlockingIOError as error:
-        raise SpiError(f"another gateway has {name}; end it first") from error
-    except OSError as error:
-        raise SpiError(f"{lock_path(name)}: {_words(error)}") from error
-    return found
-
-
-def _words(error: OSError) -> str:
-    return error.strerror or str(error) or type(error).__name__
