@@ -48,9 +48,6 @@ ZERO_NS: Final = 150_000
 """The longest time of a zero in a pause: its transfer, its share of the call, and a timer's lateness."""
 EARLY_SHARE: Final = 8
 """In a stream the zeros become due an eighth of `resync_ns` early, so that a pause in the stream can be used."""
-ZEROS_ON_A_BAD_BUS: Final = 3
-"""Zeros in one call while one in five transfers fails at once: longer calls fail too often, single zeros take more
-calls. While calls fail slowly it is one, since a slow failure costs more than any number of calls."""
 PAUSE_NS: Final = 100_000_000
 """After this long without a call, the device's settings are checked before frames other than repeats: one system call.
 During a stream, the gateway's check ten times a second suffices."""
@@ -352,11 +349,11 @@ class Bus(Wire):
         return None if found == ZERO else next(place for place in candidates if frames[place].data == found)
 
     def _call_zero(self, report: BatchReport, frames: Sequence[Frame]) -> None:
-        """Write a few zeros. If none has passed for too long, write these Stops without zeros. Raises SpiError."""
+        """Write a zero. If none has passed for too long, write these Stops without zeros. Raises SpiError."""
         # If no transfer to the controller is known to be lost, it is most likely synchronised.
         untouched = self._slow and self._awaited == ANYTHING
         if self._zeros_failed < TRIES and not untouched:
-            self._call(report, 1 if self._slow else min(ZEROS_ON_A_BAD_BUS, max(self._awaited)))
+            self._call(report, 1)  # a longer call fails more often
         else:
             self._zeros_failed = 0
             self._call(report, 0, frames[: self._stops_at_once])
