@@ -27,11 +27,6 @@ class Framing(enum.StrEnum):
         return "a controller written to the protocol document"
 
     @property
-    def needs_chip_select(self) -> bool:
-        """Whether chip select must be released between transfers: its release begins a frame."""
-        return self is Framing.PLAIN
-
-    @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent: first <= angle < second, in hundredths of a degree; None: all are sent.
 

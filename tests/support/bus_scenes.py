@@ -61,7 +61,6 @@ class Bench(SpiDevice):
         self.stall_ns = self.pause_stall_ns = 0
         """What the next call, or the next pause, takes besides."""
         self.takes_lists, self.rejects_all = True, False
-        self.stops_at_work = False
         self.meddled: str | None = None
         self.looks = self.openings = self.open_now = 0
         self.report = BatchReport()
@@ -110,9 +109,6 @@ class Bench(SpiDevice):
     def pause(self, duration_s: float) -> None:
         self.now_ns += round(duration_s * 1e9) + self.pause_stall_ns
         self.pause_stall_ns = 0
-
-    def stop_servos_at_work(self) -> bool:
-        return self.stops_at_work
 
     def put_right(self) -> str | None:
         self.looks += 1

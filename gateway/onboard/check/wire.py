@@ -141,7 +141,7 @@ def framing(robot: CheckedRobot) -> Iterator[Result | None]:
                     "firmware hangs until its reset",
                     'set spi.framing = "length-prefixed" for that firmware, and reset it'),
             well(f"{spi.framing}, as {spi.framing.controller} wants it"))
-        releases = not spi.framing.needs_chip_select or computer.gpio_selects(spi.device, robot.root)
+        releases = spi.framing is not Framing.PLAIN or computer.gpio_selects(spi.device, robot.root)
         yield first("SPI lists",
             warning(not releases, f"it is unknown whether {driver} releases chip select between the "
                     f"transfers of a call", f"{command('check --move')} shows it: if servo 61 still holds when all "

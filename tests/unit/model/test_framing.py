@@ -2,19 +2,15 @@
 
 import pytest
 
-from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing, avoided_by
-from tests.support.transfers import preamble_of
+from gateway.model.framing import Framing, avoided_by
 
 
 def test_the_names_of_the_configuration() -> None:
     assert [framing.value for framing in Framing] == ["plain", "length-prefixed"]
     assert Framing("plain") is Framing.PLAIN
+    assert ["STM32" in framing.controller for framing in Framing] == [False, True]
     with pytest.raises(ValueError, match="prefixed"):
         Framing("prefixed")
-
-
-def test_zeros_for_the_longest_body_and_two_more() -> None:
-    assert preamble_of(Framing.LENGTH_PREFIXED) == [ZERO] * PREAMBLE_ZEROS
 
 
 def test_angles_of_which_the_published_firmware_can_die() -> None:
@@ -31,14 +27,3 @@ def test_how_fast_each_takes_its_bytes() -> None:
     assert "5000001" in prefixed.too_fast(5_000_001, 20.0)
     assert "19.9" in prefixed.too_fast(5_000_000, 19.9)
     assert plain.too_fast(20_000_000, 0.0) == ""
-
-
-@pytest.mark.parametrize(
-    ("framing", "controller", "needs_chip_select"),
-    [(Framing.PLAIN, "a controller written to", True), (Framing.LENGTH_PREFIXED, "the published STM32", False)],
-)
-def test_what_is_said_of_a_controller_follows_from_its_framing(
-    framing: Framing, controller: str, needs_chip_select: bool
-) -> None:
-    assert framing.controller.startswith(controller)
-    assert framing.needs_chip_select is needs_chip_select

@@ -141,15 +141,6 @@ def test_opening_again_releases_what_was_open() -> None:
     assert (bench.openings, bench.open_now) == (4, 1)
 
 
-def test_stop_servos_is_seen_by_the_device_that_is_open() -> None:
-    bench = Bench(synchronised=False)
-    for bench.stops_at_work in (True, False):
-        assert bench.bus.stop_servos_at_work() is None
-        bench.bus.open()
-        assert bench.bus.stop_servos_at_work() is bench.stops_at_work
-        bench.bus.close()
-
-
 @pytest.mark.parametrize("takes_lists", [True, False])
 def test_what_it_opens_is_guarded(takes_lists: bool) -> None:
     bench = Bench(Framing.PLAIN)
