@@ -57,10 +57,9 @@ controller may be synchronised. Not sooner: a Stop in the middle of a body leave
 (100 trials each; with one in five transfers failing after 200 ms, 3 never stopped)."""
 GIVEN_UP: Final = 18
 """After this many failed calls in a row the device is reopened. Each of six Stops has been tried by then."""
-MOST_CALLS: Final = 1000
 INSIST_NS: Final = 300_000_000
-"""The most calls and time for trying failed Stops one by one; nothing else is more urgent. With a first and a last call
-that take 200 ms to fail, the loop is blocked for 0.7 s; systemd waits for 1 s (WatchdogSec=)."""
+"""The most time for trying failed Stops one by one; nothing else is more urgent. With a first and a last call that take
+200 ms to fail, the loop is blocked for 0.7 s; systemd waits for 1 s (WatchdogSec=)."""
 SEARCHED_STOPS: Final = len(LEGS)
 """Stops among which a resynchronising one is searched; a search among eighteen takes 0.1 s."""
 SLOW_NS: Final = 20_000_000
@@ -307,7 +306,6 @@ class Bus(Wire):
             lost = after_stall if took_ns >= STALLED_NS else after_failure
             self._awaited = lost(self._awaited, [data for data, _ in batch])
 
-    # mutants accepted (BreakWithContinue): the rest of the tries writes nothing
     def _insist(self, frames: Sequence[Frame], report: BatchReport) -> None:
         """Write each Stop in its own call until the controller has received it, or INSIST_NS are over.
 
@@ -319,11 +317,7 @@ class Bus(Wire):
         left = [place for place in reversed(range(len(frames))) if place not in written]
         left.sort(key=lambda place: frames[place].data in self._received)
         self._failures, give_up_ns = 0, self._clock() + INSIST_NS
-        for _ in range(MOST_CALLS):
-            if not left:
-                return
-            if self._failures >= GIVEN_UP or self._clock() >= give_up_ns:
-                break
+        while left and self._failures < GIVEN_UP and self._clock() < give_up_ns:
             place = self._next(frames, left)
             try:
                 if place is None:
@@ -337,7 +331,8 @@ class Bus(Wire):
                     self._received.add(frames[place].data)
             except SpiError as fault:
                 report.fault = report.fault or fault
-        report.fault = report.fault or SpiError("the SPI device did not accept all Stops in time")
+        if left:
+            report.fault = report.fault or SpiError("the SPI device did not accept all Stops in time")
 
     def _next(self, frames: Sequence[Frame], left: Sequence[int]) -> int | None:
         """Return the place of the Stop to write next, or None for a zero: no few Stops resynchronise the controller."""

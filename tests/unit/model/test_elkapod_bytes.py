@@ -14,6 +14,7 @@ from gateway.model.elkapod import (
     MIDDLE_CDEG,
     SHUTDOWN,
     START,
+    UART_BAUD,
     AnswerError,
     answer,
     frame,
@@ -146,7 +147,7 @@ def test_the_messages_are_the_published_ones() -> None:
     assert START.hex(" ") == "7e 21 87 00 00 00 00 00 ff 0f"
     assert SHUTDOWN.hex(" ") == "7e 11 38 00 00 00 00 00 ff 0f"
     assert heartbeat(bytes(range(16))).hex() == "7eaa000102030405060708090a0b0c0d0e0fff0f"
-    assert len(heartbeat()) == HEARTBEAT_BYTES
+    assert (len(heartbeat()), UART_BAUD) == (HEARTBEAT_BYTES, 1_152_000)
 
 
 junk = st.binary(max_size=30).filter(lambda data: b"\x7e" not in data)
