@@ -43,7 +43,7 @@ _CALIBRATION: Final = (
 )
 _CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor calibration_file"), *_tests("zenoh", "calibration"))
 _CHECKER: Final = (*_people("lease_checker"), *_robot("lease_conductor"))
-_BUS: Final = (*_robot("bus_failing bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
+_BUS: Final = (*_robot("bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
 _POWER: Final = _robot("power_scenes power_board power_conductor")
 _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 

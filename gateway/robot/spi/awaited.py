@@ -7,7 +7,7 @@ certainly executed if the only possibility before it is 0: the controller awaits
 A Stop of a whole leg resynchronises a controller that awaits the body of another such frame. The Stop's announcement
 and thirteen of its bytes fill that body, which is ignored for its wrong type; its last byte is a length of 0, also
 ignored. So two transfers do the work of fourteen zeros. In every state, a controller executes Stops and zeros as Stops
-or ignores them (`tests/unit/robot/test_bus_failing.py` tries each).
+or ignores them (`tests/unit/robot/test_bus.py` tries each).
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,6 +1,6 @@
 """The bus: which calls it makes, in what order, with what time between, and when it gives up.
 
-How a batch goes to the device: test_bus_device.py. What a controller may await after failures: test_bus_failing.py.
+And what a controller may await after calls that failed. How a batch goes to the device: test_bus_device.py.
 """
 
 import itertools
@@ -9,11 +9,13 @@ from typing import Final
 import pytest
 
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp
+from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.model.framing import ZERO, Framing
+from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
 from gateway.robot.spi.bus import Bus
-from schemas.robot import LEGS
+from schemas.robot import LEGS, SERVO_IDS
 from tests.support.bus_scenes import MOVES, MS, STOPS, Bench
+from tests.support.controllers import Controller
 from tests.support.faulty_controller import FaultyController
 
 PREFIXED, PLAIN = Framing.LENGTH_PREFIXED, Framing.PLAIN
@@ -157,3 +159,51 @@ def test_a_stream_has_the_preamble_once_in_a_second() -> None:
         bench.now_ns += 20 * MS
     assert bench.written.count(ZERO) / 16 == pytest.approx(20, abs=1)
     assert max(len(run) for run in b"".join(bench.written).split(bytes(16))) <= 15 * 51
+
+
+# ---- what a controller may still await after calls that failed, and the shortest way back
+
+LEG_STOPS = tuple(stop.to_bytes() for stop in STOPS)
+ALL_STOPS = (*LEG_STOPS, *(OneServo(servo_id, STOP).to_bytes() for servo_id in SERVO_IDS))
+
+
+def transfers_of(stop: bytes) -> tuple[bytes, ...]:
+    return (ZERO,) if stop == ZERO else (stop[:1], stop)
+
+
+def awaiting(count: int) -> Controller:
+    """A controller with no servo on that awaits so many bytes."""
+    controller = Controller(Framing.LENGTH_PREFIXED, clock=lambda: 0)
+    controller.take(bytes((count,)))
+    assert controller.missing == count
+    return controller
+
+
+@pytest.mark.parametrize("count", range(64))
+def test_from_wherever_a_controller_is_stops_and_zeros_start_nothing_and_harm_nothing(count: int) -> None:
+    """And what it then awaits is what is computed, for each two of them."""
+    for pair in itertools.product((*ALL_STOPS[:8], ALL_STOPS[-1], ZERO), (*ALL_STOPS, ZERO)):
+        controller, awaited = awaiting(count), frozenset({count})
+        for stop in pair:
+            for data in transfers_of(stop):
+                controller.take(data)
+                awaited = after(awaited, (data,))
+        assert awaited == {controller.missing}, pair
+        assert not controller.energised
+        assert not controller.corruptions
+        assert controller.dead is None
+
+
+def test_what_may_have_been_lost_is_each_transfer_and_those_behind_it() -> None:
+    assert after_failure(NOTHING, ()) == NOTHING
+    assert after_failure(NOTHING, [ZERO] * 16) == NOTHING, "zeros do a synchronised controller nothing"
+    assert after_failure(NOTHING, transfers_of(LEG_STOPS[0])) == {0, 14}
+    assert after_failure(frozenset({0, 14}), transfers_of(LEG_STOPS[0])) == {0, 13, 14}
+    assert after_failure(ANYTHING, [ZERO]) == ANYTHING
+    assert after(ANYTHING, [ZERO] * 14) == NOTHING
+    assert after(ANYTHING, [ZERO] * 13) == {0, 1}, "all 14 bytes of a leg's frame may be missing"
+
+
+def test_where_stops_lead_nowhere_soon_it_is_zeros() -> None:
+    assert next_on_the_way_back(ANYTHING, LEG_STOPS[:3]) == ZERO
+    assert next_on_the_way_back(frozenset({1}), LEG_STOPS[:3]) == ZERO, "one transfer, not two"
