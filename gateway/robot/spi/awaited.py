@@ -29,20 +29,20 @@ zero that fails does not."""
 Awaited = frozenset[int]
 
 
-def after(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
-    """Return what the controller may await once all these transfers have arrived."""
-    for data in transfers:
-        awaited = frozenset(_after(each, data) for each in awaited)
+def after(awaited: Awaited, data: bytes) -> Awaited:
+    """Return what the controller may await once all these bytes have arrived."""
+    for byte in data:
+        awaited = frozenset([each - 1 if each else byte for each in awaited])
     return awaited
 
 
 def after_failure(awaited: Awaited, transfers: Iterable[bytes]) -> Awaited:
     """Return what the controller may await after a failed call, of which any number of transfers may have arrived."""
-    possible = set(awaited)
+    possible = awaited
     for data in transfers:
-        awaited = after(awaited, (data,))
+        awaited = after(awaited, data)
         possible |= awaited
-    return frozenset(possible)
+    return possible
 
 
 def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
@@ -50,10 +50,8 @@ def after_stall(awaited: Awaited, transfers: Sequence[bytes]) -> Awaited:
 
     The controller then takes the rest, such as a body without its announcement, for lengths.
     """
-    possible = set(after_failure(awaited, transfers))
-    for place in range(len(transfers)):
-        possible |= after_failure(NOTHING, transfers[place:])
-    return frozenset(possible)
+    possible = after_failure(awaited, transfers)
+    return possible.union(*(after_failure(NOTHING, transfers[place:]) for place in range(len(transfers))))
 
 
 # mutants accepted (Forget, LeaveOut, RemoveDecorator, Scale, Step): two ways of one length; only time is lost
@@ -69,17 +67,11 @@ def next_on_the_way_back(awaited: Awaited, stops: tuple[bytes, ...]) -> bytes:
     now = {awaited: b""}
     """What the controller may await after these transfers, each with the first Stop or zero of the way there."""
     for _ in range(_MOST_TRANSFERS):
-        ways = [(after(each, (stop[:1], stop)), first or stop) for each, first in before.items() for stop in stops]
-        ways += [(after(each, (ZERO,)), first or ZERO) for each, first in now.items()]
+        ways = [(after(each, stop[:1] + stop), first or stop) for each, first in before.items() for stop in stops]
+        ways += [(after(each, ZERO), first or ZERO) for each, first in now.items()]
         before, now = now, {}
         for reached, first in ways:
             now.setdefault(reached, first)
         if NOTHING in now:
             return now[NOTHING]
     return ZERO
-
-
-def _after(awaited: int, data: bytes) -> int:
-    for byte in data:
-        awaited = awaited - 1 if awaited else byte
-    return awaited

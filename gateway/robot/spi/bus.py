@@ -262,7 +262,7 @@ class Bus(Wire):
         received = True
         if self._awaited != NOTHING:
             received = max(self._awaited) <= zeros
-            self._awaited = after(self._awaited, (each for each, _ in batch))
+            self._awaited = after(self._awaited, b"".join(each for each, _ in batch))
         self._failures = 0
         if zeros:
             self._zeros_failed = 0

@@ -187,7 +187,7 @@ def test_from_wherever_a_controller_is_stops_and_zeros_start_nothing_and_harm_no
         for stop in pair:
             for data in transfers_of(stop):
                 controller.take(data)
-                awaited = after(awaited, (data,))
+                awaited = after(awaited, data)
         assert awaited == {controller.missing}, pair
         assert not controller.energised
         assert not controller.corruptions
@@ -200,8 +200,8 @@ def test_what_may_have_been_lost_is_each_transfer_and_those_behind_it() -> None:
     assert after_failure(NOTHING, transfers_of(LEG_STOPS[0])) == {0, 14}
     assert after_failure(frozenset({0, 14}), transfers_of(LEG_STOPS[0])) == {0, 13, 14}
     assert after_failure(ANYTHING, [ZERO]) == ANYTHING
-    assert after(ANYTHING, [ZERO] * 14) == NOTHING
-    assert after(ANYTHING, [ZERO] * 13) == {0, 1}, "all 14 bytes of a leg's frame may be missing"
+    assert after(ANYTHING, bytes(14)) == NOTHING
+    assert after(ANYTHING, bytes(13)) == {0, 1}, "all 14 bytes of a leg's frame may be missing"
 
 
 def test_where_stops_lead_nowhere_soon_it_is_zeros() -> None:
