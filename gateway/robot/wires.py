@@ -1,25 +1,20 @@
 """Makes the wire that the settings name, to a real or a simulated controller."""
 
 import logging
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from gateway.allowance import NS_PER_MS
 from gateway.host.descriptors import Spare
 from gateway.host.shared_page import SensedPage, ServoPage
-from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.robot.settings import Settings
-from gateway.robot.spi import DuplexDevice, Wire
+from gateway.robot.spi import Wire
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.cyclic import CyclicBus
 from gateway.robot.spi.kernel import KernelDevice
 from gateway.robot.spi.plugin import plugin_bus
-from gateway.robot.spi.uart import SerialUart, Uart
-
-BEFORE_FRAMES_MS: Final = (STOP_REPEATS + 0.5) * STOP_REPEAT_MS
-"""elkapod-2025's first frame waits this long, until the first shutdown has been repeated."""
+from gateway.robot.spi.uart import SerialUart
 
 _simulator = logging.getLogger("gateway.simulation.controller")
 
@@ -46,29 +41,23 @@ class SimulatedParts(NamedTuple):
 def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
     """Return the wire to the robot's controller, not yet open. A simulated controller keeps its state when reopened."""
     protocol, spi, spare = settings.wire.built_in, settings.spi, Spare()
-    if protocol is None and not simulated.controller:
-        return plugin_bus(settings.wire)
-    if protocol is None or protocol.framed:
-        if not simulated.controller:
-            return Bus(spi, lambda: KernelDevice(spi.device, spi.speed_hz, spare=spare))
-        from gateway.simulation.controller import SimulatedController  # noqa: PLC0415  (first Stops need none)
+    if protocol is not None and not protocol.framed:
+        silent_ns, fed_singly = round(settings.controller.silent_ms * NS_PER_MS), bool(settings.power.interface)
+        cyclic = partial(CyclicBus, silent_ns=silent_ns, fed_singly=fed_singly)
+        if simulated.controller:
+            from gateway.simulation.elkapod import SimulatedElkapod  # noqa: PLC0415  (first Stops need none)
+
+            elkapod = SimulatedElkapod(on_change=_simulator.debug, page=simulated.page, sensed=simulated.sensed)
+            return cyclic(lambda: elkapod, lambda: elkapod)
+        return cyclic(
+            partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare),
+            partial(SerialUart, settings.controller.uart),
+        )
+    if simulated.controller:
+        from gateway.simulation.controller import SimulatedController  # noqa: PLC0415  (likewise)
 
         framed = SimulatedController(spi.framing, on_change=_simulator.debug, page=simulated.page)
         return Bus(spi, lambda: framed)
-    open_device: Callable[[], DuplexDevice]
-    open_uart: Callable[[], Uart]
-    if simulated.controller:
-        from gateway.simulation.elkapod import SimulatedElkapod  # noqa: PLC0415  (likewise)
-
-        controller = SimulatedElkapod(on_change=_simulator.debug, page=simulated.page, sensed=simulated.sensed)
-        open_device, open_uart = (lambda: controller), (lambda: controller)
-    else:
-        open_device = partial(KernelDevice, spi.device, spi.speed_hz, mode=protocol.spi_mode, spare=spare)
-        open_uart = partial(SerialUart, settings.controller.uart)
-    return CyclicBus(
-        open_device,
-        open_uart,
-        silent_ns=round(settings.controller.silent_ms * NS_PER_MS),
-        before_frames_ns=round(BEFORE_FRAMES_MS * NS_PER_MS),
-        fed_singly=bool(settings.power.interface),
-    )
+    if protocol is None:
+        return plugin_bus(settings.wire)
+    return Bus(spi, partial(KernelDevice, spi.device, spi.speed_hz, spare=spare))

@@ -42,7 +42,6 @@ class ElkapodRobot(Robot):
             lambda: self.elkapod,
             lambda: self.elkapod,
             silent_ns=round(self.settings.controller.silent_ms * MS),
-            before_frames_ns=70 * MS,
             fed_singly=bool(self.settings.power.interface),
             clock=self.now_ns,
         )

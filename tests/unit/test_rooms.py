@@ -156,7 +156,7 @@ def test_the_conductor_knows_no_zenoh() -> None:
 
 WIRES_OWN: Final = frozenset(
     {
-        *("model/protocols.py", "model/elkapod.py", "robot/protocol/elkapod.py", "robot/wires.py"),
+        *("model/protocols.py", "model/elkapod.py", "robot/protocol/elkapod.py"),
         *(f"robot/spi/{name}.py" for name in ("cyclic", "uart")),
         *("host/settings_table.py", "simulation/elkapod.py"),
     }

@@ -13,11 +13,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from typing import Final
 
-from gateway.allowance import NS_PER_S
+from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.errors import ControllerRestartedError, ControllerSilentError, SpiError
 from gateway.host import realtime
 from gateway.model.elkapod import Measured
-from gateway.model.frames import Frame
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, Frame
 from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
 from gateway.robot.spi import BatchReport, DuplexDevice, Sent, Wire
 from gateway.robot.spi.uart import Uart
@@ -25,6 +25,9 @@ from gateway.robot.spi.uart import Uart
 CYCLE_HZ: Final = 50.0
 """The rate of the robot's own driver and of the servos' PWM; a higher rate would change nothing."""
 _CYCLE_NS: Final = round(NS_PER_S / CYCLE_HZ)
+BEFORE_FRAMES_NS: Final = round((STOP_REPEATS + 0.5) * STOP_REPEAT_MS * NS_PER_MS)
+"""For this long after an opening no frame is sent: it would move servos whose shutdown was lost, and the shutdown is
+repeated meanwhile."""
 
 
 class CyclicBus(Wire):
@@ -37,20 +40,17 @@ class CyclicBus(Wire):
         open_uart: Callable[[], Uart],
         *,
         silent_ns: int = 0,
-        before_frames_ns: int = 0,
         fed_singly: bool = False,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """`open_device` is None if only Stops are written (`stop-servos`).
 
-        For `before_frames_ns` after an opening no frame is sent: it would move servos whose shutdown was lost, and the
-        shutdown is repeated meanwhile. `fed_singly`: a power board starts and stops each servo by its supply.
+        `fed_singly`: a power board starts and stops each servo by its supply.
         """
         super().__init__()
         self._open_device = open_device
         self._open_uart = open_uart
         self._clock = clock
-        self._before_frames_ns = before_frames_ns
         self._device: DuplexDevice | None = None
         self._uart: Uart | None = None
         self._commanded = Commanded(fed_singly=fed_singly)
@@ -73,7 +73,7 @@ class CyclicBus(Wire):
             self._say(self._commanded.shut_down())  # independently of SPI
             if self._device is None and self._open_device is not None:
                 self._device = self._open_device()
-                self._frames_ns = self._clock() + self._before_frames_ns
+                self._frames_ns = self._clock() + BEFORE_FRAMES_NS
                 self._signs = SignsOfLife(self._silent_ns, self._frames_ns)
         except SpiError:
             self.errors += 1

@@ -212,7 +212,6 @@ class Parts(Uart):
             self._open,
             self._open_uart,
             silent_ns=SILENT_NS,
-            before_frames_ns=70 * MS,
             clock=lambda: self.now_ns,
             **more,
         )
