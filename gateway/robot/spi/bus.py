@@ -92,7 +92,7 @@ class Bus(Wire):
         self._pause = pause
         self.announces = settings.framing is Framing.LENGTH_PREFIXED
         """Whether frames have announcements, so that a controller can be out of sync."""
-        self._avoid_cdeg = settings.framing.avoid_cdeg
+        self._avoid_cdeg = range(*settings.framing.avoid_cdeg) if settings.framing.avoid_cdeg else range(0)
         self._size = 2 if self.announces else 1
         self._gap_us = ceil(settings.frame_gap_us)
         self._zero: Transfer = ZERO, max(self._gap_us, ZERO_PAUSE_US)

@@ -28,15 +28,15 @@ class IllegalTransferError(RuntimeError):
     """The gateway tried to write an illegal transfer: its own bug, never a fault of the caller or the wire."""
 
 
-def check(batch: Batch, avoid_cdeg: tuple[int, int] | None, *, announces: bool) -> None:
+# mutants accepted (Step): an announcement's first byte is its last
+def check(batch: Batch, avoid_cdeg: range, *, announces: bool) -> None:
     """Raise IllegalTransferError unless a batch is legal. Call it before any byte leaves.
 
     Frames are legal. If frames are announced (LENGTH_PREFIXED framing), an announcement directly followed by a frame of
     that length is legal, and zeros between frames. A batch ends with a whole frame or with zeros. A frame that moves a
-    servo to an angle of `avoid_cdeg` (first included, second not; see `Framing.avoid_cdeg`) is illegal.
+    servo to an angle of `avoid_cdeg` (see `Framing.avoid_cdeg`) is illegal.
     """
     announced_len = None
-    avoid_from_cdeg, avoid_to_cdeg = avoid_cdeg or (0, 0)
     for data, _ in batch:
         if announces and announced_len is None:
             if data in _ANNOUNCEMENTS:
@@ -52,7 +52,7 @@ def check(batch: Batch, avoid_cdeg: tuple[int, int] | None, *, announces: bool) 
         for at in range(2, len(data), 4) if avoid_cdeg else ():
             servo_id, op, whole_deg, hundredths = data[at : at + 4]
             angle_cdeg = whole_deg * 100 + hundredths
-            if op != _STOP and avoid_from_cdeg <= angle_cdeg < avoid_to_cdeg:
+            if op != _STOP and angle_cdeg in avoid_cdeg:
                 angle = f"servo {servo_id} to {angle_cdeg / 100:g} degrees"
                 raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent in this framing")
     if announced_len is not None:

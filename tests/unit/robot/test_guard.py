@@ -21,7 +21,7 @@ ZERO = b"\0"
 def passes(framing: Framing, *data: bytes) -> bool:
     """Whether a batch of these transfers may be written."""
     try:
-        check([(each, 7) for each in data], None, announces=framing is PREFIXED)
+        check([(each, 7) for each in data], range(0), announces=framing is PREFIXED)
     except IllegalTransferError:
         return False
     return True
@@ -91,7 +91,7 @@ def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, ve
 def test_the_reason_is_the_first_servo_within_the_interval_which_has_its_beginning_and_not_its_end() -> None:
     frame = OneLeg(6, (ServoOp(Op.SET, 4_00), ServoOp(Op.SET, 1_00), STOP))
     with pytest.raises(IllegalTransferError, match="moves servo 62 to 1 degrees"):
-        check([(frame.to_bytes(), 0)], (1_00, 4_00), announces=False)
+        check([(frame.to_bytes(), 0)], range(1_00, 4_00), announces=False)
 
 
 # ---- the guard accepts just what reading the frame and writing it again accepts
@@ -100,7 +100,7 @@ def test_the_reason_is_the_first_servo_within_the_interval_which_has_its_beginni
 def is_checked(data: bytes, avoid_from_cdeg: int = 0, avoid_to_cdeg: int = 0) -> bool:
     """Whether the guard's own description of a frame fits."""
     try:
-        check([(data, 0)], (avoid_from_cdeg, avoid_to_cdeg), announces=False)
+        check([(data, 0)], range(avoid_from_cdeg, avoid_to_cdeg), announces=False)
     except IllegalTransferError:
         return False
     return True
