@@ -148,9 +148,9 @@ def calls_to_the_device(robot: Robot, key: str, payload: object) -> int:
 @pytest.mark.parametrize(
     ("key", "payload", "most"),
     [
-        pytest.param(keys.ESTOP, {}, 130, id="an emergency stop while a leg runs"),
+        pytest.param(keys.ESTOP, {}, 124, id="an emergency stop while a leg runs"),
         pytest.param(keys.leg_command(3), leg("set", 91, 45, 120), 70, id="a leg's setpoint"),
-        pytest.param(keys.LEGS_COMMAND, _ALL, 120, id="a start of all legs"),
+        pytest.param(keys.LEGS_COMMAND, _ALL, 115, id="a start of all legs"),
     ],
 )
 async def test_a_message_reaches_the_device_in_so_many_calls(key: str, payload: object, most: int) -> None:
