@@ -19,7 +19,7 @@ _MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep",
 
 def driver_of(device: str, root: Path = ROOT_DIR) -> str | None:
     """Return the driver of the device's SPI controller, such as spi-bcm2835, or None if it is not known."""
-    return _bound(_controller(device, root))
+    return _bound(_spi_device(device, root).parents[2])
 
 
 def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
@@ -29,7 +29,7 @@ def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
     """
     node = _node_of(device, root)
     chip_select = re.fullmatch(r"spidev\d+\.(\d+)", Path(device).name)
-    if node is None or chip_select is None:
+    if chip_select is None or not node.exists():
         return None
     try:
         data = (node / "cs-gpios").read_bytes()
@@ -48,8 +48,7 @@ def gpio_selects(device: str, root: Path = ROOT_DIR) -> bool | None:
 
 def on_rp1(device: str, root: Path = ROOT_DIR) -> bool:
     """Return whether the SPI controller is in the RP1, a Pi 5's I/O chip."""
-    node = _node_of(device, root)
-    named = node is not None and any(part.startswith("rp1") for part in node.parts)
+    named = any(part.startswith("rp1") for part in _node_of(device, root).parts)
     return (named or computer(root).startswith("Raspberry Pi")) and driver_of(device, root) in _RP1_DRIVERS
 
 
@@ -59,41 +58,25 @@ def neighbours(device: str, root: Path = ROOT_DIR) -> list[tuple[str, str]]:
     Devices without a driver are left out, and those with the device's own (spidev), which programs may use.
     """
     own = _spi_device(device, root)
-    if own is None:
-        return []
     others = [each for each in sorted(own.parent.glob(f"{own.parent.name}.*")) if each != own]
     found = [(each.name, _bound(each)) for each in others]
     return [(name, driver) for name, driver in found if driver is not None and driver != _bound(own)]
 
 
-def _spi_device(device: str, root: Path) -> Path | None:
-    """Return such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0."""
-    return _resolved(root / "sys/class/spidev" / Path(device).name / "device")
+def _spi_device(device: str, root: Path) -> Path:
+    """Return such as /sys/devices/platform/soc/fe204000.spi/spi_master/spi0/spi0.0; no such path if it is not known."""
+    return (root / "sys/class/spidev" / Path(device).name / "device").resolve()
 
 
-def _controller(device: str, root: Path) -> Path | None:
-    """Return such as /sys/devices/platform/soc/fe204000.spi."""
-    found = _spi_device(device, root)
-    return found.parents[2] if found is not None and len(found.parents) > 2 else None
+def _node_of(device: str, root: Path) -> Path:
+    """Return the device tree's node of the SPI controller; no such path if it is not known."""
+    return (_spi_device(device, root).parents[2] / "of_node").resolve()
 
 
-def _node_of(device: str, root: Path) -> Path | None:
-    """Return the device tree's node of the SPI controller."""
-    controller = _controller(device, root)
-    return None if controller is None else _resolved(controller / "of_node")
-
-
-def _bound(device: Path | None) -> str | None:
+def _bound(device: Path) -> str | None:
     """Return the driver that is bound to a device of /sys."""
-    driver = None if device is None else _resolved(device / "driver")
-    return None if driver is None else driver.name
-
-
-def _resolved(path: Path) -> Path | None:
-    try:
-        return path.resolve(strict=True)
-    except (OSError, RuntimeError):
-        return None
+    driver = device / "driver"
+    return driver.resolve().name if driver.exists() else None
 
 
 def computer(root: Path = ROOT_DIR) -> str:
