@@ -88,8 +88,6 @@ class CyclicBus(Wire):
         """Send a Stop over the UART, or take targets for the next frame. Return what was sent."""
         begun_ns, stops = self._clock(), frames[0].is_stop
         try:
-            if self._uart is None:
-                raise SpiError("the UART is closed")
             if self._device is None and not stops:
                 raise SpiError("the SPI device is closed")
             if not stops:
@@ -166,8 +164,9 @@ class CyclicBus(Wire):
         while True:
             self.cycle(owner, measured, failed)
             # A late frame is not made up for: two in a row would give the controller nothing new.
-            due_ns = max(due_ns + _CYCLE_NS, self._clock())
-            time.sleep(max(0, due_ns - self._clock()) / 1e9)
+            now_ns = self._clock()
+            due_ns = max(due_ns + _CYCLE_NS, now_ns)
+            time.sleep((due_ns - now_ns) / 1e9)
 
     def cycle(
         self,

@@ -1,5 +1,6 @@
 """elkapod-2025: what is said when, and whether the controller is alive."""
 
+import time
 from collections.abc import Callable, Collection, Iterable
 from contextlib import nullcontext
 from typing import Final
@@ -7,6 +8,7 @@ from typing import Final
 import pytest
 
 from gateway.errors import SpiError
+from gateway.host import realtime
 from gateway.model import elkapod
 from gateway.model.elkapod import SHUTDOWN, START, Measured
 from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo, stop_leg
@@ -446,6 +448,21 @@ def test_when_it_left_and_how_long_it_took() -> None:
     moves = parts.bus.write(starts()).sent[0]
     assert (moves.ns, moves.call_ns) == (100 * MS + 50_000, 0)
     assert [sent.data for sent in parts.bus.write(STOPS).sent] == [each.data for each in STOPS]
+
+
+def test_a_late_cycle_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts, begun_ms, takes_ms = Parts(), list[float](), iter((1, 45, 1, 1))
+
+    def cycle(*_: object) -> None:
+        begun_ms.append(parts.now_ns / MS)
+        parts.now_ns += next(takes_ms) * MS
+
+    monkeypatch.setattr(parts.bus, "cycle", cycle)
+    monkeypatch.setattr(realtime, "prefer_thread", lambda _: None)
+    monkeypatch.setattr(time, "sleep", lambda s: setattr(parts, "now_ns", parts.now_ns + round(s * 1e9)))
+    with pytest.raises(StopIteration):
+        parts.bus.run(nullcontext(), lambda _values, _ns: None, lambda _fault: None)
+    assert begun_ms == [0, 20, 65, 85, 105]
 
 
 # ---- with a power board that feeds each servo: which may be fed, and when the UART speaks
