@@ -70,11 +70,11 @@ class PluginDevice(SpiDevice):
 
     def transfer(self, batch: Batch) -> None:
         """Apply the batch's frames in one call. Raises SpiError, or RuntimeError for a bug of the plug-in."""
-        servos = [servo for data, _ in batch for servo in decode(data).servos]
-        stops = all(op.op is OP_STOP for _, op in servos)
+        ops = dict(servo for data, _ in batch for servo in decode(data).servos)
+        stops = all(op.op is OP_STOP for op in ops.values())
         changes: tuple[tuple[int, float | None], ...] = tuple(
             (servo_id, None if stops else op.angle_cdeg / 100)
-            for servo_id, op in dict(servos).items()
+            for servo_id, op in ops.items()
             if stops or op.op is not OP_STOP  # in a frame that moves a leg, a Stop is for a servo that does not run
         )
         if stops and self._wire.capabilities.whole_robot:
