@@ -43,7 +43,7 @@ from gateway.robot.runtime.revocations import Revocations
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
-from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.cyclic import CyclicBus, run_cycles
 from gateway.robot.wires import SimulatedParts
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
@@ -212,8 +212,9 @@ class _Service:
                 conductor.start()
                 self.recorder.open()
             if isinstance(self.bus, CyclicBus):
-                exchange = partial(self.bus.run, self.owner, conductor.measured, conductor.bus_failed)
-                in_thread("cycle", exchange).add_done_callback(asyncio.Future.result)  # a mistake ends the service
+                cycle = partial(self.bus.cycle, self.owner, conductor.measured, conductor.bus_failed)
+                cycles = in_thread("cycle", partial(run_cycles, cycle))
+                cycles.add_done_callback(asyncio.Future.result)  # a mistake ends the service
             opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known())
             ended = asyncio.ensure_future(end.requested.wait())
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)

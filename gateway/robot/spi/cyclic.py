@@ -1,8 +1,8 @@
 """The wire of elkapod-2025 as the service sees it: a frame each cycle over SPI, and starts and Stops over a UART.
 
 Neither way waits for the other. Stops are one UART message, sent at once, so a transfer that takes 300 ms to fail
-delays none. A thread of its own exchanges frames (`run`), and owns the state only between two transfers. A step's
-targets are in the next frame. Its starts follow over the UART once their angles were on the wire
+delays none. A thread of its own exchanges frames (`run_cycles`), and owns the state only between two transfers. A
+step's targets are in the next frame. Its starts follow over the UART once their angles were on the wire
 (`protocol.elkapod.Commanded`).
 
 If SPI fails, or the controller falls silent or restarts, the UART sends shut down at once, before any report of it.
@@ -30,8 +30,20 @@ BEFORE_FRAMES_NS: Final = round((STOP_REPEATS + 0.5) * STOP_REPEAT_MS * NS_PER_M
 repeated meanwhile."""
 
 
+def run_cycles(cycle: Callable[[], None], clock: Callable[[], int] = time.monotonic_ns) -> None:
+    """Call `cycle` each `1 / CYCLE_HZ` seconds until the process ends. For a thread of its own."""
+    realtime.prefer_thread(realtime.LOOP_PRIORITY)
+    due_ns = clock()
+    while True:
+        cycle()
+        # A late frame is not made up for: two in a row would give the controller nothing new.
+        now_ns = clock()
+        due_ns = max(due_ns + _CYCLE_NS, now_ns)
+        time.sleep((due_ns - now_ns) / 1e9)
+
+
 class CyclicBus(Wire):
-    """Sends the frames of steps. For the owner of the state, except `run` and `cycle`: for the cycle's thread."""
+    """Sends the frames of steps. For the owner of the state, except `cycle`."""
 
     # mutants accepted (Forget, Step): opening sets it; the service states all
     def __init__(
@@ -148,34 +160,18 @@ class CyclicBus(Wire):
 
     # ---- the cycle
 
-    def run(
-        self,
-        owner: AbstractContextManager[None],
-        measured: Callable[[Measured, int], None],
-        failed: Callable[[SpiError], None],
-    ) -> None:
-        """Exchange a frame each `1 / CYCLE_HZ` seconds until the process ends, with or without commands.
-
-        `owner` is the state's lock. `measured` is called with each measurement and its time, `failed` with each fault,
-        both with the state owned. Raises ValueError for illegal angles, a bug of the gateway.
-        """
-        realtime.prefer_thread(realtime.LOOP_PRIORITY)
-        due_ns = self._clock()
-        while True:
-            self.cycle(owner, measured, failed)
-            # A late frame is not made up for: two in a row would give the controller nothing new.
-            now_ns = self._clock()
-            due_ns = max(due_ns + _CYCLE_NS, now_ns)
-            time.sleep((due_ns - now_ns) / 1e9)
-
     def cycle(
         self,
         owner: AbstractContextManager[None],
         measured: Callable[[Measured, int], None],
         failed: Callable[[SpiError], None],
     ) -> None:
-        """Run one cycle, as in `run`. A device that was released during its transfer is closed after it: before, its
-        descriptor could become another file's."""
+        """Exchange a frame, with or without commands. For the cycle's thread.
+
+        `owner` is the state's lock. `measured` is called with a measurement and its time, `failed` with a fault, both
+        with the state owned. A device that was released during its transfer is closed after it: before, its descriptor
+        could become another file's. Raises ValueError for illegal angles, a bug of the gateway.
+        """
         with owner:
             device, begun_ns = self._device, self._clock()
             frame = self._commanded.frame() if device is not None and begun_ns >= self._frames_ns else None

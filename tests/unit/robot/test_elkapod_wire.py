@@ -14,7 +14,7 @@ from gateway.model.elkapod import SHUTDOWN, START, Measured
 from gateway.model.frames import SETS, STARTS, STOP, Frame, OneLeg, OneServo, stop_leg
 from gateway.robot.protocol.elkapod import Commanded, SignsOfLife
 from gateway.robot.spi import BatchReport, DuplexDevice
-from gateway.robot.spi.cyclic import CyclicBus
+from gateway.robot.spi.cyclic import CyclicBus, run_cycles
 from gateway.robot.spi.uart import Uart
 from schemas.robot import LEGS, SERVO_IDS
 from tests.support.elkapod import angles_of
@@ -453,15 +453,14 @@ def test_when_it_left_and_how_long_it_took() -> None:
 def test_a_late_cycle_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
     parts, begun_ms, takes_ms = Parts(), list[float](), iter((1, 45, 1, 1))
 
-    def cycle(*_: object) -> None:
+    def cycle() -> None:
         begun_ms.append(parts.now_ns / MS)
         parts.now_ns += next(takes_ms) * MS
 
-    monkeypatch.setattr(parts.bus, "cycle", cycle)
     monkeypatch.setattr(realtime, "prefer_thread", lambda _: None)
     monkeypatch.setattr(time, "sleep", lambda s: setattr(parts, "now_ns", parts.now_ns + round(s * 1e9)))
     with pytest.raises(StopIteration):
-        parts.bus.run(nullcontext(), lambda _values, _ns: None, lambda _fault: None)
+        run_cycles(cycle, lambda: parts.now_ns)
     assert begun_ms == [0, 20, 65, 85, 105]
 
 
