@@ -102,7 +102,7 @@ class Bus(Wire):
         frame_ns = byte_ns * ONE_LEG_LEN + (byte_ns + gap_ns if self.announces else 0)
         self._most_moves = (LONGEST_NS + gap_ns) // (frame_ns + gap_ns)
         self._device: SpiDevice | None = None
-        self._most = self._stops_at_once = 1
+        self._most = self._stops_at_once = 1  # mutants accepted (Step): opening sets them
         """The most transfers of a call, and the most Stops."""
         self._transfer = self._write_singly
         """Writes a batch: the device, or `_write_singly` once the kernel has rejected a list."""
@@ -213,8 +213,7 @@ class Bus(Wire):
     @property
     def resync_due(self) -> bool:
         """Whether the stream's next pause has to be used for `write_zeros`."""
-        since_ns = self.ended_ns - self._synchronised_ns
-        return self.announces and self._device is not None and since_ns >= RESYNC_NS - RESYNC_NS // EARLY_SHARE
+        return self.announces and self.ended_ns - self._synchronised_ns >= RESYNC_NS - RESYNC_NS // EARLY_SHARE
 
     @property
     def just_resynchronised(self) -> bool:
@@ -247,8 +246,8 @@ class Bus(Wire):
             try:
                 self._transfer(batch)
             except BatchRejectedError as rejection:
-                self._go_one_by_one(batch, rejection)
-                report.rejection = str(rejection)
+                self._write_singly(batch)
+                self._lists, self._transfer, report.rejection = False, self._write_singly, str(rejection)
         except SpiError:
             self._failed(batch, self._clock() - begun_ns, zeros_only=not frames)
             raise
@@ -274,13 +273,6 @@ class Bus(Wire):
             report.sent += [Sent(first, frame.data, ended_ns, took_ns, received)]
             first += 1
             self.frames += 1
-
-    def _go_one_by_one(self, batch: Batch, rejection: BatchRejectedError) -> None:
-        """Write a rejected batch transfer by transfer, and all later ones, too. Raises SpiError."""
-        if not self._lists:
-            raise rejection
-        self._write_singly(batch)
-        self._lists, self._transfer = False, self._write_singly
 
     def _write_singly(self, batch: Batch) -> None:
         """Write a batch in one call for each transfer, for a kernel that takes no lists, and sleep the pauses.

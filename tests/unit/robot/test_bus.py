@@ -64,6 +64,8 @@ PREFIXED_SCENES: Final = {
     # ---- calls that fail
     "a batch of stops that failed is written one by one, and the first of these once more": """
         fail 1; stop → 123456 6 5 4 3 2 1 6; fault 123456 failed; sent 6?543216; errors 1""",
+    "stops that passed one by one after a fault are followed by no preamble": f"""{SLOW}
+        fail 1; stop → 6 5 4 3 2 1 6 5; fault failed""",
     "a frame that moves is not tried again": "fail 1; moves → mmmmmm; fault failed; sent",
     "stops leave together again once all have passed, and a frame that moves does not count": f"""{SLOW}
         move → 8z 8z m
