@@ -104,8 +104,6 @@ class Bus(Wire):
         self._device: SpiDevice | None = None
         self._most = self._stops_at_once = 1  # mutants accepted (Step): opening sets them
         """The most transfers of a call, and the most Stops."""
-        self._transfer = self._write_singly
-        """Writes a batch: the device, or `_write_singly` once the kernel has rejected a list."""
         self._lists = True  # until the kernel rejects one
         self._awaited = ANYTHING if self.announces else NOTHING
         self._suspect = False  # the device was reopened, and the controller may be out of sync since
@@ -126,7 +124,6 @@ class Bus(Wire):
             raise
         self._most = self._device.most_transfers
         self._stops_at_once = max(1, self._most // self._size)
-        self._transfer = self._device.transfer if self._lists else self._write_singly
 
     # mutants accepted (Step): all stop, or none; nobody gives 1
     def write(self, frames: Sequence[Frame], *, preamble: bool = False) -> BatchReport:
@@ -241,13 +238,14 @@ class Bus(Wire):
         zeros_before = self._zeros + zeros
         self._zeros = 0 if frames else self._zeros  # failed zeros are not counted; if they arrived, more do no harm
         self._failures += 1
+        write = self._device.transfer if self._lists and self._device is not None else self._write_singly
         begun_ns = self._clock()
         try:
             try:
-                self._transfer(batch)
+                write(batch)
             except BatchRejectedError as rejection:
                 self._write_singly(batch)
-                self._lists, self._transfer, report.rejection = False, self._write_singly, str(rejection)
+                self._lists, report.rejection = False, str(rejection)
         except SpiError:
             self._failed(batch, self._clock() - begun_ns, zeros_only=not frames)
             raise
