@@ -457,11 +457,11 @@ def test_a_late_cycle_is_not_made_up_for(monkeypatch: pytest.MonkeyPatch) -> Non
         begun_ms.append(parts.now_ns / MS)
         parts.now_ns += next(takes_ms) * MS
 
-    monkeypatch.setattr(realtime, "prefer_thread", lambda _: None)
+    monkeypatch.setattr(realtime, "prefer_thread", lambda priority: begun_ms.append(-priority))
     monkeypatch.setattr(time, "sleep", lambda s: setattr(parts, "now_ns", parts.now_ns + round(s * 1e9)))
     with pytest.raises(StopIteration):
         run_cycles(cycle, lambda: parts.now_ns)
-    assert begun_ms == [0, 20, 65, 85, 105]
+    assert begun_ms == [-realtime.LOOP_PRIORITY, 0, 20, 65, 85, 105]
 
 
 # ---- with a power board that feeds each servo: which may be fed, and when the UART speaks
