@@ -44,14 +44,10 @@ def _forms(setpoint: Callable[..., dict[str, Any]]) -> dict[str, Form]:
     bare = plain.decode()
     invalid = {
         "null angle": setpoint({"op": "stop", "angle_deg": None}),
-        "angle": setpoint({"op": "stop", "angle_deg": 90.0}),
         "upper case": setpoint({"op": "STOP"}),
-        "space": setpoint({"op": "stop "}),
         "enum": setpoint({"op": "OP_STOP"}),
         "unknown field": setpoint({"op": "stop"}, comment="x"),
         "long source": setpoint({"op": "stop"}, source="x" * 70),
-        "sent_ms as a string": setpoint({"op": "stop"}, sent_ms="12"),
-        "wrong lease": setpoint({"op": "stop"}, lease="none"),
         "list": [setpoint({"op": "stop"})],
         "envelope": {"command": setpoint({"op": "stop"})},
         "many fields": setpoint({"op": "stop"}, **{f"x{number}": 0 for number in range(300)}),
@@ -63,7 +59,6 @@ def _forms(setpoint: Callable[..., dict[str, Any]]) -> dict[str, Form]:
         "UTF-16": bare.encode("utf-16"),
         "UTF-16 that begins like JSON": bare.encode("utf-16-le"),
         "single quotes": bare.replace('"', "'").encode(),
-        "cut off": plain[:-1],
         "word": b"stop",
         "gzip": gzip.compress(plain, mtime=0),
         "base64": base64.b64encode(plain),
@@ -74,10 +69,7 @@ def _forms(setpoint: Callable[..., dict[str, Any]]) -> dict[str, Form]:
     made["given twice"] = Form(twice, Reason.INVALID)
     upper = plain.upper().replace(b'"OP"', b'"op"').replace(b'"SERVOS"', b'"servos"').replace(b'"LEGS"', b'"legs"')
     made["escaped"] = Form(upper.replace(b"STOP", b"\\u0053TOP"), Reason.INVALID)
-    made |= {
-        encoding: Form(plain, Reason.BAD_ENCODING, encoding)
-        for encoding in ("text/plain", "application/octet-stream", "text/json", "application/cbor", "APPLICATION/JSON")
-    }
+    made |= {encoding: Form(plain, Reason.BAD_ENCODING, encoding) for encoding in ("text/plain", "APPLICATION/JSON")}
     too_large = b" " * (MAX_PAYLOAD_BYTES + 1 - len(plain)) + plain
     made["too large"] = Form(too_large, Reason.TOO_LARGE)
     made["not plain, and in a foreign encoding"] = Form(_text(invalid["null angle"]), Reason.BAD_ENCODING, "text/plain")
@@ -153,12 +145,10 @@ async def test_a_stop_is_a_stop_in_whatever_form(key: str, form: Form, verb: Ver
     ("payload", "more"),
     [
         (leg("set", 80, 80, 190), {}),
-        (leg("start", 80, 80, 80, comment="x"), {}),
         (leg("set", 80, 80, 190, source="nonstop"), {}),
         (leg("set", 80, 80, 190, source="a\\b"), {}),
         (leg("set", 80, 80, 80), {"encoding": "text/plain"}),
         (b"", {}),
-        (b" ", {"encoding": "text/plain"}),
         (b'{"servos": [', {}),
     ],
     ids=repr,
@@ -176,12 +166,9 @@ NAMED: list[tuple[str, object, str]] = [
     # the key, the payload, and the servos that it names
     (LEG_3, {"servos": [ODD, SET, SET]}, "31"),
     (LEG_3, {"servos": [SET, ODD, STOP]}, "32 33"),
-    (LEG_3, {"servos": [STOP, SET, SET], "comment": "x"}, "31"),
     (LEG_3, {"servos": [SET, SET, SET], "op": "stop"}, "31 32 33"),
     (LEG_3, {"servos": [STOP, SET, SET, SET]}, "31 32 33"),
     (LEG_3, {"servos": {"1": STOP}}, "31 32 33"),
-    (LEG_3, {"Servos": [ODD, SET, SET]}, "31 32 33"),
-    (LEG_3, {"servos": ["stop", SET, SET]}, "31"),
     (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 9, "x": ["stop"]}]}, "33"),
     (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": "stop"}, ""),
     (LEG_3, {"servos": [SET, SET, {"op": "set", "angle_deg": 999}], "source": {"op": "stop"}}, "31 32 33"),
@@ -191,10 +178,8 @@ NAMED: list[tuple[str, object, str]] = [
     (LEG_3, b'{"servos": [{"op": "st\\x6fp"}, {"op": "set"}, {}]}', "31 32 33"),
     (keys.LEGS_COMMAND, {"legs": {"3": {"servos": [ODD] * 3}, "5": {"servos": [SET, ODD, SET]}}}, "31 32 33 52"),
     (keys.LEGS_COMMAND, {"legs": {"3": ODD, "5": {"servos": [SET] * 3}}}, "31 32 33"),
-    (keys.LEGS_COMMAND, {"legs": {leg: ODD if leg == "6" else {"servos": [SET] * 3} for leg in "123456"}}, "61 62 63"),
     (keys.LEGS_COMMAND, {"legs": {"7": ODD}}, "all"),
     (keys.LEGS_COMMAND, {"servos": [STOP] * 3}, "all"),
-    (keys.LEGS_COMMAND, b"stop", "all"),
     (keys.servo_command(32), {"op": "set", "angle_deg": 999, "source": "stop"}, ""),
     (keys.servo_command(32), {"op": "set", "angle_deg": 999, "stop": 1}, "32"),
     (keys.RESET, {"op": "stop"}, ""),
