@@ -1,5 +1,6 @@
 """Visitors who take all file descriptors, or all sessions: the device is opened again, and an operator gets in."""
 
+import ipaddress
 import socket
 import time
 from contextlib import ExitStack, closing, suppress
@@ -10,7 +11,7 @@ import zenoh
 
 from gateway.host.descriptors import NEEDED
 from gateway.limits import MAX_SESSIONS
-from gateway.robot.zenoh_io.connection_limiter import VISITORS
+from gateway.robot.zenoh_io.connection_limiter import VISITORS, shut_down
 from schemas.telemetry import Mode
 from tests.benchmarks.processes import fds
 from tests.hil.bed import SpiTestbed
@@ -53,6 +54,19 @@ def test_a_device_is_opened_again_while_strangers_hold_all_descriptors(tmp_path:
 
 
 # ---- sessions
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", *(["::1"] if socket.has_dualstack_ipv6() else [])])
+def test_one_connection_is_shut_down_by_its_peers_address(host: str) -> None:
+    with socket.create_server((host, 0), family=socket.AF_INET6 if ":" in host else socket.AF_INET) as server:
+        peers = [socket.create_connection(server.getsockname()[:2], 10) for _ in range(2)]
+        accepted = [server.accept()[0] for _ in peers]
+        shut_down({(ipaddress.ip_address(host), peers[0].getsockname()[1])})
+        assert peers[0].recv(1) == b""
+        accepted[1].send(b"x")
+        assert peers[1].recv(1) == b"x"
+        for each in (*peers, *accepted):
+            each.close()
 
 
 def test_an_operator_gets_in_beside_any_number_of_observers(tmp_path: Path) -> None:

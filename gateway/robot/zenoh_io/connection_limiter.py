@@ -84,7 +84,7 @@ class ConnectionLimiter:
         if not surplus and not shut_out:
             return
         with suppress(OSError):  # no descriptor is left to list them
-            shut_down({address for link in surplus + shut_out if (address := _address(str(link.dst))) is not None})
+            shut_down({_address(str(link.dst)) for link in surplus + shut_out} - {None})
         if not self._warnings.take(time.monotonic_ns()):
             return
         if shut_out:
@@ -110,29 +110,16 @@ def shut_down(addresses: Collection[Any]) -> None:
             if not stat.S_ISSOCK(os.fstat(number).st_mode):
                 continue
             # A duplicate, since Zenoh may close the descriptor meanwhile and its number be reused. Without a descriptor
-            # for the duplicate, no new client can connect either.
-            copy = os.dup(number)
-            try:
-                connection = socket.socket(fileno=copy)
-            except OSError:
-                os.close(copy)
-                raise
-            with connection:
-                if _peer(connection) in addresses:
+            # for the duplicate, no new client can connect either. An address of IPv4 fits where one of IPv6 does.
+            with socket.fromfd(number, socket.AF_INET6, socket.SOCK_STREAM) as connection:
+                peer = connection.getpeername()  # a text for a Unix socket
+                if isinstance(peer, tuple) and _address(f"tcp/{peer[0]}:{peer[1]}") in addresses:
                     connection.shutdown(socket.SHUT_RDWR)
-
-
-def _peer(connection: socket.socket) -> Any:
-    if connection.family not in (socket.AF_INET, socket.AF_INET6):
-        return None
-    host, port = connection.getpeername()[:2]
-    return ipaddress.ip_address(host.partition("%")[0]), port
 
 
 def _address(locator: str) -> Any:
     """Return address and port of a locator such as `tls/[::ffff:192.0.2.7]:49090`, or None if it has none."""
     host, port = host_and_port(locator)
-    try:
+    with suppress(ValueError):
         return ipaddress.ip_address(host.partition("%")[0]), int(port)
-    except ValueError:
-        return None
+    return None
