@@ -15,13 +15,13 @@ from gateway import certs, nesting
 from gateway.errors import ConfigError, ZenohError
 from gateway.own_command import DEFAULT_ENDPOINT
 
-_TLS = "transport/link/tls"
-_CA = f"{_TLS}/root_ca_certificate"
-_CERTIFICATES = (_CA, f"{_TLS}/listen_certificate", f"{_TLS}/connect_certificate")
+TLS: Final = "transport/link/tls"
+CA: Final = f"{TLS}/root_ca_certificate"
+_CERTIFICATES = (CA, f"{TLS}/listen_certificate", f"{TLS}/connect_certificate")
 _FILES = (
     *_CERTIFICATES,
-    f"{_TLS}/listen_private_key",
-    f"{_TLS}/connect_private_key",
+    f"{TLS}/listen_private_key",
+    f"{TLS}/connect_private_key",
     "transport/auth/usrpwd/dictionary_file",
     "transport/auth/pubkey/public_key_file",
     "transport/auth/pubkey/private_key_file",
@@ -60,7 +60,7 @@ def load_client_config(path: Path) -> zenoh.Config:
     """Return a laptop's configuration (`--zenoh-config`). Raises ConfigError as `load_config` does, and for the
     gateway's own file or an expired certificate: `zenoh.open` would only report that it cannot connect."""
     config = load_config(path)
-    if config.get_json(f"{_TLS}/listen_private_key") != "null":
+    if config.get_json(f"{TLS}/listen_private_key") != "null":
         raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
     first = first_expiry(config)
     if first is not None and first.end <= dt.datetime.now(dt.UTC):
@@ -86,8 +86,7 @@ def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Confi
         except zenoh.ZError as error:
             raise ConfigError(f'"{endpoint}" is no endpoint, such as {DEFAULT_ENDPOINT}') from error
     insert(config, "listen/endpoints", [], "listen")
-    scouting_off(config)
-    shared_memory_off(config)
+    scouting_and_shared_memory_off(config)
     insert(config, "connect/retry", RETRY, "connect.retry")
     return config
 
@@ -110,7 +109,7 @@ def first_expiry(config: zenoh.Config) -> Expiry | None:
 
     In a chain, the owner's counts, the first; of several CAs, the last to expire. Raises ConfigError.
     """
-    ca = get(config, _CA)
+    ca = get(config, CA)
     found = []
     for file in certificate_files(config):
         ends = [certificate.not_valid_after_utc for certificate in certs.files.read_certificates(file)]
@@ -156,19 +155,16 @@ def insert(config: zenoh.Config, key: str, value: object, setting: str) -> None:
         raise ConfigError(f"{setting}: {value} is not allowed: {one_line(error)}") from error
 
 
-def scouting_off(config: zenoh.Config) -> None:
-    """Switch scouting off unless the file turns it on, so that no peers connect by accident."""
+def scouting_and_shared_memory_off(config: zenoh.Config) -> None:
+    """Switch both off: scouting unless the file turns it on, so that no peers connect by accident.
+
+    A session with shared memory opens only if /dev/shm has room, and a Stop must not wait for that. It also bypasses
+    every size limit, and saves no time for messages this small.
+    """
+    config.insert_json5("transport/shared_memory/enabled", "false")
     for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
         if get(config, key) is not True:
             config.insert_json5(key, "false")
-
-
-def shared_memory_off(config: zenoh.Config) -> None:
-    """Switch shared memory off: a session with it opens only if /dev/shm has room, and a Stop must not wait for that.
-
-    It also bypasses every size limit, and saves no time for messages this small.
-    """
-    config.insert_json5("transport/shared_memory/enabled", "false")
 
 
 def open_session(config: zenoh.Config) -> zenoh.Session:
@@ -176,16 +172,16 @@ def open_session(config: zenoh.Config) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        endpoints = get(config, "listen/endpoints") or get(config, "connect/endpoints")
+        endpoints = listen_endpoints(config) or connect_endpoints(config)
         raise ZenohError(why_not_opened(one_line(error), endpoints)) from error
 
 
 CANNOT_CONNECT: Final = "Unable to connect"
 
 
-def why_not_opened(text: str, endpoints: object) -> str:
+def why_not_opened(text: str, endpoints: list[str]) -> str:
     """Return Zenoh's `text` as a sentence with a remedy."""
-    where = ", ".join(endpoints) if isinstance(endpoints, list) else str(endpoints)
+    where = ", ".join(endpoints)
     if "Address already in use" in text:
         return f"{where} is taken by another program (perhaps another gateway); stop it, or set another zenoh.listen"
     if "Cannot assign requested address" in text:

@@ -2,7 +2,7 @@
 
 Zenoh's access control identifies a laptop by its whole common name, without patterns. So each laptop has a common name
 of its own, such as `operator-07`, which can be revoked alone. The rules in gateway.json5 name roles; the gateway
-replaces each role by its common names when it starts (`robot/zenoh_io/revoked.py`), so that a new laptop needs no
+replaces each role by its common names when it starts (`robot/runtime/revocations.py`), so that a new laptop needs no
 change on the robot.
 
 For declarations of clients, keys are exact: Zenoh keeps each accepted declaration and compares it with all others. An

@@ -6,13 +6,8 @@ from gateway.model.elkapod import Measured
 from schemas.telemetry import Battery, Imu, Telemetry
 
 
-def battery_of(values: Measured) -> Battery:
-    """Return the battery's report, in volts and in percent as the robot reports it."""
-    return Battery(voltage_v=values.voltage_v, percent=values.percent)
-
-
 def report_of(values: Measured, time: datetime, age_ms: float) -> Telemetry:
     """Return the telemetry of these values, which were `age_ms` old at `time`."""
     named = values._asdict()  # by the names of the report
-    battery, imu = battery_of(values), Imu.model_validate(named)
+    battery, imu = Battery.model_validate(named), Imu.model_validate(named)
     return Telemetry(time=time, age_ms=age_ms, battery=battery, imu=imu, tilt_deg=values.tilt_deg, **named)

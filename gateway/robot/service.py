@@ -39,7 +39,7 @@ from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.estop_keeper import EstopKeeper
 from gateway.robot.runtime.event_publisher import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
-from gateway.robot.runtime.revocations import Revocations
+from gateway.robot.runtime.revocations import Revocations, list_common_names, revocation_state
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
 from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
@@ -47,16 +47,15 @@ from gateway.robot.spi.cyclic import CyclicBus, run_cycles
 from gateway.robot.wires import SimulatedParts
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
-from gateway.robot.zenoh_io.late_addresses import LateAddresses
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.proofs import Proofs
 from gateway.robot.zenoh_io.receiver import OwnersTask
-from gateway.robot.zenoh_io.revoked import list_common_names, revocation_state
 from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
 from gateway.robot.zenoh_io.upkeep import Upkeep
 from schemas.keys import CALIBRATION, CONFIG, STATE, TELEMETRY
+from schemas.telemetry import CertificateReport
 
 BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
@@ -181,6 +180,9 @@ class _Service:
             logger.warning("%s is on %s, which a boot empties: %s", found, forgotten, lost)
         self.calibrations = Calibrations(self.conductor, state)
         self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
+        self.upkeep = Upkeep(self.config, self.show, wall_clock)
+        if (first := self.upkeep.first_expiry) is not None:
+            reports.certificate = CertificateReport(file=first.file.name, expires=first.end)
 
     def configure(self) -> None:
         """Make Zenoh's configuration; if it names a CA, also the checker of proofs and the revocations.
@@ -189,17 +191,16 @@ class _Service:
         """
         self.config = service_config(self.settings.zenoh)
         self.shut_out = revocation_state(self.config, self.settings)
-        revoked = None if self.shut_out is None else self.shut_out.known
-        self.revoked = frozenset[str]() if revoked is None else revoked.common_names
-        list_common_names(self.config, revoked)
+        list_common_names(self.config, self.shut_out.common_names)
         if self.simulated.folder is not None:  # it has the socket of a simulated body
             from gateway.simulation.body import admit  # noqa: PLC0415  (a robot's first Stops do not wait for it)
 
             admit(self.config, self.simulated.folder)
-        if revoked is not None:
-            names = ", ".join(sorted(revoked.common_names)) or "nobody"
-            logger.info("list %d shuts out %s; it was signed on %s", revoked.number, names, f"{revoked.date:%Y-%m-%d}")
-        self.checker = None if self.shut_out is None else certs.proof.ProofChecker(self.shut_out.cas, revoked)
+        cas, _, known = self.shut_out
+        if known is not None:
+            names = ", ".join(sorted(known.common_names)) or "nobody"
+            logger.info("list %d shuts out %s; it was signed on %s", known.number, names, f"{known.date:%Y-%m-%d}")
+        self.checker = certs.proof.ProofChecker(cas, known) if cas else None
         if self.checker is not None and (fault := self.checker.clock_fault(wall_clock())):
             logger.warning(fault)
 
@@ -224,7 +225,7 @@ class _Service:
                 self.keeper.flush()
                 end.leave()
             ended.cancel()
-            (session, late), _ = opening.result()
+            session, _ = opening.result()
             self.outbox.open(session)
             with self.owner:  # the inbox's threads receive at once; they wait until the start is announced
                 self.inbox = conductor.messages = self.inbox_of(session)
@@ -238,9 +239,10 @@ class _Service:
             logger.info("real-time priority %s", "granted" if granted else "not allowed")
             on_ready(self.config)  # before the notification, on which `make run` prints its own lines
             notifier.ready("takes commands")
-            upkeep = Upkeep(session, self.config, notifier.status, wall_clock, late)
-            conductor.reports.certificate = upkeep.certificate
-            connection_limiter = ConnectionLimiter(session, conductor.metrics.count_sessions, self.revoked)
+            self.upkeep.start(session)
+            connection_limiter = ConnectionLimiter(
+                session, partial(setattr, conductor.metrics, "sessions"), self.shut_out.common_names
+            )
             self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
             self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all)
             await end.requested.wait()
@@ -256,7 +258,7 @@ class _Service:
                 self.keeper.flush,
                 self.outbox.close,
                 connection_limiter.close,
-                upkeep.close,
+                self.upkeep.close,
                 self.inbox.close,
                 session.close,
                 *(() if self.supply is None else (self.supply.line.close,)),
@@ -267,14 +269,19 @@ class _Service:
             notifier.close()
         return end
 
-    def open_zenoh(self) -> tuple[zenoh.Session, LateAddresses]:
+    def show(self, status: str, missing: tuple[str, ...]) -> None:
+        """Show a sentence in `systemctl status`, and these endpoints in the state. For any thread."""
+        self.notifier.status(status)
+        self.conductor.reports.missing_endpoints = missing
+
+    def open_zenoh(self) -> zenoh.Session:
         """Open the metrics page and Zenoh. Wait for name servers, and for routers if the Zenoh file demands it."""
-        late, metrics = LateAddresses(self.conductor.reports.has_missing), self.settings.telemetry.metrics
+        metrics = self.settings.telemetry.metrics
         if metrics:
             from gateway.robot.runtime import prometheus  # noqa: PLC0415  (slow to load, and rarely used)
 
-            late.serve(metrics, partial(prometheus.serve, metrics, self.conductor))
-        return late.open(self.config), late
+            self.upkeep.serve(metrics, partial(prometheus.serve, metrics, self.conductor))
+        return self.upkeep.open()
 
     def inbox_of(self, session: zenoh.Session) -> Inbox:
         """Return what receives all messages of this session."""
@@ -282,11 +289,10 @@ class _Service:
         lease = LeaseAnswers(conductor, Proofs(self.checker, wall_clock))
         button = ButtonAnswers(conductor, Proofs(self.checker, wall_clock, watching=True))
         answers: dict[str, Callable[[Reply], None]] = {
-            STATE: conductor.reports.answer_state,
-            CONFIG: conductor.reports.answer_config,
-            CALIBRATION: self.calibrations.answer,
-            **({TELEMETRY: conductor.telemetry.answer} if settings.measures else {}),
+            key: partial(conductor.reports.answer, key)
+            for key in (STATE, CONFIG, *((TELEMETRY,) if settings.measures else ()))
         }
+        answers[CALIBRATION] = self.calibrations.answer
         return Inbox(
             session,
             self.loop,
@@ -299,7 +305,7 @@ class _Service:
             },
             tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
             depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
-            on_estop_received=None if self.supply is None else self.supply.line.cut,
+            on_estop_received=(lambda: None) if self.supply is None else self.supply.line.cut,
         )
 
     # ---- the beat: timers instead of a task's sleep, so that an idle loop turns once for each beat, and not twice
@@ -315,10 +321,8 @@ class _Service:
             conductor.check_outside()
             at_rest = conductor.supervisor.legs.at_rest
         self.servos.write(now_ns, any_runs=not at_rest)
-        if not self.inbox.receives:
-            self.end.because("a thread that waits for commands has ended")
-        elif not self.inbox.makes_progress():
-            self.end.because("a thread that takes commands is stuck")
+        if not self.inbox.makes_progress():
+            self.end.because("a thread that takes commands has ended or is stuck")
         elif self.supply is not None and not self.supply.makes_progress():
             self.end.because("the thread that receives from the power board is stuck")
         else:
@@ -333,7 +337,7 @@ class _Service:
         """
         conductor, lag_ns = self.conductor, round((self.loop.time() - due_s) * 1e9)
         found = self.unknown_keys.poll()
-        reports = {STATE: conductor.reports.publish, TELEMETRY: conductor.telemetry.publish}
+        reports = {STATE: conductor.reports.publish, TELEMETRY: conductor.reports.publish_telemetry}
         wanted = [publish for key, publish in reports.items() if self.outbox.anyone_listens(key)]
         with self.owner:  # this also keeps reports in order: an older state must not follow a newer one
             conductor.metrics.loop_lag.record(lag_ns)

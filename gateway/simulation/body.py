@@ -12,7 +12,7 @@ import zenoh
 
 from gateway.certs import access
 from gateway.errors import ConfigError
-from gateway.zenoh_config import RETRY, get, insert, listen_endpoints, scouting_off, shared_memory_off
+from gateway.zenoh_config import RETRY, get, insert, listen_endpoints, scouting_and_shared_memory_off
 
 SUBJECT: Final = "the simulated body"
 _LINK: Final = "unixsock-stream"
@@ -64,8 +64,7 @@ def client_config(gateway: zenoh.Config, folder: Path, zenoh_id: str) -> zenoh.C
         values |= {"transport/auth/usrpwd/user": user, "transport/auth/usrpwd/password": password}
     for key, value in values.items():
         insert(config, key, value, key)
-    scouting_off(config)
-    shared_memory_off(config)
+    scouting_and_shared_memory_off(config)
     return config
 
 

@@ -29,7 +29,7 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
     "gateway/robot/zenoh_io/inbox.py": (
         ByHand(
             "an emergency stop's answer waits behind an asker who does not read",
-            'self._estop_replies = ReplySender("estop-answers")',
+            'self._estop_replies = Worker("estop-answers", priority=None)',
             "self._estop_replies = self._replies",
         ),
         ByHand(

@@ -186,19 +186,14 @@ class Rings:
     """As much of a session as the inbox wants: its rings."""
 
     def __init__(self, stage: Stage) -> None:
-        self._stage = stage
-        self.puts = defaultdict[str, list[Ring]](list)
-        self.gets = defaultdict[str, list[Ring]](list)
+        self.puts = defaultdict[str, Ring](partial(Ring, stage))
+        self.gets = defaultdict[str, Ring](partial(Ring, stage))
 
     def declare_subscriber(self, key: str, _: object) -> Ring:
-        return self._added(self.puts[key])
+        return self.puts[key]
 
     def declare_queryable(self, key: str, _: object) -> Ring:
-        return self._added(self.gets[key])
-
-    def _added(self, rings: list[Ring]) -> Ring:
-        rings.append(Ring(self._stage))
-        return rings[-1]
+        return self.gets[key]
 
 
 @dataclass

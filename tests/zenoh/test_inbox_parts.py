@@ -156,18 +156,21 @@ ENDS: list[Callable[[Inbox], None]] = [
     lambda inbox: inbox._asked[LEASE].close(),
     lambda inbox: inbox._replies.close(),
     lambda inbox: inbox._estop_replies.close(),
+    lambda inbox: inbox._endings.close(),
 ]
+
+
+def threads_of(inbox: Inbox) -> list[threading.Thread]:
+    return [each.thread for each in inbox._receivers] + [each.thread for each in inbox._workers]
 
 
 @pytest.mark.parametrize("end", ENDS)
 async def test_each_of_its_threads_that_ends_is_noticed(held: Held, end: Callable[[Inbox], None]) -> None:
-    assert held.inbox.receives
-    alive = [thread for thread in held.inbox._threads if thread.is_alive()]
+    assert held.inbox.makes_progress()
     end(held.inbox)
-    await held.until(lambda: not all(thread.is_alive() for thread in alive))
-    assert not held.inbox.receives
+    await held.until(lambda: not held.inbox.makes_progress())
     await held.close()
-    assert not any(thread.is_alive() for thread in held.inbox._threads)
+    assert not any(thread.is_alive() for thread in threads_of(held.inbox))
 
 
 # ---- wakeups
@@ -241,18 +244,12 @@ class Counted(Held):
             elif kind == "T":
                 self.tick()
             else:
-                self.inbox._on_wakeup(named(key), 0)
+                self.inbox._on_wakeup(Sample(key), 0)
 
     @property
     def left(self) -> dict[str, int]:
         """Wakeups without a taken message; negative: messages taken before their wakeup."""
-        missed: dict[str, int] = self.inbox._missed
-        return missed | {key: -count for key, count in self.inbox._early.items()}
-
-
-def named(key: str) -> Any:
-    """As much of a sample as a wakeup looks at."""
-    return SimpleNamespace(key_expr=key)
+        return dict(self.inbox._owed)
 
 
 @pytest.fixture
@@ -285,6 +282,24 @@ async def test_as_many_are_looked_for_as_were_heard_of_and_not_taken(counted: Co
         counted.taken.clear()
 
 
+async def test_a_wakeup_that_never_comes_is_forgotten_and_what_is_missed_is_polled_for_only_once(
+    counted: Counted,
+) -> None:
+    counted.step("M")
+    counted.step("T")
+    assert counted.left == {K: -1}
+    assert counted.inbox._early_until_s > counted.inbox._loop.time()
+    counted.inbox._early_until_s = 0.0
+    counted.step("T")
+    assert counted.left == {}, "it would hide the next message that reaches its ring after its wakeup"
+    counted.step("W", OTHER)
+    counted.inbox._attempt = 3
+    counted.step("M")
+    counted.step("W")
+    assert counted.left == {OTHER: 1}
+    assert counted.inbox._attempt == 3, "further messages of other keys begin nothing anew"
+
+
 @pytest.mark.parametrize(
     ("waiting", "all_rings"), [(OTHER_DEPTH - 3, False), (OTHER_DEPTH - 2, True), (OTHER_DEPTH + 3, True)]
 )
@@ -294,7 +309,7 @@ async def test_a_wakeup_that_may_have_lost_some_has_all_rings_read(
     """They include the messages missed before. All rings are polled once more, after the flood's next tick."""
     counted.step("W", FURTHER)
     counted.rings[OTHER].put(Sample(OTHER))
-    wakeups = [named(K)] * waiting
+    wakeups = [Sample(K)] * waiting
     counted.inbox._wakeups = (SimpleNamespace(try_recv=lambda: wakeups.pop() if wakeups else None),)
     counted.step("W")
     assert len(wakeups) == max(0, waiting - OTHER_DEPTH), "what comes meanwhile is left for the next time"
@@ -342,5 +357,5 @@ async def test_it_is_closed_when_none_of_its_threads_has_anything_in_hand() -> N
         closing.join(0.1)
         assert closing.is_alive()
     closing.join(PATIENCE_S)
-    assert not any(thread.is_alive() for thread in counted.inbox._threads)
+    assert not any(thread.is_alive() for thread in threads_of(counted.inbox))
     assert [each.key for each in counted.estops] == [ESTOP]

@@ -30,7 +30,7 @@ def value(samples: list[Sample], name: str, **labels: str) -> float:
 
 
 def test_the_list_in_the_docs_is_the_page_and_no_web_page_reads_it_by_a_name_of_its_own(tmp_path: Path) -> None:
-    """DNS rebinding, or a page of another origin. All cases: tests/unit/test_web_hosts.py."""
+    """DNS rebinding, or a page of another origin. All cases: tests/unit/robot/test_telemetry.py."""
     port = free_port()
     here = f"127.0.0.1:{port}"
     settings = {"telemetry": {"metrics": f"0.0.0.0:{port}"}, "state": {"path": str(tmp_path / "box")}}

@@ -94,7 +94,7 @@ conductor.Conductor._receive = broken
 """
 DEAF = """
 from gateway.robot.zenoh_io import inbox
-inbox.Inbox.receives = property(lambda self: False)
+inbox.Inbox.makes_progress = lambda self: False
 """
 RUN = """
 import atexit, os, sys
@@ -109,7 +109,7 @@ cli.main()
     ("planted", "last"),
     [
         (BROKEN, "hexapod-gateway: a mistake in the gateway ended it: planted"),
-        (DEAF, "a thread that waits for commands has ended"),
+        (DEAF, "a thread that takes commands has ended or is stuck"),
     ],
 )
 def test_a_mistake_of_ours_stops_the_robot_and_ends_the_service(tmp_path: Path, planted: str, last: str) -> None:
@@ -152,7 +152,7 @@ def test_an_expiry_is_said_before_it_comes(
     with Gateway(tmp_path, {"zenoh": zenoh}, env={"NOTIFY_SOCKET": systemd.getsockname()}) as gateway:
         line = gateway.child.wait_for_output("gateway.pem expires on")
         assert ", in 59 days: then nobody can connect" in line
-        assert "hexapod-gateway certs renew gateway --dir DIR, and copy gateway.pem here" in line
+        assert "`sudo hexapod-gateway check` shows how to renew it, then restart the service" in line
         while "STATUS=" not in (said := systemd.recv(4096).decode()) or "gateway.pem expires on" not in said:
             pass
         with Client(zenoh_config=tmp_path / "D" / "anna.json5", timeout_s=5) as client:

@@ -20,13 +20,11 @@ from gateway.host import effective
 from gateway.host.directories import state_to_read
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.robot.zenoh_io import exposure
-from gateway.robot.zenoh_io.late_addresses import bind_fault, is_late
 from gateway.robot.zenoh_io.session import service_config
-from gateway.zenoh_config import certificate_files, get, listen_endpoints
+from gateway.robot.zenoh_io.upkeep import bind_fault, is_late
+from gateway.zenoh_config import CA, TLS, certificate_files, get, listen_endpoints
 
 DENIED: Final = os.strerror(errno.EACCES)
-_TLS: Final = "transport/link/tls"
-_CA: Final = f"{_TLS}/root_ca_certificate"
 _NO_LIST: Final = "there is no list: nobody is shut out. To send one: hexapod-gateway certs revoke --dir DIR"
 
 logging.getLogger("gateway").addHandler(logging.NullHandler())  # what `service_config` warns of is a line here
@@ -56,10 +54,10 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
             warning(soon, str(soon), renew),
             well(f"{each.path} is good until {each.not_after:%Y-%m-%d}"))
     parts = ("certificate", "private_key")
-    pairs = {tuple(get(config, f"{_TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
+    pairs = {tuple(get(config, f"{TLS}/{side}_{part}") for part in parts): side for side in ("connect", "listen")}
     for names, side in pairs.items():
         with suppress(ConfigError, TypeError):  # none is named, or the key is of another kind
-            ca, certificate, key = map(Path, (get(config, _CA), *names))
+            ca, certificate, key = map(Path, (get(config, CA), *names))
             fault = certs.folder.mismatch(ca, certificate, key, of_robot=side == "listen")
             yield first("certificates",
                 failure(fault, f"{fault}: nobody can connect", f"copy gateway.json5 and {ca.name}, {certificate.name}, "
@@ -69,7 +67,7 @@ def certificates(robot: CheckedRobot, now: dt.datetime | None = None) -> Iterato
 
 def revoked(robot: CheckedRobot) -> Iterator[Result | None]:
     """Each revocation list that the service reads at its start but cannot use; without one, the list in force."""
-    ca, known, unusable = get(_configuration(robot), _CA), list[revocation.RevocationList](), False
+    ca, known, unusable = get(_configuration(robot), CA), list[revocation.RevocationList](), False
     folders = (state_to_read(robot.settings.state.path), Path(robot.settings.zenoh.config).absolute().parent)
     for path in (folder / revocation.REVOCATION_FILE for folder in folders if folder is not None and ca is not None):
         try:

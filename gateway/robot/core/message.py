@@ -53,11 +53,12 @@ class Received:
 class Messages(Protocol):
     """The inbox, as the conductor uses it."""
 
-    instant_open: bool
-    """Whether the next messages are of the same instant as the last."""
-
     estops: deque[Received]
     """Emergency stops that are not carried out yet. The state's owner empties this queue before each message."""
+
+    @property
+    def instant_open(self) -> bool:
+        """Whether the next messages are of the same instant as the last."""
 
     def take(self) -> Iterable[Received]:
         """Return the other received messages, in the order in which they apply."""

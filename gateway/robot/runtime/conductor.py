@@ -38,10 +38,8 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.executor import Executor, Outcome
-from gateway.robot.runtime.metrics import Metrics
-from gateway.robot.runtime.report import StateReports
+from gateway.robot.runtime.report import Measurement, RobotReports
 from gateway.robot.runtime.supply import RobotSupply, off_button
-from gateway.robot.runtime.telemetry import LatestTelemetry
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
 from gateway.robot.spi.bus import Bus
@@ -84,14 +82,13 @@ class Conductor:
 
     def __post_init__(self) -> None:
         settings, supervisor, bus, supply = self.settings, self.supervisor, self.bus, self.supply
-        self.metrics = Metrics()
-        self.telemetry = LatestTelemetry(self.outbox, self.clock, supply)
-        self.events = EventPublisher(self.outbox, self.recorder, self.metrics, self.clock)
+        self.events = EventPublisher(self.outbox, self.recorder, self.clock)
+        self.metrics = self.events.metrics
         self.executor = Executor(bus, supervisor, supply, self.events, publish_frames=settings.telemetry.frames)
         if supply is not None:
             supply.on_news = self.power_changed
         self._instant_ns = self.clock()
-        self.reports = StateReports(settings, supervisor, bus, self.events, self.telemetry)
+        self.reports = RobotReports(settings, supervisor, bus, self.events, supply)
         self.messages: Messages = NoMessages()
         """Where received messages come from."""
         self.numbers = count(1)
@@ -216,7 +213,7 @@ class Conductor:
         """Take the measurements of one well-formed answer of the controller, received at `now_ns`."""
         if self.closed:
             return
-        self.telemetry.note(values, now_ns)
+        self.reports.newest = Measurement(values, now_ns)
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
             self.supply.after_step(self.supervisor)  # the frame may contain the angle of a servo that is to be powered
@@ -292,7 +289,7 @@ class Conductor:
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # The payload is read after the Stops: even a malformed one means that somebody wants the robot to stop.
-        self.events.unread_estop = received
+        self.events.estop = received
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)

@@ -103,7 +103,7 @@ class EstopKeeper:
         conductor = self._conductor
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
-                conductor.events.restore_estop(found.source)
+                conductor.events.estop = found.source
                 conductor.reports.estop_since = found.time
             self._unknown = found.fault
             self._written = None if found.fault else found

@@ -1,7 +1,9 @@
 """Publishes events to the log, to Zenoh and to the black box, with a rate limit for each source and kind."""
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Final
 
@@ -10,9 +12,9 @@ from gateway.robot.blackbox.recorder import LIMITED, Recorder, Written
 from gateway.robot.core.events import Announce
 from gateway.robot.core.intake import named_source
 from gateway.robot.core.message import Outbox, Received
-from gateway.robot.runtime.metrics import Metrics
+from gateway.robot.protocol.latency import Latency
 from schemas import keys, telemetry
-from schemas.telemetry import Kind
+from schemas.telemetry import Cause, Kind, Reason
 
 EVENTS_A_SECOND: Final = 10
 EVENTS_AT_ONCE: Final = 10
@@ -44,30 +46,50 @@ def wall_clock() -> datetime:
     return datetime.now(UTC)
 
 
+@dataclass(slots=True)
+class Metrics:
+    """The service's counters and latencies: plain numbers that the state's owner writes and `prometheus` serves."""
+
+    accepted: int = 0
+    coalesced: int = 0
+    overflows: int = 0
+    """Times that a ring overflowed, so that messages of its key were lost."""
+    lost: int = 0
+    """Messages skipped undecoded after an overflow: the least number that was lost."""
+    rejected: Counter[Reason] = field(default_factory=Counter)
+    frames: Counter[Cause] = field(default_factory=Counter)
+    events: Counter[Kind] = field(default_factory=Counter)
+    """Events published, or omitted by the rate limit."""
+    watchdog_stops: Latency = field(default_factory=Latency)
+    """The time from a deadline until its Stop is written."""
+    emergency_stops: Latency = field(default_factory=Latency)
+    """The time from a received request until its sixth Stop is written, without requests whose Stops failed."""
+    sessions: int = 0
+    """Open Zenoh sessions: laptops, routers, programs on this machine. Set without owning the state."""
+    loop_lag: Latency = field(default_factory=Latency)
+    """How late the loop's timers run."""
+
+
+@dataclass
 class EventPublisher:
     """Publishes events. For the owner of the state; `clock` returns the monotonic time in ns."""
 
-    def __init__(self, outbox: Outbox, recorder: Recorder, metrics: Metrics, clock: Callable[[], int]) -> None:
-        self.outbox = outbox
-        self.recorder = recorder
-        self.metrics = metrics
-        self.clock = clock
+    outbox: Outbox
+    recorder: Recorder
+    clock: Callable[[], int]
+    metrics: Metrics = field(default_factory=Metrics)
+    estop: Received | str | None = None
+    """The latest emergency stop: its request, whose payload is parsed after its Stops, or its source."""
+
+    def __post_init__(self) -> None:
         self._limits = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
-        self.unread_estop: Received | None = None
-        """The latest emergency stop request, whose payload is parsed after its Stops."""
-        self._estop_source: str | None = None
 
     @property
     def estop_source(self) -> str | None:
         """The source of the latest emergency stop. Reading it parses a payload, so read it after the Stops."""
-        if self.unread_estop is not None:
-            self._estop_source = named_source(self.unread_estop.payload) or self.unread_estop.source
-            self.unread_estop = None
-        return self._estop_source
-
-    def restore_estop(self, source: str | None) -> None:
-        """Set the source of an emergency stop that an earlier run left engaged."""
-        self._estop_source = source
+        if isinstance(self.estop, Received):
+            self.estop = named_source(self.estop.payload) or self.estop.source
+        return self.estop
 
     def announce(self, what: Announce) -> None:
         """Publish an event, unless its kind and source exceed their rate limit."""

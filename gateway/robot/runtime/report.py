@@ -1,20 +1,26 @@
-"""Makes the state; its parts are the payloads of `hexapod/state` and `hexapod/config`."""
+"""Makes the payloads of `hexapod/state`, `hexapod/config` and `hexapod/telemetry`."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Final
+from typing import Any, Final, NamedTuple
+
+from pydantic import BaseModel
 
 from gateway import __version__
 from gateway.host.settings_table import ServoLimits
+from gateway.model import power_board
+from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
-from gateway.model.telemetry import battery_of
+from gateway.model.telemetry import report_of
 from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Leg, Servo
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.power.board import Status
 from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
-from gateway.robot.runtime.telemetry import LatestTelemetry
+from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
 from schemas import keys, telemetry
@@ -22,18 +28,27 @@ from schemas.robot import SERVO_IDS
 from schemas.state import Payloads
 from schemas.telemetry import Kind, Mode
 
+_CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
+
 logger: Final = logging.getLogger(__name__)
 
 
+class Measurement(NamedTuple):
+    """Measured values, and when they were received, in ns of the monotonic clock."""
+
+    values: Measured
+    ns: int
+
+
 @dataclass
-class StateReports:
-    """Makes and publishes the state and the configuration of one run. For the owner of the state."""
+class RobotReports:
+    """Makes and publishes the reports of one run. For the owner of the state."""
 
     settings: Settings
     supervisor: Supervisor
     bus: Wire
     events: EventPublisher
-    measurements: LatestTelemetry
+    supply: RobotSupply | None
 
     def __post_init__(self) -> None:
         self._started_ns = self.events.clock()
@@ -41,11 +56,12 @@ class StateReports:
         wire = self.settings.wire
         can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
         self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.has_uart, **can._asdict())
-        self.measures = wire.capabilities.measures
-        self.protocol = self.settings.protocol
         self.certificate: telemetry.CertificateReport | None = None
         """The certificate in use that expires first, or None."""
-        self._missing: tuple[str, ...] = ()
+        self.missing_endpoints: tuple[str, ...] = ()
+        """The endpoints on which the gateway does not listen yet. Any thread may set it."""
+        self.newest: Measurement | None = None
+        """The controller's newest. They stay when it falls silent: their age shows that. Any thread may read it."""
         self.estop_since: datetime | None = None
         """When the emergency stop was engaged; None: it is not engaged."""
         self.estop_fault: str | None = None
@@ -61,10 +77,6 @@ class StateReports:
         self._published: telemetry.ConfigReport | None = None
         self.published_mode: Mode | None = None
         """The mode last published; None until the start is announced."""
-
-    def has_missing(self, endpoints: tuple[str, ...]) -> None:
-        """Set the endpoints on which the gateway does not listen yet. For any thread."""
-        self._missing = endpoints
 
     def announce_start(self) -> None:
         """Publish that commands are accepted from now on."""
@@ -89,25 +101,51 @@ class StateReports:
             self.events.outbox.publish(keys.CONFIG, config)
         self.events.outbox.publish(keys.STATE, report)
 
-    def answer_state(self, reply: Reply) -> None:
-        reply(self.payloads.of(self.state())[0].model_dump_json().encode())
+    def publish_telemetry(self) -> None:
+        report = self.measured()
+        if report is not None:
+            self.events.outbox.publish(keys.TELEMETRY, report)
 
-    def answer_config(self, reply: Reply) -> None:
-        reply(self.payloads.of(self.state())[1].model_dump_json().encode())
+    def answer(self, key: str, reply: Reply) -> None:
+        """Answer a `get` on the key of the state, the configuration or telemetry.
+
+        Without any measurements, the query ends without an answer. So a robot that measures nothing, one that has not
+        measured yet, and an older gateway look the same.
+        """
+        if key == keys.TELEMETRY:
+            report: BaseModel | None = self.measured()
+        else:
+            state, config = self.payloads.of(self.state())
+            report = state if key == keys.STATE else config
+        if report is not None:
+            reply(report.model_dump_json().encode())
+
+    def power(self) -> telemetry.PowerReport | None:
+        """Return the power board's report, or None without a board. For any thread."""
+        return None if self.supply is None else self.supply.report(self.events.clock())
+
+    def measured(self) -> telemetry.Telemetry | None:
+        """Return the measurements of the robot and its power board, or None without any. For any thread."""
+        now_ns, time = self.events.clock(), wall_clock()
+        found = {} if self.supply is None else board_values(self.supply.line.status, now_ns)
+        newest = self.newest
+        if newest is not None:
+            report = report_of(newest.values, time, max(0, now_ns - newest.ns) / 1e6)
+            found = {**dict(report), **found, "age_ms": max(report.age_ms, found.get("age_ms", 0.0))}
+        return telemetry.Telemetry.model_validate({**found, "time": time}) if found else None
 
     def state(self) -> telemetry.GatewayState:
         supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.events.metrics, self.events.clock()
         settings = self.settings
         lease, buttons = supervisor.lease, supervisor.buttons
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
-        newest = self.measurements.newest
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
         return telemetry.GatewayState(
             mode=supervisor.mode,
             time=wall_clock(),
             uptime_s=(now_ns - self._started_ns) / 1e9,
             version=__version__,
-            protocol=self.protocol,
+            protocol=settings.protocol,
             simulated=self.simulated,
             physics=self.physics,
             legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
@@ -153,13 +191,13 @@ class StateReports:
             ),
             telemetry=telemetry.TelemetryReport(frames=settings.telemetry.frames),
             certificate=self.certificate,
-            missing_endpoints=self._missing,
+            missing_endpoints=self.missing_endpoints,
             revocations=self.revocations,
             limits=self._limits,
             wire=self._wire,
             controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
-            battery=None if newest is None else battery_of(newest.values),
-            power=self.measurements.power(),
+            battery=None if self.newest is None else telemetry.Battery.model_validate(self.newest.values._asdict()),
+            power=self.power(),
         )
 
 
@@ -169,6 +207,29 @@ def limits_of(settings: Settings) -> telemetry.LimitsReport:
     each = {name: limits.servos.get(name, ServoLimits()) for name in map(str, SERVO_IDS)}
     servos = {name: telemetry.ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}
     return telemetry.LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
+
+
+def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
+    """Return a power board's measurements by their names in `Telemetry`; empty before the first."""
+    if status.answered_ns is None:
+        return {}
+    found: dict[str, Any] = {"age_ms": max(0, now_ns - status.answered_ns) / 1e6}
+    if status.currents_ma:
+        found["servos"] = {
+            str(servo_id): telemetry.ServoTelemetry(supplied=servo_id in status.supplied, current_a=ma / 1000)
+            for servo_id, ma in sorted(status.currents_ma.items())
+        }
+    rails = status.rails
+    currents, volts = rails.get(power_board.STANDBY_SUPPLY_MA), rails.get(power_board.SUPPLY_BATTERY_MV)
+    if currents is not None and volts is not None:
+        found["supply"] = telemetry.Supply(voltage_v=volts[0] / 1000, current_a=currents[1] / 1000)
+    converters = [rails.get(each) for each in _CONVERTERS]
+    if None not in converters:
+        found["converters_v"] = tuple(mv / 1000 for each in converters if each is not None for mv in each)
+    temperatures_c = rails.get(power_board.TEMPERATURES_C)
+    if temperatures_c is not None:
+        found["board_temperatures_c"] = temperatures_c
+    return found
 
 
 def _leg(leg: Leg, now_ns: int) -> telemetry.LegReport:

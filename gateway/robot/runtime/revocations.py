@@ -1,31 +1,102 @@
-"""Takes a newer list of revoked certificates: writes it, then stops all legs and restarts the service to apply it."""
+"""The robot's signed list of revoked certificates: reads it at the start, and takes a newer one from a request.
 
+Zenoh's access rules then list the common names without the revoked ones. Zenoh reads its rules when a session opens. So
+a newer list is written, then all legs stop and the service restarts to apply it.
+"""
+
+import json
 import logging
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
 
+import zenoh
 from pydantic import ValidationError
 
-from gateway import certs
+from gateway import certs, durable
+from gateway.certs import LAPTOP_ROLES, access
 from gateway.errors import ConfigError
+from gateway.host.directories import state_directory
 from gateway.robot.core.events import Announce
 from gateway.robot.core.message import Reply
 from gateway.robot.host.disk import DiskWriter
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import PAUSE_S, RequestAnswers
-from gateway.robot.zenoh_io import revoked
+from gateway.robot.settings import Settings
 from gateway.robot.zenoh_io.receiver import OwnersTask
-from gateway.robot.zenoh_io.revoked import RevocationState
+from gateway.zenoh_config import CA, get
 from schemas import keys
 from schemas.revocation import MAX_REVOCATION_BYTES, RevocationAck, RevocationRequest
 from schemas.telemetry import Kind, Reason, RevocationsReport
 
 if TYPE_CHECKING:
+    from cryptography import x509
+
     from gateway.certs.revocation import RevocationList
 
+_SUBJECTS: Final = "access_control/subjects"
+
 logger = logging.getLogger(__name__)
+
+
+class RevocationState(NamedTuple):
+    """The CAs that may sign a list (none: no list is accepted), its file, and the list in force."""
+
+    cas: "tuple[x509.Certificate, ...]" = ()
+    path: Path = Path()
+    known: "RevocationList | None" = None
+
+    @property
+    def common_names(self) -> frozenset[str]:
+        """The common names that no rule may list."""
+        return frozenset() if self.known is None else self.known.common_names
+
+
+def revocation_state(config: zenoh.Config, settings: Settings) -> RevocationState:
+    """Return the CAs that the Zenoh file names, and the list in force.
+
+    Lists are searched in the state directory and in the Zenoh file's folder, to which one is copied with certificates.
+    Raises ConfigError if a list cannot be read.
+    """
+    ca = get(config, CA)
+    if not isinstance(ca, str) or not settings.zenoh.config:
+        return RevocationState()
+    cas = tuple(certs.files.read_certificates(Path(ca)))
+    folders = (state_directory(settings.state.path), Path(settings.zenoh.config).absolute().parent)
+    paths = [folder / certs.revocation.REVOCATION_FILE for folder in folders if folder is not None]
+    found: list[RevocationList] = []
+    for path in paths:
+        try:
+            found += filter(None, [certs.revocation.read(path, cas)])
+        except certs.revocation.ForeignListError as error:
+            # The list's certificates are from a CA that this robot does not accept.
+            logger.warning("%s; nobody is shut out by it", error)
+    return RevocationState(cas, paths[0], max(found, key=lambda each: each.number, default=None))
+
+
+def list_common_names(config: zenoh.Config, shut_out: frozenset[str]) -> None:
+    """Replace each role in the rules by its laptops' common names, without those that are shut out."""
+    subjects = get(config, _SUBJECTS)
+    for subject in subjects or ():
+        named = subject.get("cert_common_names")
+        if named:
+            listed = [name for each in named for name in (access.every(each) if each in LAPTOP_ROLES else [each])]
+            subject["cert_common_names"] = [name for name in listed if name not in shut_out] or [access.NOBODY]
+    if subjects:
+        config.insert_json5(_SUBJECTS, json.dumps(subjects))
+
+
+def keep(path: Path, found: "RevocationList") -> None:
+    """Write the list atomically; it is on the disk when this returns. A file written by root gets the folder's owner.
+
+    Raises ConfigError if it cannot be written; the old list stays.
+    """
+    try:
+        durable.write_like_the_folder(path, found.pem, 0o644)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror}); the earlier list stays in force") from error
 
 
 class Revocations(RequestAnswers):
@@ -36,38 +107,32 @@ class Revocations(RequestAnswers):
     most_bytes = MAX_REVOCATION_BYTES
     pause_s = PAUSE_S
 
-    def __init__(self, conductor: Conductor, kept: RevocationState | None, begin_again: Callable[[], None]) -> None:
-        """`kept` is None without a CA. `begin_again` is called on the loop and restarts the service."""
+    def __init__(self, conductor: Conductor, kept: RevocationState, begin_again: Callable[[], None]) -> None:
+        """`begin_again` is called on the loop and restarts the service."""
         super().__init__(conductor)
         self._kept = kept
         self._begin_again = begin_again
         self._disk = DiskWriter("keep list", conductor.loop, conductor.owner)
-        self._keeps = False
-        """Whether a list is being written; the service restarts afterwards."""
-        known = None if kept is None else kept.known
-        if known is not None:
-            conductor.reports.revocations = RevocationsReport(number=known.number, date=known.date)
+        self._writes = False
+        if kept.known is not None:
+            report = RevocationsReport(number=kept.known.number, date=kept.known.date)
+            conductor.reports.revocations = report
 
     def read(self, payload: bytes, _now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         try:
             text = RevocationRequest.model_validate_json(payload).revoked if payload else None
+            if text is None:
+                return partial(self.answer, reply)
+            return partial(self.change, certs.revocation.parse(text.encode(), self._kept.cas), reply)
         except ValidationError:
             detail = 'the payload is not {"revoked": "a certificate revocation list as PEM"}'
             return partial(self.reject, source, Reason.INVALID, detail, reply)
-        if text is None:
-            return partial(self.answer, reply)
-        if self._kept is None:
-            detail = "this gateway's Zenoh file names no CA, so there are no certificates to revoke"
-            return partial(self.reject, source, Reason.REVOCATION_DENIED, detail, reply)
-        try:
-            found = certs.revocation.parse(text.encode(), self._kept.cas)
         except ConfigError as error:
             return partial(self.reject, source, Reason.REVOCATION_DENIED, str(error), reply)
-        return partial(self.change, found, reply)
 
     def answer(self, reply: Reply) -> None:
         """Answer with the list in force: its number (0: there is none) and its PEM text."""
-        known = None if self._kept is None else self._kept.known
+        known = self._kept.known
         if known is None:
             reply(self.accepted(number=0))
         else:
@@ -75,29 +140,27 @@ class Revocations(RequestAnswers):
 
     def change(self, found: "RevocationList", reply: Reply) -> None:
         """Write the list if it is newer, then restart; reject an older one. The list in force is accepted again."""
-        kept = self._kept
-        known = None if kept is None else kept.known
+        known = self._kept.known
         if known is not None and found.pem == known.pem:
             reply(self.accepted(number=known.number))
             return
-        fault = (
-            "another list is being saved; try again" if self._keeps else certs.revocation.why_not_newer(found, known)
-        )
-        if fault is not None or kept is None:
-            self.reject(None, Reason.REVOCATION_DENIED, fault or "this gateway keeps no list", reply)
-            return
-        self._keeps = True
-        # On a background thread, since a disk may take seconds.
-        self._disk.write(partial(revoked.keep, kept.path, found), partial(self._put_in_force, kept, found, reply))
-
-    def _put_in_force(self, kept: RevocationState, found: "RevocationList", reply: Reply, fault: str | None) -> None:
-        self._keeps = False
+        fault = certs.revocation.why_not_newer(found, known)
+        if self._writes:
+            fault = "another list is being saved; try again"
         if fault is not None:
             self.reject(None, Reason.REVOCATION_DENIED, fault, reply)
             return
-        known = frozenset() if kept.known is None else kept.known.common_names
-        self._kept = kept._replace(known=found)  # so that no older list is accepted before the service ends
-        names = ", ".join(sorted(found.common_names - known)) or "nobody else"
+        self._writes = True
+        # On a background thread, since a disk may take seconds.
+        self._disk.write(partial(keep, self._kept.path, found), partial(self._put_in_force, found, reply))
+
+    def _put_in_force(self, found: "RevocationList", reply: Reply, fault: str | None) -> None:
+        self._writes = False
+        if fault is not None:
+            self.reject(None, Reason.REVOCATION_DENIED, fault, reply)
+            return
+        names = ", ".join(sorted(found.common_names - self._kept.common_names)) or "nobody else"
+        self._kept = self._kept._replace(known=found)  # so that no older list is accepted before the service ends
         detail = f"list {found.number} shuts out {names}: all legs stop, and the service starts anew"
         self._conductor.events.announce(Announce(Kind.REVOKED, detail, key=self.key))
         reply(self.accepted(number=found.number))

@@ -7,17 +7,16 @@ A listen endpoint other than loopback needs TLS with client certificates, user a
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import zenoh
 
 from gateway.endpoints import ip_of, is_local
 from gateway.errors import ConfigError
-from gateway.zenoh_config import connect_endpoints, get, listen_endpoints
+from gateway.zenoh_config import CA, TLS, connect_endpoints, get, listen_endpoints
 
 _TLS_LINKS: Final = frozenset({"tls", "quic"})
-_TLS: Final = "transport/link/tls"
-_CA: Final = f"{_TLS}/root_ca_certificate"
+_CONTROLLED: Final = "access_control/enabled"
 
 logger = logging.getLogger(__name__)
 
@@ -27,27 +26,17 @@ def check(config: zenoh.Config, *, allow_insecure: bool) -> None:
     listen, dialled = listen_endpoints(config), connect_endpoints(config)
     if not listen and not dialled:
         raise ConfigError("zenoh.listen is empty, and the Zenoh file dials nobody, so nobody could reach the gateway")
-    namespace, rules, enabled = get(config, "namespace"), *_access_control(config)
-    keys = [key for rule in rules for key in rule.get("key_exprs") or []]
-    if namespace and rules and enabled and not any(key.startswith((f"{namespace}/", "*")) for key in keys):
-        raise ConfigError(
-            f"the Zenoh file has the namespace {namespace}, but no key in its access control begins with it, so nobody "
-            f"could command the robot, not even its emergency stop: write it before each key in the rules"
-        )
     quic = ", ".join(endpoint for endpoint in listen + dialled if endpoint.startswith("quic"))
-    if quic and (get(config, _CA) or enabled):  # all QUIC sessions share one UDP socket, which cannot be shut down
+    # All QUIC sessions share one UDP socket, which cannot be shut down.
+    if quic and (get(config, CA) or get(config, _CONTROLLED) is True):
         raise ConfigError(
             f"{quic}: over QUIC, revoked clients cannot be disconnected, and no places can be kept for operators; with "
             "certificates, write tls/ in place of quic/"
         )
-    open_to_anyone = _open_to_anyone(config)
-    if open_to_anyone and not allow_insecure:
-        way_on = "make certificates with `hexapod-gateway certs init` and set zenoh.config"
-        if _demands_certificate("tls/", config):
-            way_on = "there are certificates, so write tls/ before the address, and no TLS settings after it"
+    if (exposed := _open_to_anyone(config)) and not allow_insecure:
         raise ConfigError(
-            f"{open_to_anyone} would let anyone on the network move the robot: {way_on}, "
-            "or set zenoh.allow_insecure = true"
+            f"{exposed} would let anyone on the network move the robot: make certificates with `hexapod-gateway certs "
+            "init`, set zenoh.config, and write tls/ before the address; or set zenoh.allow_insecure = true"
         )
     for each in warnings(config):
         logger.warning(each)
@@ -58,7 +47,7 @@ def warnings(config: zenoh.Config) -> Iterator[str]:
     if open_to_anyone := _open_to_anyone(config):
         yield f"zenoh.allow_insecure: anyone who reaches {open_to_anyone} can move the robot"
     for endpoint in connect_endpoints(config):
-        checks_name = get(config, f"{_TLS}/verify_name_on_connect") is not False
+        checks_name = get(config, f"{TLS}/verify_name_on_connect") is not False
         if not is_local(endpoint) and not (checks_name and _is_tls(endpoint, "verify_name")):
             yield (
                 f"{endpoint} is dialled without TLS, or without checking the name in its certificate: anyone on the "
@@ -71,13 +60,8 @@ def warnings(config: zenoh.Config) -> Iterator[str]:
             "the Zenoh file turns scouting on, and not only for TLS: the gateway dials every Zenoh program that it "
             "finds on the network, and these can move the robot"
         )
-    rules, enabled = _access_control(config)
-    if rules and not enabled:
+    if get(config, "access_control/rules") and get(config, _CONTROLLED) is not True:
         yield "access_control has rules, but is not enabled; Zenoh ignores them"
-
-
-def _access_control(config: zenoh.Config) -> tuple[list[Any], bool]:
-    return get(config, "access_control/rules") or [], get(config, "access_control/enabled") is True
 
 
 def _open_to_anyone(config: zenoh.Config) -> str:
@@ -100,8 +84,8 @@ def _is_tls(endpoint: str, *overrides: str) -> bool:
 
 
 def _demands_certificate(endpoint: str, config: zenoh.Config) -> bool:
-    demands = get(config, f"{_TLS}/enable_mtls") is True and bool(get(config, _CA))
-    return demands and _is_tls(endpoint, "mtls", "root_ca")
+    demands = get(config, f"{TLS}/enable_mtls") is True and get(config, CA)
+    return bool(demands) and _is_tls(endpoint, "mtls", "root_ca")
 
 
 def _demands_password(config: zenoh.Config) -> bool:

@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import zenoh
-from zenoh.handlers import Handler, RingChannel
+from zenoh.handlers import RingChannel
 
 from gateway.host.realtime import LOOP_PRIORITY
 from gateway.host.worker import Worker
@@ -29,34 +29,10 @@ from gateway.robot.core.message import Received, Reply, Verb
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.zenoh_io.questions import POLL_AGAIN_S, QUESTIONS_DEPTH, QuestionRing, TokenCheck, WokenRing
 from gateway.robot.zenoh_io.receiver import OwnersTask, Reader, ReceiverThread
-from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Receive, Rings
+from gateway.robot.zenoh_io.rings import LEAST_PUT_DEPTH, RING_DEPTH, Rings
 from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.keys import ALL_COMMANDS, COMMAND_KEYS, ESTOP, ROOT
 from schemas.telemetry import Ack, Reason
-
-
-class ReplySender(Worker):
-    """Sends replies and ends queries in order, on its own thread. Only `close` blocks its caller."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name, priority=None)
-
-    def to(self, query: zenoh.Query, key: str) -> Reply:
-        """Return a function that replies once to this query on `key`. The client waits for the reply."""
-
-        def send(payload: bytes) -> None:
-            try:
-                with query:  # the client waits as long as a reference to its query exists
-                    query.reply(key, payload, encoding="application/json")
-            except zenoh.ZError as error:
-                logger.warning("a reply on %s could not be sent: %s", key, error)
-
-        return lambda payload: self.do(lambda: send(payload))
-
-    def let_go(self, query: zenoh.Query) -> None:
-        """Release a query that is answered elsewhere. Releasing its last reference sends its end, which may block."""
-        self.do(query.drop)
-
 
 OTHER_DEPTH: Final = 16  # mutants accepted (Step): none is the only right one
 """Messages for unknown keys that wait; each is rejected on its own, so more are of no use."""
@@ -73,7 +49,7 @@ threads, and data waits in their sockets. A flooded leg's frames, p99, on a busy
 pause, 25 and 50 ms with it."""
 
 _Item = zenoh.Sample | zenoh.Query
-_PUT, _DELETE, _LOST, _KIND_DELETE = Verb.PUT, Verb.DELETE, Verb.LOST, zenoh.SampleKind.DELETE
+_PUT, _DELETE, _KIND_DELETE = Verb.PUT, Verb.DELETE, zenoh.SampleKind.DELETE
 """Read for each message; see `frames.OP_STOP`."""
 _RING_KEYS: Final = COMMAND_KEYS.keys() - {ESTOP}
 _COMMANDS: Final = zenoh.KeyExpr(ALL_COMMANDS)
@@ -96,7 +72,7 @@ class Inbox:
         readers: Mapping[str, Reader] = MappingProxyType({}),
         tokens: Mapping[str, TokenCheck] = MappingProxyType({}),
         depth: int = LEAST_PUT_DEPTH,
-        on_estop_received: Callable[[], None] | None = None,
+        on_estop_received: Callable[[], object] = lambda: None,
     ) -> None:
         """`on_wakeup` is called if there are messages to `take`; `on_estop` if an emergency stop is in `estops`.
 
@@ -115,58 +91,62 @@ class Inbox:
         self._others: deque[Received] = deque()
         self._woken: dict[str, int] = {}
         """Wakeups for each key since the last tick."""
-        self._missed: dict[str, int] = {}
-        """Earlier wakeups for each key whose messages have not been taken yet."""
-        self._early: dict[str, int] = {}
-        """Messages of each key that were taken before their wakeup arrived."""
+        self._owed: dict[str, int] = {}
+        """Earlier wakeups for each key whose messages have not been taken; below 0: messages taken before theirs."""
         self._early_until_s = 0.0
         self._lost_some = False  # wakeups were lost, so all keys are polled again
-        self._poll_keys: Collection[str] = ()
         self._read_all = False
         self._poll_again = OwnersTimer(loop, owner, self._poll_now)
         self._attempt = 0
-        self.instant_open = False
-        """Whether the next messages belong to the same instant as the last."""
         self._closing = OwnersTimer(loop, owner, on_wakeup)
         self._declared: list[Any] = []
-        self._replies = ReplySender("answers")
-        self._estop_replies = ReplySender("estop-answers")  # they wait for no other answers
+        self._replies = Worker("answers", priority=None)
+        self._estop_replies = Worker("estop-answers", priority=None)  # they wait for no other answers
+        self._endings = Worker("end questions", priority=None)
+        self._workers = (self._replies, self._estop_replies, self._endings)
 
-        receivers: dict[str, tuple[Receive[_Item], Receive[_Item]]] = {
-            key: (
-                self._subscriber(session, key, depth).try_recv,
-                self._queryable(session, key, RING_DEPTH).try_recv,
-            )
-            for key in COMMAND_KEYS
-            if key != ESTOP
-        }
-        self._rings = Rings[_Item, Received](receivers, partial(_received, self._replies), words_of_stop, depth)
+        self._rings = Rings[_Item, Received](
+            {
+                key: (
+                    self._ring(session.declare_subscriber, key, depth).try_recv,
+                    self._ring(session.declare_queryable, key, RING_DEPTH).try_recv,
+                )
+                for key in COMMAND_KEYS
+                if key != ESTOP
+            },
+            partial(_received, self._replies),
+            words_of_stop,
+            depth,
+        )
         self._wakeups = (
-            self._subscriber(session, ALL_COMMANDS, OTHER_DEPTH),
-            self._queryable(session, f"{ROOT}/**", OTHER_DEPTH),  # questions, too
+            self._ring(session.declare_subscriber, ALL_COMMANDS, OTHER_DEPTH),
+            self._ring(session.declare_queryable, f"{ROOT}/**", OTHER_DEPTH),  # questions, too
         )
         estops = (
-            ("estop-put", self._subscriber(session, ESTOP, 1)),
-            ("estop-get", self._queryable(session, ESTOP, RING_DEPTH)),
+            ("estop-put", self._ring(session.declare_subscriber, ESTOP, 1)),
+            ("estop-get", self._ring(session.declare_queryable, ESTOP, RING_DEPTH)),
         )
-        waits: list[tuple[str, Handler[Any] | WokenRing, Callable[[Any, int], OwnersTask]]] = [
-            ("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
-            ("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
-        ]
-        self._sorted: list[QuestionRing] = []
         self._asked: dict[str, WokenRing] = {}
-        for key, read in readers.items():
-            ring = self._queryable(session, key, QUESTIONS_DEPTH if key in tokens else READER_DEPTH)
-            if key in tokens:
-                self._sorted.append(QuestionRing(ring, tokens[key], time.monotonic_ns))
-            self._asked[key] = WokenRing(self._sorted[-1] if key in tokens else ring)
-            waits.append((f"{key}-get", self._asked[key], partial(self._note_question, key, read)))
+        for key in readers:
+            ring = self._ring(session.declare_queryable, key, QUESTIONS_DEPTH if key in tokens else READER_DEPTH)
+            self._asked[key] = WokenRing(
+                QuestionRing(ring, tokens[key], time.monotonic_ns, self._endings) if key in tokens else ring
+            )
+        thread = partial(ReceiverThread, loop, owner)
         self._receivers = [
-            *(ReceiverThread(name, ring, loop, owner, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
-            *(ReceiverThread(name, ring, loop, owner, note) for name, ring, note in waits),
+            *(thread(name, ring, self._estop, priority=LOOP_PRIORITY) for name, ring in estops),
+            thread("wakeup-put", self._wakeups[0], partial(partial, self._on_wakeup)),
+            thread("wakeup-get", self._wakeups[1], partial(partial, self._on_wakeup)),
+            *(
+                thread(f"{key}-get", self._asked[key], partial(self._note_question, key, read))
+                for key, read in readers.items()
+            ),
         ]
-        self._threads = [receiver.thread for receiver in self._receivers]
-        self._threads += [self._replies.thread, self._estop_replies.thread]
+
+    @property
+    def instant_open(self) -> bool:
+        """Whether the next messages belong to the same instant as the last."""
+        return self._rings.instant_open
 
     def take(self) -> Iterator[Received]:
         """Yield the rings' messages: `legs`, then `leg`, then `servo`, then resets.
@@ -176,34 +156,27 @@ class Inbox:
         """
         # Rings with a wakeup are read. After lost wakeups, and after a timer, all are (4 µs): a Stop whose wakeup has
         # not been received yet precedes a frame whose rate slot has come.
-        keys = () if self._read_all else {*self._woken, *self._poll_keys}
         try:
-            found = self._rings.read(keys)
+            found = self._rings.read(() if self._read_all else self._woken)
         except zenoh.ZError:  # while the inbox closes, a tick may find its rings gone
             found = []
-        self.instant_open = self._rings.instant_open
-        if self._others:
-            found += [(other.key, other) for other in self._others]
-            self._others.clear()
         taken: dict[str, int] = {}
-        for key, each in found:
-            received = _lost(key, self._passed_over) if each is None else each
-            if received.target is not None and received.verb is not _LOST:
-                taken[received.key] = taken[received.key] + 1 if received.key in taken else 1
-            yield received
+        for key, received in found:
+            if received is None:
+                yield _lost(key, self._passed_over)
+            else:
+                taken[key] = taken.get(key, 0) + 1
+                yield received
+        while self._others:
+            yield self._others.popleft()
         self._compare(taken)
-        self._read_all = False
-        if self.instant_open:
+        if self._rings.instant_open:
             self._closing.set_in(FLOOD_PAUSE_S)  # to close the instant, if no further message does
 
-    @property
-    def receives(self) -> bool:
-        """Whether all receiver threads run. Without them, commands and emergency stops would be lost."""
-        return all(thread.is_alive() for thread in self._threads)
-
     def makes_progress(self) -> bool:
-        """Return whether all receiver threads make progress. Call it once a beat."""
-        return not [receiver for receiver in self._receivers if not receiver.makes_progress()]  # each counts its beats
+        """Return whether all threads run, and the receiver threads make progress. Call it once a beat."""
+        progress = [receiver.makes_progress() for receiver in self._receivers]  # each counts its beats
+        return all(progress) and all(worker.thread.is_alive() for worker in self._workers)
 
     def close(self) -> None:
         """Undeclare everything, which ends the receiver threads, and join them.
@@ -217,33 +190,27 @@ class Inbox:
             asked.close()
         for receiver in self._receivers:
             receiver.thread.join()
-        for answers in (self._replies, self._estop_replies):
-            answers.close()
-        for ring in self._sorted:
-            ring.close()
+        for worker in self._workers:
+            worker.close()
 
-    def _subscriber(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Sample]:
-        subscriber = session.declare_subscriber(key, RingChannel(depth))
-        self._declared.append(subscriber)
-        return subscriber.handler
-
-    def _queryable(self, session: zenoh.Session, key: str, depth: int) -> Handler[zenoh.Query]:
-        queryable = session.declare_queryable(key, RingChannel(depth))
-        self._declared.append(queryable)
-        return queryable.handler
+    def _ring(self, declare: Callable[[str, Any], Any], key: str, depth: int) -> Any:
+        declared = declare(key, RingChannel(depth))
+        self._declared.append(declared)
+        return declared.handler
 
     # ---- on the receiver threads
 
     def _note_question(self, key: str, read: Reader, query: zenoh.Query, received_ns: int) -> OwnersTask:
-        return read(query, received_ns, self._replies.to(query, key))
+        return read(query, received_ns, _reply_by(self._replies, query, key))
 
     def _estop(self, item: _Item, received_ns: int) -> OwnersTask:
         if isinstance(item, zenoh.Query) and "*" in str(item.key_expr):
             # A `get` on hexapod/** lists keys and means no stop. A `put` on a wildcard does.
-            return partial(self._estop_replies.to(item, ESTOP), _NOT_BY_WILDCARD)
+            detail = f"a get by wildcard engages no emergency stop; get or put on {ESTOP}"
+            rejection = Ack(accepted=False, reason=Reason.INVALID, detail=detail).model_dump_json().encode()
+            return partial(_reply_by(self._estop_replies, item, ESTOP), rejection)
         self.estops.append(_received(self._estop_replies, ESTOP, item, received_ns))
-        if self._on_estop_received is not None:
-            self._on_estop_received()
+        self._on_estop_received()
         return self._serve_estops
 
     # ---- as owner of the state
@@ -278,87 +245,85 @@ class Inbox:
         """
         key, asks = str(item.key_expr), type(item) is zenoh.Query
         if key in _RING_KEYS:
-            self._woken[key] = self._woken[key] + 1 if key in self._woken else 1
+            self._woken[key] = self._woken.get(key, 0) + 1
         elif key != ESTOP:
-            wild = "*" in key
-            named = _named(item, COMMAND_KEYS) if wild else set[str]()
-            for each in named & _RING_KEYS:
-                self._woken[each] = self._woken.get(each, 0) + 1
-            asked = (_named(item, self._asked) if wild else {key} & self._asked.keys()) if asks else set[str]()
-            for each in asked:
-                self._asked[each].wake()
-            if not named and not asked and _COMMANDS.intersects(zenoh.KeyExpr(key)):
+            readers = COMMAND_KEYS.keys() | self._asked.keys() if asks else COMMAND_KEYS.keys()
+            named = _named(item, readers) if "*" in key else readers & {key}
+            for each in named - {ESTOP}:
+                if each in self._asked:
+                    self._asked[each].wake()
+                else:
+                    self._woken[each] = self._woken.get(each, 0) + 1
+            if not named and _COMMANDS.intersects(zenoh.KeyExpr(key)):
                 self._others.append(_received(self._replies, key, item, received_ns))
                 return
         if type(item) is zenoh.Query:
             # A client may wait for the ends of all its queries, so an emergency stop's end does not queue with others.
-            (self._estop_replies if key == ESTOP else self._replies).let_go(item)
+            # Releasing the last reference sends the end, which may block.
+            (self._estop_replies if key == ESTOP else self._replies).do(item.drop)
 
-    def _compare(self, taken: dict[str, int]) -> None:  # mutants accepted (Gt_GtE): equal times
+    def _compare(self, taken: dict[str, int]) -> None:  # mutants accepted (Gt_GtE, LtE_Lt): equal times
         """Poll again if there were more wakeups than messages: a message has not reached its ring yet.
 
         Wakeups are counted for each key, since another message of the key may have been taken instead.
         """
-        woken, self._woken = self._woken, {}
+        woken, self._woken, before = self._woken, {}, self._owed
         if self._read_all:
-            self._missed, self._early, self._lost_some = {}, {}, True
+            self._read_all, self._owed, self._lost_some = False, {}, True
             self._poll_later(POLL_AFTER_FLOOD)
-        elif taken != woken or self._early:
-            left = Counter(self._missed)
-            left.update(woken)
-            left.subtract(self._early)
-            left.subtract(taken)
-            missed_more = any(count > self._missed.get(key, 0) for key, count in left.items())
-            self._missed = +left
-            if not self._early:
-                self._early_until_s = self._loop.time() + _EARLY_S
+        elif taken != woken or before:
+            now_s, owed = self._loop.time(), Counter(before)
+            owed.update(woken)
+            owed.subtract(taken)
+            if all(count > 0 for count in before.values()):
+                self._early_until_s = now_s + _EARLY_S
             # A surplus expires: otherwise a message counted twice would hide a later one forever.
-            self._early = {} if self._loop.time() > self._early_until_s else -left
-            if missed_more:
+            early = now_s <= self._early_until_s
+            self._owed = {key: count for key, count in owed.items() if count > 0 or (count < 0 and early)}
+            if any(count > max(0, before.get(key, 0)) for key, count in owed.items()):
                 self._poll_later(0)
 
     def _poll_later(self, attempt: int) -> None:  # mutants accepted (Forget): only time is lost
         self._poll_again.cancel()
-        if self._missed or self._lost_some:
+        if attempt == len(POLL_AGAIN_S):
+            self._owed, self._lost_some = {}, False  # the message was pushed out, or taken before its wakeup
+        elif self._lost_some or any(count > 0 for count in self._owed.values()):
             self._attempt = attempt
             self._poll_again.set_in(POLL_AGAIN_S[attempt])
 
     def _poll_now(self) -> None:
-        attempt = self._attempt
-        self._poll_keys = () if self._lost_some else tuple(self._missed)
+        attempt = self._attempt + 1
         self._wake()
-        self._poll_keys = ()
-        if attempt + 1 < len(POLL_AGAIN_S):
-            self._poll_later(attempt + 1)
-        else:
-            self._missed, self._lost_some = {}, False  # the message was pushed out, or taken before its wakeup
-
-
-_NOT_BY_WILDCARD: Final = (
-    Ack(
-        accepted=False,
-        reason=Reason.INVALID,
-        detail=f"a get by wildcard engages no emergency stop; get or put on {ESTOP}",
-    )
-    .model_dump_json()
-    .encode()
-)
+        self._poll_later(attempt)
 
 
 def _named(item: _Item, among: Collection[str]) -> set[str]:
     return {key for key in among if item.key_expr.intersects(zenoh.KeyExpr(key))}
 
 
+def _reply_by(sender: Worker, query: zenoh.Query, key: str) -> Reply:
+    """Return a function that replies once to this query on `key`, on the sender's thread. The client waits for it."""
+
+    def send(payload: bytes) -> None:
+        try:
+            with query:  # the client waits as long as a reference to its query exists
+                query.reply(key, payload, encoding="application/json")
+        except zenoh.ZError as error:
+            logger.warning("a reply on %s could not be sent: %s", key, error)
+
+    return lambda payload: sender.do(partial(send, payload))
+
+
 def _lost(key: str, count: int) -> Received:
     return Received(key, key, COMMAND_KEYS[key], Verb.LOST, b"", count, "zenoh/bytes", None, time.monotonic_ns())
 
 
-def _received(answers: ReplySender, key: str, item: _Item, received_ns: int | None = None) -> Received:
+def _received(answers: Worker, key: str, item: _Item, received_ns: int | None = None) -> Received:
     """Return the message that arrived on `key` at `received_ns` (None: now)."""
     payload = item.payload
     size = len(payload) if payload is not None else 0
     if type(item) is zenoh.Query:
-        verb, reply = Verb.GET, answers.to(item, key)
+        verb, reply = Verb.GET, _reply_by(answers, item, key)
     else:
         verb, reply = (_DELETE if item.kind == _KIND_DELETE else _PUT), None
     return Received(

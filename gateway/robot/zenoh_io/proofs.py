@@ -25,11 +25,6 @@ NONCE_NS: Final = 5_000_000_000
 """docs/interface.md, Behaviour *Lease*. A laptop signs within milliseconds; a slow network adds a second."""
 
 
-def fresh_token() -> str:
-    """Return 128 random bits as hex."""
-    return secrets.token_hex(16)
-
-
 class Proofs:
     """Nonces and proofs of one key. Not thread-safe."""
 
@@ -37,11 +32,14 @@ class Proofs:
         self,
         checker: "ProofChecker | None",
         wall_clock: Callable[[], dt.datetime],
-        fresh: Callable[[], str] = fresh_token,
+        fresh: Callable[[], str] = lambda: secrets.token_hex(16),
         *,
         watching: bool = False,
     ) -> None:
-        """Without a `checker`, names are accepted unproved. `watching` marks proofs of buttons, not of drivers."""
+        """Without a `checker`, names are accepted unproved. `fresh` returns 128 random bits as hex.
+
+        `watching` marks proofs of buttons, not of drivers.
+        """
         self._checker = checker
         self._wall_clock = wall_clock
         self.fresh = fresh

@@ -46,14 +46,17 @@ _TOKEN: Final = re.compile(rb'"(?:lease|button)"\s*:\s*"([0-9a-f]{32})"')
 class QuestionRing:
     """A ring of queries, of which those with a valid token are read first. Not thread-safe."""
 
-    def __init__(self, ring: Handler[zenoh.Query], knows: TokenCheck, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, ring: Handler[zenoh.Query], knows: TokenCheck, now_ns: Callable[[], int], endings: Worker
+    ) -> None:
+        """`endings` ends the dropped queries: this blocks while a sender's link is full."""
         self._ring = ring
         self._knows = knows
         self._now_ns = now_ns
         self._first: deque[tuple[str, zenoh.Query]] = deque()
         self._others: deque[zenoh.Query] = deque()
         self._allowance = AllowanceBySource(QUESTIONS_PER_S, QUESTIONS_AT_ONCE)
-        self._endings = Worker("end questions", priority=None)
+        self._endings = endings
 
     def try_recv(self) -> zenoh.Query | None:
         """Return the next query, or None if none waits. Raises ZError once the ring is closed."""
@@ -62,23 +65,17 @@ class QuestionRing:
             if query is None:
                 break
             if not self._keeps(query) and self._endings.waiting < MOST_ENDING:
-                # Sending a query's end blocks while its sender's link is full, so another thread does it.
                 self._endings.do(query.drop)
         if self._first:
             return self._first.popleft()[1]
         return self._others.popleft() if self._others else None
-
-    def close(self) -> None:
-        """End the background thread. The ring must be closed. Blocks."""
-        self._endings.close()
 
     def _keeps(self, query: zenoh.Query) -> bool:
         """Queue the query. Return False if too many wait, or come from its source."""
         payload, info = query.payload, query.source_info
         read = b"" if payload is None or len(payload) > MAX_PAYLOAD_BYTES else payload.to_bytes()
         found = _TOKEN.search(read)
-        token = "" if found is None else found[1].decode()
-        if token and self._knows(token):
+        if found and self._knows(token := found[1].decode()):
             if sum(each == token for each, _ in self._first) == MOST_OF_TOKEN:
                 return False
             self._first.append((token, query))

@@ -31,10 +31,10 @@ class ReceiverThread:
     # mutants accepted (Forget, Step): the first look sets it
     def __init__(
         self,
-        name: str,
-        ring: Handler[Any] | WokenRing,
         loop: asyncio.AbstractEventLoop,
         owner: Ownership,
+        name: str,
+        ring: Handler[Any] | WokenRing,
         note: Callable[[Any, int], OwnersTask],
         *,
         priority: int = RECEIVER_PRIORITY,
@@ -54,10 +54,9 @@ class ReceiverThread:
 
     def makes_progress(self) -> bool:
         """Return whether the thread is alive and makes progress. Call it once a beat."""
-        self._stuck_beats = (
-            self._stuck_beats + 1 if self._in_hand_ns is not None and self._in_hand_ns == self._seen_ns else 0
-        )
-        self._seen_ns = self._in_hand_ns
+        in_hand_ns = self._in_hand_ns
+        same = in_hand_ns is not None and in_hand_ns == self._seen_ns
+        self._stuck_beats, self._seen_ns = self._stuck_beats + 1 if same else 0, in_hand_ns
         return self.thread.is_alive() and self._stuck_beats < STUCK_BEATS
 
     def _wait(self) -> None:

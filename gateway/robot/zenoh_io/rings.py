@@ -19,8 +19,9 @@ are processed, and those of the older ones that may be Stops.
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final, Generic, TypeVar
 
 from gateway.robot.core.intake import follows, servos_of
@@ -61,25 +62,21 @@ class Ring(Generic[Item]):
     key: str
     receive: Receive[Item]
     depth: int
+    servos: frozenset[int]
+    """The servos that its messages may stop. A ring of resets has none and contains no Stop."""
     place: int = 0
     """The position of its commands in an instant."""
-    servos: frozenset[int] = frozenset()
-    """The servos that its messages may stop. A ring of resets has none and contains no Stop."""
     others: "frozenset[Ring[Item]]" = frozenset()
     """The rings to read again after a Stop from this one, since they may contain an older message."""
     before: "frozenset[Ring[Item]]" = frozenset()
     """Those of `others` whose commands apply earlier. They are read again after every message from this ring."""
 
-    def rest(self, *first: Item) -> list[Item]:
-        """Return `first` and the messages after it, up to the ring's depth. Further ones wait for the next read."""
-        found = [*first]
-        while len(found) < self.depth and (item := self.receive()) is not None:
-            found.append(item)
-        return found
-
 
 class Rings(Generic[Item, Message]):
-    """All rings of commands. `receivers` has two for each key: `put` (of `depth`) and `get` (of RING_DEPTH)."""
+    """All rings of commands.
+
+    `receivers` has two for each key: `put` (of `depth`) and `get` (of RING_DEPTH). Its order is that of an instant.
+    """
 
     def __init__(
         self,
@@ -90,13 +87,14 @@ class Rings(Generic[Item, Message]):
     ):
         self._make = make
         self._words_of_stop = words_of_stop
-        self._of = {key: (Ring(key, put, depth), Ring(key, get, RING_DEPTH)) for key, (put, get) in receivers.items()}
-        self._all = [ring for key in COMMAND_KEYS if key in self._of for ring in self._of[key]]
-        for place, ring in enumerate(self._all):
-            ring.place = place
-            ring.servos = servos_of(COMMAND_KEYS[ring.key])
+        self._of: dict[str, list[Ring[Item]]] = {}
+        for key, (put, get) in receivers.items():
+            servos = servos_of(COMMAND_KEYS[key])
+            self._of[key] = [Ring(key, put, depth, servos), Ring(key, get, RING_DEPTH, servos)]
+        self._all = list(chain(*self._of.values()))
         for place, ring in enumerate(self._all):
             behind = follows(COMMAND_KEYS[ring.key])
+            ring.place = place
             ring.others = frozenset(each for each in self._all if each is not ring and behind & each.servos)
             ring.before = ring.others.intersection(self._all[:place])
         self.instant_open = False
@@ -109,25 +107,20 @@ class Rings(Generic[Item, Message]):
         The order is `legs`, `leg`, `servo`, resets, and within a ring its own. A message None means that a Stop may
         have been lost before the next messages of its key.
         """
-        due: list[Ring[Item]] | set[Ring[Item]] = self._all
+        due: Collection[Ring[Item]] = self._all
         if keys and not self.instant_open:
-            due = []
-            for key in keys:
-                due += self._of[key]
-        taken: list[tuple[Ring[Item], Sequence[Message | None]]] = []
+            due = [ring for key in keys for ring in self._of[key]]
+        taken: list[tuple[Ring[Item], list[Message | None]]] = []
         stops = False
         for _ in range(PASSES):
             again: set[Ring[Item]] = set()
             for ring in due:
-                if ring in again:
-                    again.remove(ring)  # it is read now, after the message that made it due
+                again.discard(ring)  # it is read now, after the message that made it due
                 first = ring.receive()
                 if first is not None:
                     second = ring.receive()
-                    items: Sequence[Message | None]
-                    items = (
-                        [self._make(ring.key, first)] if second is None else self._made(ring, ring.rest(first, second))
-                    )
+                    items: list[Message | None]
+                    items = [self._make(ring.key, first)] if second is None else self._taken(ring, [first, second])
                     taken += [(ring, items)]
                     older = ring.before
                     for item in items if ring.servos else ():
@@ -143,9 +136,14 @@ class Rings(Generic[Item, Message]):
             taken.sort(key=lambda each: each[0].place)
         return [(ring.key, item) for ring, items in taken for item in items]
 
-    def _made(self, ring: Ring[Item], found: list[Item]) -> Sequence[Message | None]:
-        """Return the newest messages, after the older Stops, or after None if some may have been lost."""
-        newest = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
+    def _taken(self, ring: Ring[Item], found: list[Item]) -> list[Message | None]:
+        """Take the messages after `found`, up to the ring's depth. Further ones wait for the next read.
+
+        Return the newest messages, after the older Stops, or after None if some may have been lost.
+        """
+        while len(found) < ring.depth and (more := ring.receive()) is not None:
+            found.append(more)
+        newest: list[Message | None] = [self._make(ring.key, item) for item in found[-RING_DEPTH:]]
         if len(found) <= RING_DEPTH or not ring.servos:
             return newest
         if len(found) == ring.depth:

@@ -9,7 +9,7 @@ import zenoh
 from gateway.host.settings_table import DEFAULT_LISTEN, ZenohSettings
 from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 from gateway.robot.zenoh_io import exposure
-from gateway.zenoh_config import get, insert, load_config, scouting_off, shared_memory_off
+from gateway.zenoh_config import get, insert, load_config, scouting_and_shared_memory_off
 
 UNREAD_US: Final = 20_000
 """How long a reply may wait for a client that does not read, before Zenoh closes that client's link.
@@ -49,21 +49,15 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
     config = load_config(Path(settings.config)) if settings.config else zenoh.Config()
     if get(config, "mode") is None:
         config.insert_json5("mode", '"peer"')
-    listen_given = settings.listen is not DEFAULT_LISTEN
-    if listen_given or not settings.config or not _file_sets(settings.config, "listen"):
+    file_sets = get(config, "listen/endpoints") != get(zenoh.Config(), "listen/endpoints")  # Zenoh's is not empty
+    if settings.listen is not DEFAULT_LISTEN or not file_sets:
         insert(config, "listen/endpoints", list(settings.listen), "zenoh.listen")
-    scouting_off(config)
+    scouting_and_shared_memory_off(config)
     # Otherwise a gateway without its listener would start without an error but could not be reached.
     config.insert_json5("listen/exit_on_failure", "true")
-    shared_memory_off(config)
     config.insert_json5(_UNREAD_US_KEY, str(UNREAD_US))
     config.insert_json5(_MAX_MESSAGE_SIZE_KEY, str(MAX_MESSAGE_SIZE))
     for key, most in _MOST.items():
         config.insert_json5(key, str(min(most, get(config, key) or most)))
     exposure.check(config, allow_insecure=settings.allow_insecure)
     return config
-
-
-def _file_sets(path: str, section: str) -> bool:
-    """Return whether the file sets endpoints, that is, differs from Zenoh's default (which is not empty)."""
-    return bool(get(load_config(Path(path)), f"{section}/endpoints") != get(zenoh.Config(), f"{section}/endpoints"))

@@ -6,7 +6,7 @@ and the gateway reads it ten times a second. In a flood Zenoh overwrites the old
 
 import difflib
 from functools import lru_cache
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import zenoh
 from zenoh.handlers import RingChannel
@@ -23,12 +23,6 @@ MAX_COMPARED: Final = 30
 """Characters that are compared; the gateway's keys have at most 20."""
 
 
-class UnknownKey(NamedTuple):
-    key: str
-    source: str | None
-    detail: str
-
-
 class UnknownKeys:
     """Receives messages on all keys and finds those that no part of the gateway reads."""
 
@@ -40,8 +34,11 @@ class UnknownKeys:
             for key, depth in ((f"{ROOT}/**", UNKNOWN_KEYS_DEPTH), *((key, 1) for key in MISSPELT))
         ]
 
-    def poll(self) -> UnknownKey | None:
-        """Return the newest unknown key since the last poll, or None. Ten polls a second give at most ten events."""
+    def poll(self) -> tuple[str, str | None, str] | None:
+        """Return the newest unknown key since the last poll, its source and what is wrong, or None.
+
+        Ten polls a second give at most ten events.
+        """
         found = None
         for subscriber in self._subscribers:
             for _ in range(UNKNOWN_KEYS_DEPTH):
@@ -55,13 +52,9 @@ class UnknownKeys:
                         found = key, source
         if found is None:
             return None
-        why = f"nothing reads this key; the nearest is {nearest(found[0])}"
         if found[0] == SIM_BODY:
-            cause = (
-                "another program publishes it, not this gateway's physics" if self._physics else "no physics runs here"
-            )
-            why = f"{cause}; viewers ignore this one"
-        return UnknownKey(*found, why)
+            return *found, "another program publishes it, not this gateway's physics; viewers ignore it"
+        return *found, f"nothing reads this key; the nearest is {nearest(found[0])}"
 
 
 def is_strange(key: str) -> bool:

@@ -25,9 +25,8 @@ from gateway.certs.folder import load_ca
 from gateway.certs.revocation import RevocationList, Revoked
 from gateway.errors import ConfigError
 from gateway.host.settings_table import ZenohSettings
-from gateway.robot.runtime.revocations import Revocations
+from gateway.robot.runtime import revocations
 from gateway.robot.settings import Settings
-from gateway.robot.zenoh_io import revoked
 from gateway.zenoh_config import get, load_client_config, load_config
 from schemas.revocation import RevocationAck
 from tests.support.certs_folder import (
@@ -292,7 +291,7 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
 
     def listed(known: RevocationList | None) -> dict[str, list[str]]:
         if known is not None:
-            revoked.list_common_names(config, known)
+            revocations.list_common_names(config, known.common_names)
         return {each["id"]: each["cert_common_names"] for each in get(config, "access_control/subjects")}
 
     assert listed(None) == {"operator": ["operator"], "observer": ["observer"], "button": ["button"]}
@@ -307,14 +306,13 @@ def test_rules_list_each_roles_common_names_but_for_revoked_ones(folder: Path) -
 async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: Path) -> None:
     """Else an older one that comes meanwhile would take its place on the disk."""
     conductor = HarnessedRobot().conductor
-    in_force = revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
-    changes = Revocations(conductor, in_force, lambda: None)
+    in_force = revocations.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
+    changes = revocations.Revocations(conductor, in_force, lambda: None)
     answers: SimpleQueue[bytes] = SimpleQueue()
     for number, accepted in ((6, True), (5, False)):
         changes.change(list_of(folder, number), answers.put)
         assert RevocationAck.model_validate_json(answers.get(timeout=10)).accepted is accepted
-    kept = revoked.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
-    assert kept is not None
+    kept = revocations.revocation_state(load_config(folder / "gateway.json5"), robot(folder))
     assert kept.known is not None
     assert kept.known.number == 6
 
@@ -322,16 +320,15 @@ async def test_a_list_that_was_kept_counts_before_the_service_has_ended(folder: 
 def test_a_list_that_cannot_be_read_lets_nobody_in_and_one_of_another_ca_concerns_nobody(folder: Path) -> None:
     config = load_config(folder / "gateway.json5")
     (folder / "revoked.crl").write_bytes(list_of(folder, 3).pem[:-40])
-    assert "revoked.crl" in fault(lambda: revoked.revocation_state(config, robot(folder)))
+    assert "revoked.crl" in fault(lambda: revocations.revocation_state(config, robot(folder)))
     (folder / "revoked.crl").write_bytes(revocation.sign(OTHER_CA, 6, [], NOW).pem)
-    kept = revoked.revocation_state(config, robot(folder))
-    assert kept is not None
+    kept = revocations.revocation_state(config, robot(folder))
     assert kept.known is None
 
 
 def test_a_disk_that_is_full_leaves_the_list_before(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the earlier list stays in force"):
-        revoked.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))
+        revocations.keep(tmp_path / "nowhere" / "revoked.crl", list_of(folder, 3))
 
 
 # ---- when something is wrong: nothing overwritten, nothing half made, one sentence for each fault

@@ -120,10 +120,12 @@ class Gateway:
                 self.conductor.owner,
                 on_wakeup=self.conductor.tick,
                 on_estop=self.conductor.serve_estops,
-                readers={keys.STATE: lambda _query, _ns, reply: partial(self.conductor.reports.answer_state, reply)},
+                readers={
+                    keys.STATE: lambda _query, _ns, reply: partial(self.conductor.reports.answer, keys.STATE, reply)
+                },
             )
             self.conductor.messages = self.inbox
-        self.rings.puts[keys.ESTOP][0].on_receive = lambda: self.noted.append(len(self.controller.transfers))
+        self.rings.puts[keys.ESTOP].on_receive = lambda: self.noted.append(len(self.controller.transfers))
 
     def play(self, *then: Callable[[], None]) -> None:
         """The whole of it, until nothing is left to happen."""
@@ -136,16 +138,16 @@ class Gateway:
         self.stage.end()
         for thread in self.inbox._receivers:
             thread.thread.join(PATIENCE_S)
-        for sender in (self.inbox._replies, self.inbox._estop_replies):
-            sender.close()
+        for worker in self.inbox._workers:
+            worker.close()
 
     # ---- what Zenoh's threads do: two deliveries of each message, one after the other
 
     def put(self, key: str, payload: Payload) -> None:
-        self._deliver(Sample(key, payload), *self.rings.puts[key], *self.rings.puts[keys.ALL_COMMANDS])
+        self._deliver(Sample(key, payload), self.rings.puts[key], self.rings.puts[keys.ALL_COMMANDS])
 
     def ask_state(self) -> None:
-        self._deliver(Question(self.answers), *self.rings.gets[keys.STATE], *self.rings.gets[f"{keys.ROOT}/**"])
+        self._deliver(Question(self.answers), self.rings.gets[keys.STATE], self.rings.gets[f"{keys.ROOT}/**"])
 
     def _deliver(self, what: object, *rings: Ring) -> None:
         for ring in rings:
@@ -262,7 +264,7 @@ def receiving() -> Iterator[Receiving]:
         """A receiver thread whose ring has two messages, which it receives once the stage runs."""
         ring.items += [b"", b""]
         owner = Ownership()
-        started.append(ReceiverThread("receiver", cast(Any, ring), cast(Any, loop), owner, cast(Any, note)))
+        started.append(ReceiverThread(cast(Any, loop), owner, "receiver", cast(Any, ring), cast(Any, note)))
         return started[0], stage, loop
 
     yield start

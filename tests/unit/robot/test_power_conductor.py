@@ -283,7 +283,7 @@ async def test_telemetry_has_what_the_board_measures_of_a_robot_that_measures_no
     robot = await runs(watchdog={"timeout_ms": 10_000})
     robot.line.board.draws_ma = [100.0] * len(SERVO_IDS)
     await asyncio.sleep(0.505)
-    robot.conductor.telemetry.publish()
+    robot.conductor.reports.publish_telemetry()
     (report,) = [each for key, each in robot.reports if key == keys.TELEMETRY and isinstance(each, Telemetry)]
     servos, rails = report.servos or {}, robot.line.status.rails
     assert servos.keys() == set(map(str, SERVO_IDS))

@@ -2,7 +2,6 @@
 
 import json
 from collections import deque
-from collections.abc import Iterator
 from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,7 +22,10 @@ class Asked:
     def __init__(self) -> None:
         self.now_ns = 0
         self._waiting: deque[Any] = deque(maxlen=questions.QUESTIONS_DEPTH)
-        self.ring = questions.QuestionRing(cast(Any, self), {DRIVER, KITCHEN}.__contains__, lambda: self.now_ns)
+        endings: Any = SimpleNamespace(waiting=0, do=lambda end: end())
+        self.ring = questions.QuestionRing(
+            cast(Any, self), {DRIVER, KITCHEN}.__contains__, lambda: self.now_ns, endings
+        )
 
     def ask(self, name: str, payload: dict[str, Any], source: str | None = None) -> None:
         info = None if source is None else SimpleNamespace(source_id=SimpleNamespace(zid=source))
@@ -41,10 +43,8 @@ class Asked:
 
 
 @pytest.fixture
-def asked() -> Iterator[Asked]:
-    asked = Asked()
-    yield asked
-    asked.ring.close()
+def asked() -> Asked:
+    return Asked()
 
 
 def test_a_flood_of_others_keeps_no_good_token_out(asked: Asked) -> None:

@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from gateway.model.elkapod import Measured
-from gateway.robot.runtime.prometheus import Numbers, powered
+from gateway.robot.runtime.prometheus import LOOPBACK, Numbers, may_ask, powered
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
@@ -30,19 +30,13 @@ ELKAPOD = {"name": "elkapod-2025"}
 
 
 def published(robot: Robot) -> list[Telemetry]:
-    robot.conductor.telemetry.publish()
+    robot.conductor.reports.publish_telemetry()
     return [report for key, report in robot.reports if key == keys.TELEMETRY and isinstance(report, Telemetry)]
-
-
-def says(robot: Robot, monkeypatch: pytest.MonkeyPatch, *, alive: bool) -> None:
-    """Its wire brings signs of life back, or has missed them."""
-    monkeypatch.setattr(Bus, "controller_alive", alive)
-    monkeypatch.setattr(Bus, "answered_ns", robot.now_ns())
 
 
 def asked(robot: Robot) -> list[bytes]:
     answers: list[bytes] = []
-    robot.conductor.telemetry.answer(answers.append)
+    robot.conductor.reports.answer(keys.TELEMETRY, answers.append)
     return answers
 
 
@@ -98,7 +92,8 @@ async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeyp
     assert not names & samples(other).keys()
     assert {name for name, _, _ in described(page(robot)) - described(page(other))} == names, "also before any answer"
     await asyncio.sleep(1)
-    says(robot, monkeypatch, alive=False)
+    monkeypatch.setattr(Bus, "controller_alive", False)  # its wire has missed signs of life
+    monkeypatch.setattr(Bus, "answered_ns", robot.now_ns())
     robot.conductor.measured(MEASURED, robot.now_ns())
     await asyncio.sleep(0.5)
     assert described(page(robot)) - described(page(other)) == documented("that measures")
@@ -136,6 +131,24 @@ async def test_the_page_of_a_robot_with_a_power_board_is_the_list_in_the_docs() 
     assert described(page_of(Board(BOARD, DRAWN))) == documented("with a power board")
     before = described(page_of(Board(PowerReport(interface="slcan", alive=False), None)))
     assert {name for name, _, _ in before} == {name for name, _, _ in documented("with a power board")}
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "may"),
+    [
+        *((host, None, True) for host in ("127.0.0.1:9464", "LocalHost:1", "[::1]:9464", "::1")),
+        ("evil.example:9464", None, False),
+        ("localhost.evil.example:9464", None, False),
+        ("localhost, evil.example", None, False),
+        (None, None, False),
+        ("localhost:8765", "http://localhost:8765", True),
+        ("localhost:8765", "https://evil.example", False),
+        ("localhost:8765", "", False),
+        ("evil.example:8765", "http://evil.example:8765", False),
+    ],
+)
+def test_a_host_is_compared_whole_and_no_page_may_ask_but_ours(host: str | None, origin: str | None, may: bool) -> None:
+    assert may_ask(host, origin, LOOPBACK) is may
 
 
 # ---- the black box
