@@ -125,8 +125,8 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
         ByHand(
             "a servo goes on to where a rejected command has sent it",
-            "            if servo.target_cdeg is not None and servo.target_for in rejected:",
-            "            if False:",
+            "            if servo.waiting is not None and servo.waiting_for in rejected:",
+            "            if servo.pending and servo.waiting_for in rejected:",
         ),
     ),
     "gateway/robot/core/rest.py": (

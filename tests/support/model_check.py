@@ -91,9 +91,8 @@ _KNOWN: Final = (
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
     (_ROBOT.legs, "stopping _silent _first_stops _fed"),  # these count within a step
     (Leg, "number servos slots commanded_ns expired source landed_ns unfed_ns eases"),
-    (Leg, "runs"),  # these follow, too
-    (Servo, "servo_id leg angle_cdeg waiting waiting_for announced_cdeg target_cdeg since_ns passing_cdeg"),
-    (Servo, "target_for repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
+    (Servo, "servo_id angle_cdeg waiting waiting_for begun announced_cdeg since_ns passing_cdeg"),
+    (Servo, "repeats_left repeat_ns stopped_ns stopped_by source eases stopped"),
     (RateSlots, "period_ns oldest_ns next_ns taken_ns"),
     (StartQueue, "pause_ns next_ns legs"),
     (
@@ -133,7 +132,7 @@ def small(supervisor: Supervisor, legs: Iterable[int]) -> Supervisor:
 
 def pending(supervisor: Supervisor) -> dict[int, Command]:
     """The commands that servos wait for, by their numbers, in order."""
-    waiting = [servo.waiting_for for servo in supervisor.legs.servos.values() if servo.waiting is not None]
+    waiting = [servo.waiting_for for servo in supervisor.legs.servos.values() if servo.pending]
     return {command.number: command for command in sorted(waiting, key=attrgetter("number"))}
 
 
@@ -142,8 +141,6 @@ def copied_servo(servo: Servo, commands: dict[int, Command]) -> Servo:
     other = type(servo)(*_servo_fields(servo))
     if servo.waiting is not None:
         other.waiting_for = copied_command(servo.waiting_for, commands)
-    if servo.target_cdeg is not None:
-        other.target_for = copied_command(servo.target_for, commands)
     return other
 
 
@@ -297,9 +294,8 @@ def key(supervisor: Supervisor, now_ns: int, rank: dict[int, int]) -> tuple[obje
                 tuple(
                     (
                         servo.angle_cdeg,
-                        servo.waiting and (servo.waiting, rank[servo.waiting_for.number]),
+                        servo.waiting and (servo.waiting, servo.begun, rank.get(servo.waiting_for.number)),
                         servo.announced_cdeg,
-                        None if servo.target_cdeg is None else (servo.target_cdeg, rank.get(servo.target_for.number)),
                         servo.passing_cdeg,
                         speed_age_ns(servo.since_ns, now_ns, legs._rules) if servo.running else None,
                         legs._rules.takeover_cdeg_s and _takeover_key(legs, servo, now_ns),

@@ -50,7 +50,7 @@ class Backlog:
             return []
         self._until_ns[key] = now_ns + self._rules.timeout_ns
         legs = [self._legs.by_number[number] for number, held in self.held.items() if held == key]
-        waiting = [servo for leg in legs if not _runs(leg) for servo in leg.servos]
+        waiting = [servo for leg in legs if not leg.runs for servo in leg.servos]
         return self._legs.drop(waiting, Reason.STALE, _why(key))
 
     def rejection(self, command: Command, now_ns: int) -> tuple[Reason, str] | None:
@@ -64,7 +64,7 @@ class Backlog:
         """Delay the legs that an accepted command starts without `sent_ms`. With `sent_ms`, end their delay."""
         if not self._rules.start_wait_ns:
             return
-        self.held = {number: key for number, key in self.held.items() if not _runs(self._legs.by_number[number])}
+        self.held = {number: key for number, key in self.held.items() if not self._legs.by_number[number].runs}
         for leg in self._starting(command):
             if command.sent_ms is not None:
                 self.held.pop(leg.number, None)
@@ -74,11 +74,7 @@ class Backlog:
 
     def _starting(self, command: Command) -> list[Leg]:
         numbers = dict.fromkeys(servo_id // 10 for servo_id, op in command.moves if op.op is OP_START)
-        return [leg for leg in map(self._legs.by_number.__getitem__, numbers) if not _runs(leg)]
-
-
-def _runs(leg: Leg) -> bool:
-    return any(servo.running for servo in leg.servos)
+        return [leg for leg in map(self._legs.by_number.__getitem__, numbers) if not leg.runs]
 
 
 def _why(key: str) -> str:

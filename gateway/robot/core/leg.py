@@ -22,7 +22,7 @@ from gateway.model.frames import (
 from gateway.robot.core.events import Announce, Command, Effect, Rejected, Transmit
 from schemas.telemetry import Cause, Kind, Reason, WatchdogState
 
-NO_COMMAND: Final = Command(())
+_NO_COMMAND: Final = Command(())
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,17 +200,15 @@ class Servo:  # mutants accepted (Step): set before it is read
     """One servo as last written; `angle_cdeg` is None while it does not run, since its angle is then unknown."""
 
     servo_id: int
-    leg: int
     angle_cdeg: int | None = None
     waiting: ServoOp | None = None
-    """Its newest target, until that is sent."""
-    waiting_for: Command = NO_COMMAND
-    """The command that set `waiting`; NO_COMMAND: a step towards the target of an already answered command."""
+    """Its newest target, until a frame has it."""
+    waiting_for: Command = _NO_COMMAND
+    """The command that set `waiting`."""
+    begun: bool = False
+    """Whether a frame has made a step towards `waiting`, since the servo's speed is limited. Its command is done."""
     announced_cdeg: int | None = None
     """If supply starts servos: the angle on the wire before, which the servo takes once it is powered."""
-    target_cdeg: int | None = None
-    """Its target, while its speed is limited and it has not arrived."""
-    target_for: Command = NO_COMMAND
     since_ns: int = 0
     """When the time for its next step begins."""
     source: str | None = None
@@ -230,6 +228,11 @@ class Servo:  # mutants accepted (Step): set before it is read
     @property
     def running(self) -> bool:
         return self.angle_cdeg is not None
+
+    @property
+    def pending(self) -> bool:
+        """Whether no frame has carried out its newest command yet."""
+        return self.waiting is not None and not self.begun
 
     @property
     def starts(self) -> bool:
@@ -264,8 +267,13 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
     landed_ns: int = 0
     """The progress of its frames in the landing, in ns of the landing's time."""
     unfed_ns: int | None = None
-    """When one of its starts began to wait for power, or None; as of the last `Legs.plan`, like `runs`."""
-    runs: bool = False
+    """When one of its starts began to wait for power, or None; as of the last `Legs.plan`."""
+
+    @property
+    def runs(self) -> bool:
+        """Whether one of its servos runs."""
+        first, second, third = self.servos
+        return first.running or second.running or third.running
 
     @property
     def waits_to_start(self) -> bool:
@@ -293,7 +301,7 @@ class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before 
 def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
     """Return a leg's three servos, at rest."""
     first, second, third = servo_ids_of(leg)
-    return Servo(first, leg), Servo(second, leg), Servo(third, leg)
+    return Servo(first), Servo(second), Servo(third)
 
 
 # ---- its effects

@@ -4,7 +4,7 @@ The supervisor decides whether a command is carried out. This module decides how
 rate slot, what a frame contains for three servos, which Stops are repeated, and when commands are done.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -14,7 +14,6 @@ from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targ
 from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import (
     NEVER,
-    NO_COMMAND,
     Leg,
     RateSlots,
     Rules,
@@ -82,7 +81,7 @@ class Legs:
     @property
     def running(self) -> bool:
         """Whether a servo runs now, even within a step."""
-        return {servo.angle_cdeg for servo in self.servos.values()} != {None}
+        return any(leg.runs for leg in self._all)
 
     # ---- time
 
@@ -102,9 +101,9 @@ class Legs:
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
                     runs = armed = True
-                if servo.waiting is not None or servo.target_cdeg is not None:
+                if servo.waiting is not None:
                     waits += 1
-                    armed = armed or servo.will_run
+                    armed = armed or servo.waiting.op is OP_START
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
             leg_ns = NEVER if leg.commanded_ns is None or not armed else leg.commanded_ns + self._rules.timeout_ns
@@ -123,7 +122,7 @@ class Legs:
                 if slot_ns is not None and slot_ns < leg_ns:
                     leg_ns = slot_ns
             due_ns = leg_ns if leg_ns < due_ns else due_ns
-            leg.runs, at_rest, rests = runs, at_rest and not runs, rests or not armed
+            at_rest, rests = at_rest and not runs, rests or not armed
         if at_rest or self.at_rest or self.rest.due_ns is None:
             self.rest.plan(now_ns, at_rest=at_rest, stopped=bool(self._first_stops))
             self._first_stops = set()
@@ -172,7 +171,7 @@ class Legs:
         for servo_id, servo in self.servos.items() if self.sends else ():
             if servo.angle_cdeg is not None:
                 found[servo_id] = None
-            elif servo.waiting is not None and servo.starts:
+            elif servo.waiting is not None:
                 if servo.announced_cdeg is None:
                     servo.announced_cdeg = servo.waiting.angle_cdeg
                 found[servo_id] = self._limits.calibration.of(servo_id).wire_cdeg(servo.announced_cdeg)
@@ -232,9 +231,9 @@ class Legs:
         effects: list[Effect] = []
         stops: list[tuple[Leg, list[Servo]]] = []
         taken: list[Effect] = []
+        moved: list[Leg] = []
         stops_some = len(command.moves) < len(command.targets)
         whole = self._rules.starts_whole and stops_some
-        fed, self._fed = self._fed, self._fed and frozenset()  # the command's starts leave together, below
         for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
             leg = self.by_number[number]
             moves = not stops_some or any(op.op is not OP_STOP for _, op in targets)
@@ -245,13 +244,17 @@ class Legs:
             if moves:
                 # A Stop does not count: it does not keep the leg's other servos running.
                 leg.commanded_ns = now_ns
-                effects += self._move(leg, targets, command, now_ns)
+                effects += self._take(leg, targets, command, now_ns)
+                moved.append(leg)
             else:
                 stops.append((leg, [self.servos[servo_id] for servo_id, _ in targets]))
+        for leg in moved:  # only now is it known which starts have to wait for others
+            effects += self._send(leg, now_ns)
+            if stops_some:
+                effects += self._stop_beside(leg, command, now_ns)
         for leg, servos in stops:  # after the moves, which these Stops then do not drop
             effects += self._stop_on_command(leg, servos, command, now_ns)
-        self._fed = fed
-        if stops or fed:  # Stops may have removed starts that the command's own starts waited for
+        if stops:  # they may have removed starts that the command's own starts waited for
             effects += self.take_slots(now_ns)
         if whole and command.moves:
             effects.append(withdrawn(command, Reason.WHOLE_ROBOT, _MIXED))
@@ -301,8 +304,8 @@ class Legs:
         leg.expired = leg.expired and len(servos) < len(leg.servos)
         return effects + self._empty_start_queue(command)
 
-    def _move(self, leg: Leg, targets: Targets, command: Command, now_ns: int) -> list[Effect]:
-        """Carry out a command that starts or sets a leg, and may stop some of its servos, in the leg's rate slot."""
+    def _take(self, leg: Leg, targets: Targets, command: Command, now_ns: int) -> list[Effect]:
+        """Let a command's targets for a leg that it starts or sets wait for their frame."""
         effects: list[Effect] = []
         taken: list[Servo] = []
         for servo_id, op in targets:
@@ -310,17 +313,19 @@ class Legs:
             if servo.waiting is not None:
                 newest = merged(servo.waiting, op)
                 effects += self._replaced(servo)
-            servo.waiting, servo.waiting_for, servo.target_cdeg = newest, command, None
+            servo.waiting, servo.waiting_for, servo.begun = newest, command, False
             if op.op is OP_STOP:
                 servo.note_stop(command.channel, self.instant_ns)
             elif servo.source != command.source or servo.angle_cdeg is None:
                 taken += [servo]
         if taken:
             self._speeds.take_over(leg, taken, command.source, now_ns)
-        effects += self._send(leg, now_ns)
-        for servo_id, _ in targets if len(command.moves) < len(command.targets) else ():
-            servo = self.servos[servo_id]
-            # Before the leg's rate slot, moves wait but Stops do not.
+        return effects
+
+    def _stop_beside(self, leg: Leg, command: Command, now_ns: int) -> list[Effect]:
+        """Carry out a command's Stops for a leg that it also moves. They do not wait for the leg's rate slot."""
+        effects: list[Effect] = []
+        for servo in leg.servos:
             if servo.waiting is not None and servo.waiting.op is OP_STOP:
                 servo.waiting = None
                 # If a stream above the rate keeps stopping a stopped servo, the repeats suffice.
@@ -331,68 +336,58 @@ class Legs:
                 effects += self._target_done(command)
         return effects
 
-    # mutants accepted (Step): a list of one
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
-        """Return the frame for this leg's waiting targets, if it may leave now."""
-        held = None if self._fed is None else self._held(leg)
-        if held:
-            return self._send_beside(leg, held, now_ns, cause)
-        waiting: list[tuple[Servo, ServoOp]] = []
-        starts = False
-        for servo in leg.servos:
-            if servo.waiting is not None:
-                waiting += [(servo, servo.waiting)]
-                starts = starts or (servo.angle_cdeg is None and servo.waiting.op is OP_START)
-        limited = leg.eases or self._rules.max_speed_cdeg_s
-        queue = self._queue
-        if (queue.legs or (starts and queue.pause_ns)) and not queue.passes(leg.number, leg.slots, now_ns, starts):
+        """Return the frame for this leg's waiting targets, if it may leave now. Stops alone need no rate slot."""
+        held = () if self._fed is None else self._held(leg)
+        ops = [None if held and servo in held else servo.waiting for servo in leg.servos]
+        moves = starts = False
+        for servo, op in zip(leg.servos, ops, strict=True):
+            if op is not None and op.op is not OP_STOP:
+                moves, starts = True, starts or servo.angle_cdeg is None
+        if not moves:
             return []
-        slot_ns = self._slot_ns(leg) if self._rules.starts_whole else leg.slots.next_ns
-        bound = waiting or (limited and any(servo.target_cdeg is not None for servo in leg.servos))
-        if not bound or now_ns < slot_ns:
+        queue, slots = self._queue, leg.slots
+        if (queue.legs or (starts and queue.pause_ns)) and not queue.passes(leg.number, slots, now_ns, starts):
             return []
-        leg.slots.take(now_ns)
-        if limited:
-            waiting = self._speeds.in_steps(leg, now_ns)
-        frame: OneLeg | OneServo
-        if waiting[1:]:  # servos without a new target repeat their current one
-            first, second, third = leg.servos
-            one, two = first.waiting or as_it_is(first), second.waiting or as_it_is(second)
-            frame = OneLeg(leg.number, (one, two, third.waiting or as_it_is(third)))
-        else:
-            only, op = waiting[0]
-            frame = OneServo(only.servo_id, op)
-        wire = self._limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
+        if now_ns < (self._slot_ns(leg) if self._rules.starts_whole else slots.next_ns):
+            return []
+        slots.take(now_ns)
+        if leg.eases or self._rules.max_speed_cdeg_s:
+            ops = self._speeds.in_steps(leg, ops, now_ns)
+        return [self._written(leg, ops, now_ns, cause)]
+
+    def _written(self, leg: Leg, ops: Sequence[ServoOp | None], now_ns: int, cause: Cause) -> Transmit:
+        """Return the frame with these operations, and record it as written. None: nothing new for this servo."""
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
-        for servo, target in waiting:
-            servo.waiting = None
-            if target.op is OP_STOP:
+        named: list[tuple[Servo, ServoOp]] = []
+        for servo, op in zip(leg.servos, ops, strict=True):
+            if op is None:
+                continue
+            named += [(servo, op)]
+            target, servo.waiting = servo.waiting, None
+            if op.op is OP_STOP:
                 self._stopped(servo, now_ns)
             else:
-                servo.angle_cdeg, servo.announced_cdeg = target.angle_cdeg, None
+                servo.angle_cdeg, servo.announced_cdeg = op.angle_cdeg, None
                 servo.repeats_left = 0  # started again: a repeated Stop would undo it
                 leg.expired = False
-            command = servo.waiting_for
-            if command is not NO_COMMAND:
+            if not servo.begun:
+                command = servo.waiting_for
                 commands += () if command in commands else (command,)
                 command.left -= 1
                 done += () if command.left else (command,)
-        return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
-
-    def _send_beside(self, leg: Leg, held: list[Servo], now_ns: int, cause: Cause) -> list[Effect]:
-        """Do as `_send`, without the starts that wait for power. Stops alone are left to `_move`: they need no slot."""
-        starts = [(servo, servo.waiting) for servo in held]
-        for servo in held:
-            servo.waiting = None
-        moves = any(
-            servo.target_cdeg is not None or (servo.waiting is not None and servo.waiting.op is not OP_STOP)
-            for servo in leg.servos
-        )
-        effects = self._send(leg, now_ns, cause) if moves else []
-        for servo, start in starts:
-            servo.waiting = start
-        return effects
+            if target is not None and target.angle_cdeg != op.angle_cdeg:  # it is a step towards the target
+                servo.waiting, servo.begun = SETS[target.angle_cdeg], True
+        frame: OneLeg | OneServo
+        if named[1:]:  # servos without a new target repeat their current one
+            (first, second, third), (one, two, three) = leg.servos, ops
+            frame = OneLeg(leg.number, (one or as_it_is(first), two or as_it_is(second), three or as_it_is(third)))
+        else:
+            ((servo, op),) = named
+            frame = OneServo(servo.servo_id, op)
+        wire = self._limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
+        return Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)
 
     # ---- landing
 
@@ -429,10 +424,10 @@ class Legs:
                     angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
                     angle_cdeg = self._limits.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
                     if angle_cdeg != servo.angle_cdeg:
-                        servo.waiting, servo.waiting_for = SETS[angle_cdeg], NO_COMMAND
+                        servo.waiting, servo.begun = SETS[angle_cdeg], True  # for no command
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
             for servo in leg.servos:
-                servo.target_cdeg = None  # a servo with a limited speed follows the line, not an earlier point of it
+                servo.waiting = None  # a servo with a limited speed follows the line, not an earlier point of it
         return effects
 
     def stop(
@@ -445,6 +440,7 @@ class Legs:
         transmits = [Transmit(stop_leg(number), cause, deadline) for number, deadline in deadlines_ns.items()]
         self._silent = self._silent or cause is Cause.WATCHDOG
         servos = [servo for number in deadlines_ns for servo in self.by_number[number].servos]
+        dropped = self.drop(servos, reason, detail)
         for servo in servos:
             servo.note_stop(cause, self.instant_ns)
             self._stopped(servo, now_ns)
@@ -453,14 +449,14 @@ class Legs:
         for number in deadlines_ns:
             self.by_number[number].expired = False
             self.by_number[number].source = None
-        return [*transmits, *self.drop(servos, reason, detail), *self._empty_start_queue()]
+        return [*transmits, *dropped, *self._empty_start_queue()]
 
     def _stopped(self, servo: Servo, now_ns: int) -> None:
         self._first_stops.add(servo.servo_id)
         self.stopping.add(servo.servo_id)
         if servo.angle_cdeg is not None:
             servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self._limits.calibration), False
-        servo.angle_cdeg = servo.target_cdeg = servo.announced_cdeg = servo.passing_cdeg = None
+        servo.angle_cdeg = servo.waiting = servo.announced_cdeg = servo.passing_cdeg = None
         if not servo.repeats_left:  # else the next repeat keeps its time
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
         servo.repeats_left = self._rules.repeats
@@ -473,14 +469,14 @@ class Legs:
         pauses = self._queue.pause_ns > 0
         legs = [leg for leg in self if leg.number in self._queue.legs or (pauses and leg.unfed_ns is not None)]
         servos = (servo for leg in legs for servo in leg.servos)
-        waiting = [servo for servo in servos if servo.waiting is not None and servo.waiting_for is not own]
+        waiting = [servo for servo in servos if servo.pending and servo.waiting_for is not own]
         return self.drop(waiting, Reason.SERVO_STOPPED, "a Stop was received before the start")
 
     # ---- commands under way
 
     def _replaced(self, servo: Servo) -> list[Effect]:
         """Drop a servo's waiting target for a newer one, and mark its command as coalesced."""
-        if servo.waiting is None:
+        if not servo.pending:
             return []
         servo.waiting = None
         servo.waiting_for.coalesced = True
@@ -493,15 +489,12 @@ class Legs:
 
     def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Drop these servos' waiting targets, and reject the commands that set them, as a whole."""
-        rejected = dict.fromkeys(servo.waiting_for for servo in servos if servo.waiting is not None)
-        for servo in servos:
-            servo.target_cdeg = None  # it does not continue to an earlier command's target, either
-            servo.passing_cdeg = None
-        for servo in self.servos.values():  # a rejected command must not take effect on another leg
+        rejected = dict.fromkeys(servo.waiting_for for servo in servos if servo.pending)
+        for servo in self.servos.values():  # a rejected command must not take effect on another leg, nor continue there
             if servo.waiting is not None and servo.waiting_for in rejected:
-                servo.waiting = servo.announced_cdeg = None
-            if servo.target_cdeg is not None and servo.target_for in rejected:  # nor continue there
-                servo.target_cdeg = servo.passing_cdeg = None
+                servo.waiting = servo.announced_cdeg = servo.passing_cdeg = None
+        for servo in servos:  # nor does one of these continue to an earlier command's target
+            servo.waiting = servo.passing_cdeg = None
         for number in tuple(self._queue.legs):
             if not self.by_number[number].waits_to_start:
                 self._queue.leave(number)

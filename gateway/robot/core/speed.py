@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 from gateway.allowance import NS_PER_S
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_STOP, SETS, ServoOp
-from gateway.robot.core.leg import NO_COMMAND, Leg, Rules, Servo
+from gateway.model.frames import OP_STOP, ServoOp
+from gateway.robot.core.leg import Leg, Rules, Servo
 
 
 # mutants accepted (Gt_GtE, Step): either sign gives the same angle
@@ -71,43 +71,33 @@ class LimitedSpeeds:
         return takeover if own is None else min(own, takeover)
 
     # mutants accepted (Forget): only time is lost
-    def in_steps(self, leg: Leg, now_ns: int) -> list[tuple[Servo, ServoOp]]:
-        """Return each servo's operation in the frame that leaves now: with a speed limit, a step towards its target."""
-        said: list[tuple[Servo, ServoOp]] = []
-        for servo in leg.servos:
-            if servo.waiting is None and servo.target_cdeg is not None:
-                servo.waiting, servo.waiting_for = SETS[servo.target_cdeg], NO_COMMAND
-            if servo.waiting is None:
-                continue
-            if servo.waiting.op is not OP_STOP:
-                target_cdeg, servo.target_cdeg = servo.waiting.angle_cdeg, None
-                stands_cdeg = servo.angle_cdeg
-                if stands_cdeg is None:
-                    first = self._rules.angles_first
-                    stands_cdeg = servo.announced_cdeg if first else self._stood_cdeg(servo, now_ns)
-                    servo.eases, servo.since_ns = self._eases, now_ns
-                speed_cdeg_s = self._speed_cdeg_s(servo)
-                if speed_cdeg_s is not None and stands_cdeg is not None:  # else its angle is unknown: no step
-                    angle_cdeg = self._step(servo, stands_cdeg, target_cdeg, speed_cdeg_s, now_ns)
-                    servo.waiting = ServoOp(servo.waiting.op, angle_cdeg)
-                    servo.target_cdeg = None if angle_cdeg == target_cdeg else target_cdeg
-                    if servo.waiting_for is not NO_COMMAND:
-                        servo.target_for = servo.waiting_for
-                servo.eases = servo.eases and servo.target_cdeg is not None
-            said.append((servo, servo.waiting))
+    def in_steps(self, leg: Leg, ops: list[ServoOp | None], now_ns: int) -> list[ServoOp | None]:
+        """Return the servos' operations in the frame that leaves now: with a speed limit, steps towards `ops`."""
+        steps = [
+            op if op is None or op.op is OP_STOP else self._step(servo, op, now_ns)
+            for servo, op in zip(leg.servos, ops, strict=True)
+        ]
         leg.eases = any(servo.eases for servo in leg.servos)
-        if len(said) > 1:
-            for servo in leg.servos:
-                if servo.waiting is None:
+        if sum(op is not None for op in ops) > 1:
+            for servo, op in zip(leg.servos, ops, strict=True):
+                if op is None:
                     servo.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
-        return said
+        return steps
 
-    def _step(self, servo: Servo, stands_cdeg: int, target_cdeg: int, speed_cdeg_s: int, now_ns: int) -> int:
-        crosses = self._limits.crosses(servo.servo_id, stands_cdeg, target_cdeg)
-        from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
-        at_cdeg, servo.since_ns = step(
-            from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
-        )
-        sent_cdeg = self._limits.near_side(servo.servo_id, stands_cdeg, at_cdeg)
-        servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
-        return sent_cdeg
+    def _step(self, servo: Servo, op: ServoOp, now_ns: int) -> ServoOp:
+        target_cdeg, stands_cdeg = op.angle_cdeg, servo.angle_cdeg
+        if stands_cdeg is None:
+            stands_cdeg = servo.announced_cdeg if self._rules.angles_first else self._stood_cdeg(servo, now_ns)
+            servo.eases, servo.since_ns = self._eases, now_ns
+        speed_cdeg_s = self._speed_cdeg_s(servo)
+        if speed_cdeg_s is not None and stands_cdeg is not None:  # else its angle is unknown: no step
+            crosses = self._limits.crosses(servo.servo_id, stands_cdeg, target_cdeg)
+            from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg
+            at_cdeg, servo.since_ns = step(
+                from_cdeg, target_cdeg, speed_cdeg_s, servo.since_ns, now_ns, self._rules.period_ns
+            )
+            sent_cdeg = self._limits.near_side(servo.servo_id, stands_cdeg, at_cdeg)
+            servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
+            op = ServoOp(op.op, sent_cdeg)
+        servo.eases = servo.eases and op.angle_cdeg != target_cdeg
+        return op

@@ -12,7 +12,6 @@ from gateway import __version__
 from gateway.host.settings_table import ServoLimits
 from gateway.model import power_board
 from gateway.model.elkapod import Measured
-from gateway.model.frames import Op
 from gateway.model.telemetry import report_of
 from gateway.robot.core.events import Announce
 from gateway.robot.core.leg import Leg, Servo
@@ -244,9 +243,7 @@ def _leg(leg: Leg, now_ns: int) -> telemetry.LegReport:
 
 
 def _servo(servo: Servo) -> telemetry.ServoReport:
-    target_cdeg = servo.angle_cdeg if servo.target_cdeg is None else servo.target_cdeg
-    if servo.waiting is not None and servo.waiting.op is not Op.STOP:
-        target_cdeg = servo.waiting.angle_cdeg
+    target_cdeg = servo.angle_cdeg if servo.waiting is None else servo.waiting.angle_cdeg
     return telemetry.ServoReport(
         id=servo.servo_id,
         running=servo.running,

@@ -141,5 +141,5 @@ def test_a_leg_moves_while_a_running_servo_of_it_is_not_where_it_goes(
 ) -> None:
     """Servo 31 did not run when the landing began, and has no way."""
     way = Landing(0, 1000 * NS_PER_MS, 1000 * NS_PER_MS, PERIOD_NS, {32: (90_00, 30_00), 33: (50_00, 50_00)})
-    servos = [Servo(31, 3), *(Servo(32 + index, 3, angle) for index, angle in enumerate(angles_cdeg))]
+    servos = [Servo(31), *(Servo(32 + index, angle) for index, angle in enumerate(angles_cdeg))]
     assert way.moves(servos) == moves
