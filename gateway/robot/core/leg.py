@@ -14,6 +14,8 @@ from gateway.model.frames import (
     STOP,
     STOP_REPEAT_MS,
     STOP_REPEATS,
+    Frame,
+    OneLeg,
     OneServo,
     ServoOp,
     servo_ids_of,
@@ -195,7 +197,7 @@ class StartQueue:  # mutants accepted (Step): a clock begins at 0
 # ---- its state
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Servo:  # mutants accepted (Step): set before it is read
     """One servo as last written; `angle_cdeg` is None while it does not run, since its angle is then unknown."""
 
@@ -251,7 +253,7 @@ class Servo:  # mutants accepted (Step): set before it is read
         self.stopped_ns = instant_ns
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Leg:  # mutants accepted (FalseWithTrue, Step, TrueWithFalse): set before it is read
     """One leg: its servos, its rate slots, and when an accepted command last started or set one of its servos."""
 
@@ -307,9 +309,17 @@ def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
 # ---- its effects
 
 
-def as_it_is(servo: Servo) -> ServoOp:
-    """Return the operation that repeats the servo's current state."""
-    return STOP if servo.angle_cdeg is None else SETS[servo.angle_cdeg]
+def frame_of(leg: Leg, named: Sequence[tuple[Servo, ServoOp]]) -> Frame:
+    """Return the frame with these operations. If it names two servos, the third repeats its current state."""
+    if named[2:]:
+        (_, one), (_, two), (_, three) = named
+        return OneLeg(leg.number, (one, two, three))
+    (servo, op), *more = named
+    if not more:
+        return OneServo(servo.servo_id, op)
+    ops = dict(named)
+    one, two, three = (ops.get(each, STOP if each.angle_cdeg is None else SETS[each.angle_cdeg]) for each in leg.servos)
+    return OneLeg(leg.number, (one, two, three))
 
 
 def stops(

@@ -4,12 +4,12 @@ The supervisor decides whether a command is carried out. This module decides how
 rate slot, what a frame contains for three servos, which Stops are repeated, and when commands are done.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneLeg, OneServo, ServoOp, stop_leg
+from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import (
@@ -19,7 +19,7 @@ from gateway.robot.core.leg import (
     Rules,
     Servo,
     StartQueue,
-    as_it_is,
+    frame_of,
     merged,
     servos_of,
     stops,
@@ -339,11 +339,14 @@ class Legs:
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Return the frame for this leg's waiting targets, if it may leave now. Stops alone need no rate slot."""
         held = () if self._fed is None else self._held(leg)
-        ops = [None if held and servo in held else servo.waiting for servo in leg.servos]
+        waiting: list[tuple[Servo, ServoOp]] = []
         moves = starts = False
-        for servo, op in zip(leg.servos, ops, strict=True):
-            if op is not None and op.op is not OP_STOP:
-                moves, starts = True, starts or servo.angle_cdeg is None
+        for servo in leg.servos:
+            op = servo.waiting
+            if op is not None and not (held and servo in held):
+                waiting += [(servo, op)]
+                if op.op is not OP_STOP:
+                    moves, starts = True, starts or servo.angle_cdeg is None
         if not moves:
             return []
         queue, slots = self._queue, leg.slots
@@ -353,18 +356,19 @@ class Legs:
             return []
         slots.take(now_ns)
         if leg.eases or self._rules.max_speed_cdeg_s:
-            ops = self._speeds.in_steps(leg, ops, now_ns)
-        return [self._written(leg, ops, now_ns, cause)]
+            waiting = self._speeds.in_steps(leg, waiting, now_ns)
+        frame = frame_of(leg, waiting)
+        wire = self._limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
+        commands, done = self._note_written(leg, waiting, now_ns)
+        return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
-    def _written(self, leg: Leg, ops: Sequence[ServoOp | None], now_ns: int, cause: Cause) -> Transmit:
-        """Return the frame with these operations, and record it as written. None: nothing new for this servo."""
+    def _note_written(
+        self, leg: Leg, written: list[tuple[Servo, ServoOp]], now_ns: int
+    ) -> tuple[tuple[Command, ...], tuple[Command, ...]]:
+        """Record a frame with these operations. Return the commands that it carries out, and those it completes."""
         commands: tuple[Command, ...] = ()
         done: tuple[Command, ...] = ()
-        named: list[tuple[Servo, ServoOp]] = []
-        for servo, op in zip(leg.servos, ops, strict=True):
-            if op is None:
-                continue
-            named += [(servo, op)]
+        for servo, op in written:
             target, servo.waiting = servo.waiting, None
             if op.op is OP_STOP:
                 self._stopped(servo, now_ns)
@@ -377,17 +381,9 @@ class Legs:
                 commands += () if command in commands else (command,)
                 command.left -= 1
                 done += () if command.left else (command,)
-            if target is not None and target.angle_cdeg != op.angle_cdeg:  # it is a step towards the target
+            if target is not op and target is not None and target.angle_cdeg != op.angle_cdeg:  # a step towards it
                 servo.waiting, servo.begun = SETS[target.angle_cdeg], True
-        frame: OneLeg | OneServo
-        if named[1:]:  # servos without a new target repeat their current one
-            (first, second, third), (one, two, three) = leg.servos, ops
-            frame = OneLeg(leg.number, (one or as_it_is(first), two or as_it_is(second), three or as_it_is(third)))
-        else:
-            ((servo, op),) = named
-            frame = OneServo(servo.servo_id, op)
-        wire = self._limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
-        return Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)
+        return commands, done
 
     # ---- landing
 

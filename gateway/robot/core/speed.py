@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 from gateway.allowance import NS_PER_S
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_STOP, ServoOp
+from gateway.model.frames import OP_START, OP_STOP, SETS, STARTS, ServoOp
 from gateway.robot.core.leg import Leg, Rules, Servo
 
 
@@ -71,17 +71,14 @@ class LimitedSpeeds:
         return takeover if own is None else min(own, takeover)
 
     # mutants accepted (Forget): only time is lost
-    def in_steps(self, leg: Leg, ops: list[ServoOp | None], now_ns: int) -> list[ServoOp | None]:
-        """Return the servos' operations in the frame that leaves now: with a speed limit, steps towards `ops`."""
-        steps = [
-            op if op is None or op.op is OP_STOP else self._step(servo, op, now_ns)
-            for servo, op in zip(leg.servos, ops, strict=True)
-        ]
-        leg.eases = any(servo.eases for servo in leg.servos)
-        if sum(op is not None for op in ops) > 1:
-            for servo, op in zip(leg.servos, ops, strict=True):
-                if op is None:
-                    servo.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
+    def in_steps(self, leg: Leg, waiting: list[tuple[Servo, ServoOp]], now_ns: int) -> list[tuple[Servo, ServoOp]]:
+        """Return the operations in the frame that leaves now: with a speed limit, steps towards the waiting targets."""
+        steps = [(servo, op if op.op is OP_STOP else self._step(servo, op, now_ns)) for servo, op in waiting]
+        first, second, third = leg.servos
+        leg.eases = first.eases or second.eases or third.eases
+        if len(waiting) == 2:
+            (idle,) = {*leg.servos} - {servo for servo, _ in waiting}
+            idle.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
         return steps
 
     def _step(self, servo: Servo, op: ServoOp, now_ns: int) -> ServoOp:
@@ -98,6 +95,6 @@ class LimitedSpeeds:
             )
             sent_cdeg = self._limits.near_side(servo.servo_id, stands_cdeg, at_cdeg)
             servo.passing_cdeg = None if sent_cdeg == at_cdeg else at_cdeg
-            op = ServoOp(op.op, sent_cdeg)
+            op = (STARTS if op.op is OP_START else SETS)[sent_cdeg]
         servo.eases = servo.eases and op.angle_cdeg != target_cdeg
         return op
