@@ -28,6 +28,7 @@ With all places taken, a new source is rejected, since its burst would look like
 """
 
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Final
 
 SOURCES: Final = 256
@@ -71,11 +72,6 @@ class _Clock:
     newest_before_ms: float
     """The newest before this instant, since commands of one instant may arrive in any order."""
     stretch: _Stretch | None = None
-
-    @property
-    def proven_ms(self) -> float:
-        """How long it has sent fresh commands, at most `STEADY_MS`."""
-        return min(self.fresh_ms - self.since_ms, STEADY_MS)
 
 
 class Staleness:
@@ -154,17 +150,15 @@ class Staleness:
     # mutants accepted (Step): a list of one
     def _clocks_of(self, name: str | None, instant_ms: float) -> list[_Clock] | None:
         """Return the known clocks of a source, as of this instant, or None if there is no place for a new source."""
-        if name in self._sources:
-            source = self._sources[name]
-            del self._sources[name]  # and put back at the end
-        else:
+        source = self._sources.pop(name, None)
+        if source is None:
             if len(self._sources) >= SOURCES:
                 oldest = next(iter(self._sources))
                 if instant_ms - self._sources[oldest][1][0] < FORGET_MS:
                     return None
                 del self._sources[oldest]
             source = ([], [instant_ms])
-        self._sources[name] = source
+        self._sources[name] = source  # at the end
         clocks, newest = source
         if instant_ms > newest[0]:
             rise_ms, newest[0] = DRIFT * (instant_ms - newest[0]), instant_ms
@@ -174,15 +168,13 @@ class Staleness:
         return clocks
 
     def _believed(self, clocks: list[_Clock], difference_ms: float) -> _Clock:
-        last = max(clocks, key=_latest)
-        if difference_ms - last.baseline_ms <= self._max_age_ms:
-            return last
-        longest = max(clocks, key=lambda clock: (clock.proven_ms, clock.fresh_ms))
-        return longest if difference_ms - longest.baseline_ms <= self._max_age_ms else last
+        last, longest = max(clocks, key=_latest), max(clocks, key=_proven)
+        late = difference_ms - last.baseline_ms > self._max_age_ms
+        return longest if late and difference_ms - longest.baseline_ms <= self._max_age_ms else last
 
     def _new_clock(self, clocks: list[_Clock], sent_ms: float, now_ms: float) -> _Clock:
         if len(clocks) == CLOCKS:
-            clocks.remove(min(clocks, key=lambda clock: (clock.proven_ms, clock.fresh_ms)))
+            clocks.remove(min(clocks, key=_proven))
         difference_ms = now_ms - sent_ms
         clock = _Clock(difference_ms, difference_ms, now_ms, now_ms, sent_ms, sent_ms)
         clocks.append(clock)
@@ -199,18 +191,20 @@ class Staleness:
 
     def _is_steady(self, clock: _Clock, difference_ms: float, now_ms: float, *, overtaken: bool) -> bool:
         stretch = clock.stretch
-        if stretch is None or now_ms - stretch.last_ms > GAP_MS:
-            clock.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms, overtaken)
-            return False
-        stretch.last_ms = now_ms
-        stretch.overtaken = stretch.overtaken or overtaken
-        stretch.smallest_ms = min(stretch.smallest_ms, difference_ms)
-        stretch.largest_ms = max(stretch.largest_ms, difference_ms)
-        if stretch.largest_ms - stretch.smallest_ms > self._max_age_ms:
-            clock.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms, overtaken)
-            return False
-        return now_ms - stretch.begun_ms >= STEADY_MS
+        if stretch is not None and now_ms - stretch.last_ms <= GAP_MS:
+            stretch.last_ms = now_ms
+            stretch.overtaken = stretch.overtaken or overtaken
+            stretch.smallest_ms = min(stretch.smallest_ms, difference_ms)
+            stretch.largest_ms = max(stretch.largest_ms, difference_ms)
+            if stretch.largest_ms - stretch.smallest_ms <= self._max_age_ms:
+                return now_ms - stretch.begun_ms >= STEADY_MS
+        clock.stretch = _Stretch(now_ms, now_ms, difference_ms, difference_ms, overtaken)
+        return False
 
 
-def _latest(clock: _Clock) -> float:
-    return clock.fresh_ms
+_latest = attrgetter("fresh_ms")
+
+
+def _proven(clock: _Clock) -> tuple[float, float]:
+    """How long the clock has sent fresh commands, at most `STEADY_MS`; of equal ones the latest counts."""
+    return min(clock.fresh_ms - clock.since_ms, STEADY_MS), clock.fresh_ms

@@ -78,7 +78,7 @@ _KNOWN: Final = (
     (_ROBOT.watchdog, "_rules expirations"),
     (_ROBOT.latch, "_rules number since_ns unknown"),
     (_ROBOT.lease, "_rules holder verified since_ns due_ns closed _token _askers"),
-    (_ROBOT.buttons, "_rules required _timeout_ns _rise_ns _by_token closed fell_ns alive due_ns"),
+    (_ROBOT.buttons, "_rules _by_token closed alive due_ns"),
     (_ROBOT.body, "_rules watches low fallen beyond_ns"),
     (_ROBOT.power, "_rules alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),

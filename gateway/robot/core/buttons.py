@@ -62,14 +62,12 @@ class Registration:  # mutants accepted (Step): set before it is read; a nanosec
     least_ns: int = 0
     """The smallest `offset_ns` of this registration."""
 
-    def sent_ns(self, sent_ms: float | None, received_ns: int, rise_ns: int) -> int:
-        """Return when a message of this button was sent, in ns of the gateway's clock, `received_ns` at the latest.
-
-        `rise_ns` is the most by which the button's clock may fall behind.
-        """
-        if sent_ms is None:
+    def sent_ns(self, message: ButtonRequest, rules: Rules) -> int:
+        """Return when a message of this button was sent, in ns of the gateway's clock: at the latest when received."""
+        received_ns, rise_ns = message.received_ns, rules.buttons_timeout_ns // RISE
+        if message.sent_ms is None:
             return received_ns
-        offset_ns = received_ns - round(sent_ms * NS_PER_MS)
+        offset_ns = received_ns - round(message.sent_ms * NS_PER_MS)
         if self.offset_ns is None:
             self.offset_ns = self.least_ns = offset_ns
         else:
@@ -88,14 +86,9 @@ class Buttons(Interlock[ButtonRequest]):
 
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
-        self.required = rules.buttons_required
-        self._timeout_ns = rules.buttons_timeout_ns
-        self._rise_ns = rules.buttons_timeout_ns // RISE
         self._by_token: dict[str, Registration] = {}
-        self.closed = self.required > 0
+        self.closed = rules.buttons_required > 0
         """Whether too few are alive."""
-        self.fell_ns: int | None = None
-        """Since when too few are alive, if enough were before."""
         self.alive = 0
         """How many certificates (without proofs: names) with an alive button that counts."""
         self.due_ns: int | None = None
@@ -128,7 +121,7 @@ class Buttons(Interlock[ButtonRequest]):
         effects: list[Effect] = []
         for at_ns, button in sorted(late, key=itemgetter(0)):
             button.until_ns, button.silent = None, True
-            what = f"no check-in of the button {button.name} in {self._timeout_ns / NS_PER_MS:g} ms"
+            what = f"no check-in of the button {button.name} in {self._rules.buttons_timeout_ns / NS_PER_MS:g} ms"
             effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, legs, key=None)
         return effects
 
@@ -160,7 +153,7 @@ class Buttons(Interlock[ButtonRequest]):
             del self._by_token[gives_way]
         button = Registration(name, request.holder, request.counts, until_ns)
         self._by_token[request.fresh_token] = button
-        button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns)
+        button.sent_ns(request, self._rules)
         what = f"{name} is registered as a button" + (
             "" if same is None else ", and replaces the earlier one of this name"
         )
@@ -175,10 +168,11 @@ class Buttons(Interlock[ButtonRequest]):
             detail = f"count is {request.count}, and {button.count} was already received: a check-in counts once"
             return [RequestAnswer(Reason.STALE, detail)]
         button.count = request.count
-        until_ns = button.sent_ns(request.sent_ms, request.received_ns, self._rise_ns) + self._timeout_ns
+        sent_ns, timeout_ns = button.sent_ns(request, self._rules), self._rules.buttons_timeout_ns
+        until_ns = sent_ns + timeout_ns
         if now_ns >= until_ns:
-            delay_ms = (now_ns - until_ns + self._timeout_ns) / NS_PER_MS
-            detail = f"the check-in is {delay_ms:.0f} ms old; it counts for {self._timeout_ns / NS_PER_MS:g} ms"
+            age_ms = (now_ns - sent_ns) / NS_PER_MS
+            detail = f"the check-in is {age_ms:.0f} ms old; it counts for {timeout_ns / NS_PER_MS:g} ms"
             return [RequestAnswer(Reason.STALE, detail)]
         answer = RequestAnswer(detail="" if button.counts else _UNCOUNTED)
         silent, button.silent = button.silent, False
@@ -211,20 +205,19 @@ class Buttons(Interlock[ButtonRequest]):
         alive = [button for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min((button.until_ns for button in alive if button.until_ns is not None), default=None)
         self.alive = len({(each.holder, each.name if each.holder is None else "") for each in alive if each.counts})
-        closed, self.closed = self.closed, self.alive < self.required
+        closed, self.closed = self.closed, self.alive < self._rules.buttons_required
         if not self.closed:
-            self.fell_ns = self.down = None
+            self.down = None
             return False
-        if not closed:
-            self.fell_ns = at_ns
-        self.down = Down("too few buttons are alive", self.fell_ns, *self._too_few())
+        fell_ns = self.down and self.down.since_ns if closed else at_ns  # None: too few since the beginning
+        self.down = Down("too few buttons are alive", fell_ns, *self._too_few())
         return not closed
 
     def _count(self) -> str:
         are = "is" if self.alive == 1 else "are"
-        if not self.required:
+        if not self._rules.buttons_required:
             return f"{self.alive} {are} alive, and none is required"
-        return f"{self.alive} of the {self.required} buttons that are required {are} alive"
+        return f"{self.alive} of the {self._rules.buttons_required} buttons that are required {are} alive"
 
 
 _UNKNOWN: Final = (

@@ -103,12 +103,6 @@ class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand aroun
     No older Start overtakes such a message, newer messages of its key do not displace it, and it stops its servos even
     if it is rejected.
     """
-    most_fields: int
-    """The fields of a full payload. Each takes a colon, and `source` may have 64 more.
-
-    A payload with more colons is rejected unread: pydantic lists every wrong field, and a payload full of them would
-    block the loop for 1.4 ms.
-    """
     fields_around: tuple[int, int] = (0, 0)
     """The number of fields around setpoints: once, and for each leg."""
     explicit_only: str | None = None
@@ -117,17 +111,15 @@ class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand aroun
 
 _ALL: Final = {0: SERVO_IDS}
 _OWN: Final = {servo_id: (servo_id,) for servo_id in SERVO_IDS}
-_SENDER, _SETPOINT, _LEG = 3, 2, 2 * len(JOINTS)
-"""Fields: source, sent_ms and lease; op and angle_deg of a servo; the same of a leg."""
 
 TARGETS: Final[dict[Target, TargetRules]] = {
-    Target.LEGS: TargetRules(_ALL, _ALL, _read_legs, None, _SENDER + 1 + len(LEGS) * (2 + _LEG), (1, 2)),
-    Target.LEG: TargetRules(_IDS_OF_LEG, _IDS_OF_LEG, _read_leg, None, _SENDER + 1 + _LEG, (1, 0)),
-    Target.SERVO: TargetRules(_OWN, _OWN, _read_servo, None, _SENDER + _SETPOINT),
-    Target.ESTOP: TargetRules(_ALL, _ALL, None, True, 0),  # mutants accepted (Step): nothing of its payload is read
+    Target.LEGS: TargetRules(_ALL, _ALL, _read_legs, None, (1, 2)),
+    Target.LEG: TargetRules(_IDS_OF_LEG, _IDS_OF_LEG, _read_leg, None, (1, 0)),
+    Target.SERVO: TargetRules(_OWN, _OWN, _read_servo, None),
+    Target.ESTOP: TargetRules(_ALL, _ALL, None, True),
     # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
     Target.RESET: TargetRules(
-        {0: ()}, _ALL, _read_reset, False, _SENDER + 1, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
+        {0: ()}, _ALL, _read_reset, False, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
     ),
 }
 """Every target. If a row is missing, `unit/robot/test_intake.py` fails, and no gateway starts."""
@@ -153,7 +145,11 @@ def stops_of(key: CommandKey) -> Targets:
 ENCODINGS: Final = frozenset({"application/json", "zenoh/bytes"})
 """JSON, and Zenoh's value for no encoding. `is_json` knows JSON's other names."""
 _JSON: Final = re.compile(r"application/(json|[\w.+-]+\+json)\s*(;.*)?", re.ASCII | re.DOTALL)
-MAX_COLONS_OF_SOURCE: Final = 64
+MAX_COLONS: Final = 3 + 1 + len(LEGS) * (2 + 2 * len(JOINTS)) + 64
+"""The colons of the largest command: source, sent_ms, lease, legs, and each leg's fields; a source may have 64 more.
+
+A payload with more is rejected unread: pydantic lists every wrong field, and a payload full of them would block the
+loop for 1.4 ms."""
 
 _DELETE: Final = Verb.DELETE  # see `frames.OP_STOP`
 
@@ -208,7 +204,7 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
         return BAD_ENCODING
     payload = received.payload
     colons = payload.count(b":")
-    if colons > row.most_fields + MAX_COLONS_OF_SOURCE:
+    if colons > MAX_COLONS:
         return TOO_MANY_FIELDS
     try:
         command = row.read(number, payload)

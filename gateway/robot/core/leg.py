@@ -75,7 +75,7 @@ class Rules:
     buttons_timeout_ns: int = NS_PER_S
     """How long a button is alive after a check-in."""
     starts_whole: bool = False
-    """Whether the wire only starts and stops all servos (Behaviour *The whole robot*); then `start_pause_ns` is 0."""
+    """Whether the wire only starts and stops all servos (*The whole robot*): without `start_pause_ns` and `power`."""
     min_battery_mv: int = 0
     """The lowest voltage for starts (Behaviour *Measurements*); 0: no limit."""
     max_tilt_cdeg: int = 0
@@ -92,12 +92,6 @@ class Rules:
     feed_ns: int = 1800 * NS_PER_MS
     """How long a start waits for power. The board takes up to 1 s for 18 servos, and 0.4 s for the first one, which is
     powered alone. A client waits 2 s for its answer."""
-
-    def __post_init__(self) -> None:
-        if self.starts_whole and self.start_pause_ns:
-            raise ValueError("a robot that starts as a whole cannot start leg by leg")
-        if self.starts_whole and self.power:
-            raise ValueError("a power board starts servos one by one")
 
     @property
     def stops_whole(self) -> bool:

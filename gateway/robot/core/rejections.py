@@ -17,8 +17,6 @@ _MAX_NAME: Final = 40
 """Characters of a sender's name that a rejection repeats."""
 _SECRET: Final = re.compile(r"[0-9a-fA-F]{32,}")
 """Text that may be a lease's token in the wrong field."""
-
-
 _OPS: Final = ("start", "set", "stop")
 _VERBS: Final = ("challenge", "acquire", "ask", "take", "renew", "release", "register", "alive", "leave")
 """The kinds of commands and requests, which pydantic puts before the fields of one."""

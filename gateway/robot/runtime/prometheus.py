@@ -97,7 +97,8 @@ class Numbers(Collector):
             kinds = _counts(events, (kind for kind in Kind if kind.startswith(f"{of}_")))
             yield _counter(f"{of}_changes", f"What happened to {what}", kinds, "kind")
         yield _gauge("buttons_alive", "Stop buttons that check in", buttons.alive)
-        yield _gauge("buttons_required", "Stop buttons that must be alive for anything to move", buttons.required)
+        required = settings.buttons.required
+        yield _gauge("buttons_required", "Stop buttons that must be alive for anything to move", required)
         calibrating = supervisor.calibrating
         yield _gauge("calibration_revision", "The calibration in force", calibrating.in_force.revision)
         unreadable = "1: the calibration cannot be read, and nothing starts"

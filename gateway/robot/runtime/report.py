@@ -182,7 +182,9 @@ class RobotReports:
                 expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
                 asked_by=lease.asked_by,
             ),
-            buttons=telemetry.ButtonsReport(required=buttons.required, alive=buttons.alive, names=buttons.names),
+            buttons=telemetry.ButtonsReport(
+                required=settings.buttons.required, alive=buttons.alive, names=buttons.names
+            ),
             calibration=telemetry.CalibrationReport(
                 revision=supervisor.calibrating.in_force.revision,
                 fault=supervisor.calibrating.fault,

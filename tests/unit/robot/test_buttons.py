@@ -50,7 +50,7 @@ def test_a_button_that_returns_starts_nothing_and_lets_start() -> None:
         1000 time
         5000 button alive kitchen 2 → announce button_returned; granted
         running none""")
-    assert robot.supervisor.buttons.fell_ns is None
+    assert robot.supervisor.buttons.down is None
     robot.play("5001 leg 1 start 90 → command 1 start 90; completed 2")
 
 

@@ -3,7 +3,6 @@
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.leg import Rules
 from tests.support.scenes import play
 
 WHOLE = "rules starts_whole=True\n"
@@ -56,8 +55,3 @@ def test_one_silent_leg_stops_the_robot_whatever_the_scope_and_the_event_says_wh
         legs 123456
         mentions leg 6 in 250 ms; all six legs are stopped, since this robot can only be stopped as a whole
         watchdogs expired expired expired expired expired expired""")
-
-
-def test_starts_one_after_the_other_are_no_rules_of_such_a_robot() -> None:
-    with pytest.raises(ValueError, match="cannot start leg by leg"):
-        Rules(starts_whole=True, start_pause_ns=1)
