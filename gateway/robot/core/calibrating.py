@@ -70,10 +70,6 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self.fault = fault
         self.closed = fault is not None
 
-    def awaits(self, number: int) -> bool:
-        """Return whether the change with this number is not saved yet."""
-        return self._on_its_way is not None and self._on_its_way.event.number == number
-
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
         if self.fault is not None:
             return Reason.SERVO_STOPPED, self._untrusted()
@@ -128,8 +124,8 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     def _kept(self, event: CalibrationSaved) -> list[Effect]:  # mutants accepted (Forget): only time is lost
         """Put the saved change in force, or reject it and keep the old calibration if the disk failed."""
-        if self._on_its_way is None:
-            return []
+        if self._on_its_way is None or self._on_its_way.event.number != event.number:
+            return []  # nobody waits for it
         calibration, servos, asked = self._on_its_way
         self._on_its_way = None
         if event.fault is not None:

@@ -52,7 +52,6 @@ from gateway.robot.core.events import (
     BusOpened,
     ButtonRequest,
     Calibrate,
-    CalibrationSaved,
     Command,
     Effect,
     EmergencyStop,
@@ -87,8 +86,6 @@ _REJECTING: Final = {
 """The modes in which every command is rejected, and why."""
 _STOPS_ALL: Final = frozenset({BusOpened, BusFailed, ShutDown})
 """These events, and a Halt, void due deadlines."""
-_CHECKED: Final = frozenset({CalibrationSaved, EstopKept})
-"""Events that are legal only while they are expected."""
 _NOT_AT_THE_END: Final = frozenset({LeaseRequest, ButtonRequest, PowerSeen})
 ORDER: tuple[type[Interlock[Any]], ...] = (
     Outside,
@@ -158,8 +155,8 @@ class Supervisor:
         """
         kind, legs = type(event), self.legs
         own = self._own.get(kind)
-        if kind in _CHECKED or kind not in LEGAL[self.mode]:
-            self._check_legal(event, kind)
+        if kind not in LEGAL[self.mode] and (kind in ALL_EVENTS or own is None):
+            raise IllegalEvent(f"{kind.__name__} while {self.mode}")
         legs.begin(now_ns if instant_ns is None else instant_ns)
         effects: list[Effect] = []
         for each in self._interlocks:
@@ -198,14 +195,6 @@ class Supervisor:
             if each.due_ns is not None:
                 self.due_ns = each.due_ns if self.due_ns is None else min(self.due_ns, each.due_ns)
         return sorted(effects, key=_after_stops) if legs.stopping else effects
-
-    def _check_legal(self, event: Event, kind: type[Event]) -> None:
-        if kind not in LEGAL[self.mode] and (kind in ALL_EVENTS or kind not in self._own):
-            raise IllegalEvent(f"{kind.__name__} while {self.mode}")
-        if type(event) is CalibrationSaved and not self.calibrating.awaits(event.number):
-            raise IllegalEvent(f"calibration {event.number} is not on its way to the disk")
-        if type(event) is EstopKept and not self.latch.unknown:
-            raise IllegalEvent("what an earlier run has left of its emergency stops is known")
 
     def _mode_now(self) -> Mode:
         if self._ended:

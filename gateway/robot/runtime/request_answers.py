@@ -154,17 +154,13 @@ class ButtonAnswers(_ProvedAnswers):
 
     def _event(self, request: Register | Alive | Leave, now_ns: int) -> ButtonRequest:
         match request:
-            case Register():
-                return self._registration(request, now_ns)
             case Alive():
                 return ButtonRequest(
                     "alive", now_ns, token=request.button, count=request.count, sent_ms=request.sent_ms
                 )
             case Leave():
                 return ButtonRequest("leave", now_ns, token=request.button)
-
-    def _registration(self, request: Register, now_ns: int) -> ButtonRequest:
-        """A button counts if `buttons.names` has its person (`anna` of `anna/phone`) or its certificate's role."""
+        # It counts if `buttons.names` has its person (`anna` of `anna/phone`) or its certificate's role.
         holder, names = self._proofs.holder(request.proof), self._conductor.settings.buttons.names
         named = {request.source.partition("/")[0]} if holder is None else {holder.name, holder.role}
         return ButtonRequest(

@@ -5,9 +5,7 @@ import pytest
 from gateway.robot.core.events import EstopKept
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.message import Verb
-from gateway.robot.core.supervisor import IllegalEvent
 from schemas import keys
-from schemas.telemetry import Mode
 from tests.support.robot import started_and_quiet
 from tests.support.scenes import Scenes, leg_to
 
@@ -30,19 +28,6 @@ def test_numbers_go_on_so_a_reset_of_an_earlier_run_leaves_no_emergency_stop_of_
     robot.do(2, "estop")
     assert robot.supervisor.latch.number == 8
     assert robot.do(3, "reset -1") == ["rejected 1 estopped"]
-
-
-@pytest.mark.parametrize("rules", [KEPT, Rules()])
-def test_it_is_learnt_once(rules: Rules) -> None:
-    robot = Scenes(rules)
-    if rules.estop_kept:
-        robot.take(1, EstopKept(7, engaged=True))
-    else:
-        robot.do(1, "estop")
-    before = robot.supervisor.latch.number
-    with pytest.raises(IllegalEvent):
-        robot.take(2, EstopKept(9, engaged=False))
-    assert (robot.supervisor.mode, robot.supervisor.latch.number) == (Mode.ESTOPPED, before)
 
 
 # ---- which events are announced, and when
