@@ -10,13 +10,15 @@ NS_PER_MS: Final = 1_000_000
 class Allowance:
     """A token bucket, full at first. `now_ns` is monotonic; constant memory and time."""
 
-    __slots__ = ("_all_ns", "_each_ns", "_full_ns")
+    __slots__ = ("_all_ns", "_each_ns", "_full_ns", "left_out")
 
     def __init__(self, a_second: float, at_once: int) -> None:  # mutants accepted (Step): a clock begins at 0
         """Allow at most `at_once` + T * `a_second` tokens in any T seconds. `a_second` may be a fraction."""
         self._each_ns = ceil(NS_PER_S / a_second)
         self._all_ns = at_once * self._each_ns
         self._full_ns = 0
+        self.left_out = 0
+        """For `AllowanceBySource`: how many were rejected since the last success."""
 
     def take(self, now_ns: int, count: int = 1) -> bool:
         """Take `count` tokens. Return False, and take none, if fewer are left."""
@@ -45,20 +47,18 @@ class AllowanceBySource:
     def __init__(self, a_second: float, at_once: int) -> None:
         self._each = a_second, at_once
         self._known: dict[str | None, Allowance] = {}
-        self._left_out: dict[str | None, int] = {}
 
     def admit(self, source: str | None, now_ns: int, count: int = 1) -> int | None:
         """Take `count` tokens of this source. Return how many were rejected since the last success; None: rejected."""
         if source not in self._known and len(self._known) >= MOST_SOURCES:
             self._known = {name: known for name, known in self._known.items() if not known.is_full(now_ns)}
-            self._left_out = {name: left_out for name, left_out in self._left_out.items() if name in self._known}
             if len(self._known) >= MOST_SOURCES:
                 source = None
         if source not in self._known:
             self._known[source] = Allowance(*self._each)
-        left_out = self._left_out.get(source, 0)
-        if not self._known[source].take(now_ns, count):
-            self._left_out[source] = left_out + count
+        known = self._known[source]
+        if not known.take(now_ns, count):
+            known.left_out += count
             return None
-        self._left_out[source] = 0
+        left_out, known.left_out = known.left_out, 0
         return left_out

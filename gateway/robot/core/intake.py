@@ -46,14 +46,12 @@ def _read_servo(servo_id: int, payload: bytes) -> Command:
 
 def _read_leg(leg: int, payload: bytes) -> Command:
     command: dict[str, Any] = _LEG_COMMAND.validate_json(payload)
-    targets = _targets(((leg, command),))
-    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
+    return _of_legs(((leg, command),), command)
 
 
 def _read_legs(_: int, payload: bytes) -> Command:
     command: dict[str, Any] = _LEGS_COMMAND.validate_json(payload)
-    targets = _targets(sorted(command["legs"].items()))
-    return Command(targets, source=command["source"], sent_ms=command["sent_ms"], lease=command["lease"])
+    return _of_legs(sorted(command["legs"].items()), command)
 
 
 def _read_reset(_: int, payload: bytes) -> Reset:
@@ -61,15 +59,15 @@ def _read_reset(_: int, payload: bytes) -> Reset:
     return Reset(source=command.source, sent_ms=command.sent_ms, lease=command.lease, estop=command.estop)
 
 
-def _targets(legs: Iterable[tuple[int | str, dict[str, Any]]]) -> Targets:
-    """Return the operation of each servo, with angles rounded to hundredths of a degree, as in `centidegrees`."""
+def _of_legs(legs: Iterable[tuple[int | str, dict[str, Any]]], sent: dict[str, Any]) -> Command:
+    """Return the command for these legs, with angles rounded to hundredths of a degree, as in `centidegrees`."""
     targets = []
     for leg, command in legs:
         for servo_id, setpoint in zip(_IDS_OF_LEG[int(leg)], command["servos"], strict=True):
             name = setpoint["op"]
             op = STOP if name == "stop" else _MOVES[name][round(setpoint["angle_deg"] * 100)]
             targets.append((servo_id, op))
-    return tuple(targets)
+    return Command(tuple(targets), source=sent["source"], sent_ms=sent["sent_ms"], lease=sent["lease"])
 
 
 # ---- the table

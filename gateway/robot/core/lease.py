@@ -84,16 +84,14 @@ class RobotLease(Interlock[LeaseRequest]):
     # ---- time
 
     def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        if self.due_ns is None or now_ns < self.due_ns:
-            return []
         ttl = f"{self._rules.lease_ttl_ns / NS_PER_MS:g} ms"
         if self._handed_over:
             detail = f"{self.holder} did not acquire the lease within {ttl} of its handover; it is free"
         else:
             detail = f"{self.holder} was silent for {ttl} and has lost the lease"
-        effects: list[Effect] = [Announce(Kind.LEASE_EXPIRED, detail, self.holder)]
+        announcement = Announce(Kind.LEASE_EXPIRED, detail, self.holder)
         self.end()
-        return effects
+        return [announcement]
 
     def end(self) -> None:
         """Free the lease."""

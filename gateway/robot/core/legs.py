@@ -95,22 +95,21 @@ class Legs:
     def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
         """End a step: compute what is due next, and whether anything runs."""
         due_ns = repeat_ns = NEVER
-        at_rest, rests = True, False
+        at_rest, rests, held = True, False, self._held()
         for leg in self._all:
-            waits, runs, armed = 0, False, False
+            waits = holds = runs = armed = False
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
                     runs = armed = True
                 if servo.waiting is not None:
-                    waits += 1
+                    holds, waits = (True, waits) if servo in held else (holds, True)
                     armed = armed or servo.waiting.op is OP_START
                 if servo.repeats_left and servo.repeat_ns < repeat_ns:
                     repeat_ns = servo.repeat_ns
             leg_ns = NEVER if leg.commanded_ns is None or not armed else leg.commanded_ns + self._rules.timeout_ns
-            if held := self._held(leg):
+            if holds:
                 leg.unfed_ns = now_ns if leg.unfed_ns is None else leg.unfed_ns
                 leg_ns = min(leg_ns if runs else NEVER, leg.unfed_ns + self._rules.feed_ns)
-                waits -= len(held)
             else:
                 leg.unfed_ns = None
             if self.landing is not None and runs:
@@ -149,17 +148,19 @@ class Legs:
 
     def start_fed(self, now_ns: int) -> list[Effect]:
         """Return the starts that waited for power, within their legs' rate slots, and arm these legs' deadlines."""
+        held = self._held()
         for leg in self:
-            if leg.unfed_ns is not None and not leg.runs and not self._held(leg):
+            if leg.unfed_ns is not None and not leg.runs and not any(servo in held for servo in leg.servos):
                 leg.commanded_ns = now_ns
         return self.take_slots(now_ns)
 
-    def _held(self, leg: Leg) -> list[Servo]:
-        """Return the leg's servos whose starts wait for power. A command starts all its servos at once, or none."""
+    def _held(self) -> Collection[Servo]:
+        """Return the servos whose starts wait for power. A command starts all its servos at once, or none."""
         if self._fed is None:
-            return []
-        unfed = [each.waiting_for for each in self.servos.values() if each.starts and each.servo_id not in self._fed]
-        return [each for each in leg.servos if each.starts and each.waiting_for in unfed] if unfed else []
+            return ()
+        starting = [servo for servo in self.servos.values() if servo.starts]
+        unfed = {servo.waiting_for for servo in starting if servo.servo_id not in self._fed}
+        return {servo for servo in starting if servo.waiting_for in unfed}
 
     def to_feed(self) -> dict[int, int | None]:
         """Return the servos to power: running ones (None), and waiting starts with their wire angle (0.01 degrees).
@@ -338,12 +339,12 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Return the frame for this leg's waiting targets, if it may leave now. Stops alone need no rate slot."""
-        held = () if self._fed is None else self._held(leg)
+        held = self._held()
         waiting: list[tuple[Servo, ServoOp]] = []
         moves = starts = False
         for servo in leg.servos:
             op = servo.waiting
-            if op is not None and not (held and servo in held):
+            if op is not None and servo not in held:
                 waiting += [(servo, op)]
                 if op.op is not OP_STOP:
                     moves, starts = True, starts or servo.angle_cdeg is None

@@ -1,7 +1,6 @@
 """What is rejected and may contain a Stop stops the servos that it names; all of its key where that cannot be told."""
 
 import asyncio
-import base64
 import gzip
 import json
 from collections.abc import Callable
@@ -61,7 +60,6 @@ def _forms(setpoint: Callable[..., dict[str, Any]]) -> dict[str, Form]:
         "single quotes": bare.replace('"', "'").encode(),
         "word": b"stop",
         "gzip": gzip.compress(plain, mtime=0),
-        "base64": base64.b64encode(plain),
         "deep": b'{"x":' + b"[" * 2000 + plain,
     }
     made |= {name: Form(payload, Reason.MALFORMED) for name, payload in malformed.items()}
