@@ -12,16 +12,15 @@ Only measurements advance the time here. The bus reports missing ones as a fault
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
+from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, BodyMeasured, Effect
-from gateway.robot.core.interlock import Down, Interlock, Why, how_it_comes_down
+from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why, how_it_comes_down
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
-from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
 RECOVERS: Final = 50
 """A low battery has recovered a fiftieth above the limit, so that a jittering voltage is announced once (assumed)."""
-_ALL: Final = tuple(LEGS)
 
 
 class BodyLimits(Interlock[BodyMeasured]):
@@ -29,8 +28,8 @@ class BodyLimits(Interlock[BodyMeasured]):
 
     takes = (BodyMeasured,)
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+        super().__init__(rules, limits)
         self.watches = rules.min_battery_mv > 0 or rules.max_tilt_cdeg > 0
         """Whether any measurement matters."""
         self.low = False
@@ -85,4 +84,4 @@ class BodyLimits(Interlock[BodyMeasured]):
         then = how_it_comes_down(legs, self._rules)
         held_ms = self._rules.tilt_ns / NS_PER_MS
         detail = f"the body has been tilted beyond {limit_cdeg / 100:g} degrees for {held_ms:g} ms"
-        return [Announce(Kind.FALLEN, f"{detail}; {then}" if then else detail, legs=_ALL if then else ())]
+        return [Announce(Kind.FALLEN, f"{detail}; {then}" if then else detail, legs=ALL_LEGS if then else ())]

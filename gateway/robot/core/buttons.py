@@ -23,12 +23,12 @@ from operator import itemgetter
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
+from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, ButtonRequest, Command, Effect, RequestAnswer, Reset
-from gateway.robot.core.interlock import Down, Interlock, Why, how_it_comes_down
+from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why, how_it_comes_down
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from schemas import keys
-from schemas.robot import LEGS
 from schemas.telemetry import Kind, Reason
 
 MOST_OF_ONE: Final = 4
@@ -40,7 +40,6 @@ DRIFT_PPM: Final = 200  # mutants accepted (Step): a rounded bound
 RISE: Final = 4
 """A button's clock may fall behind by the timeout divided by this, at most, since an attacker who delays check-ins ever
 longer looks like a slow clock. A slower button must register again."""
-_ALL: Final = tuple(LEGS)
 
 
 @dataclass(slots=True)
@@ -84,8 +83,8 @@ class Buttons(Interlock[ButtonRequest]):
     takes = (ButtonRequest,)
     bars = (Command, Reset)
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+        super().__init__(rules, limits)
         self._by_token: dict[str, Registration] = {}
         self.closed = rules.buttons_required > 0
         """Whether too few are alive."""
@@ -198,7 +197,7 @@ class Buttons(Interlock[ButtonRequest]):
         """Return the event of a change to one button; it names the legs that stop because of the change."""
         then = how_it_comes_down(legs, self._rules) if self._count_alive(at_ns) else ""
         detail = f"{what}; {self._count()}{f'; {then}' if then else ''}"
-        return [Announce(kind, detail, name, key, _ALL if then else ())]
+        return [Announce(kind, detail, name, key, ALL_LEGS if then else ())]
 
     def _count_alive(self, at_ns: int) -> bool:
         """Count the buttons that are alive. Return whether they have just become too few."""

@@ -11,7 +11,7 @@ If the calibration file cannot be read (`fault`), nothing moves until a person t
 robot's: with a wrong trim or direction, a leg would move to an angle that was not commanded.
 """
 
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import CalibrationError, RobotCalibration, changed, changed_servos
@@ -49,15 +49,11 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
     takes = (Calibrate, CalibrationSaved)
 
     def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules)
+        super().__init__(rules, limits)
         self._limits = limits
         self.fault: str | None = None
         """Why the calibration cannot be trusted, or None."""
         self._on_its_way: _OnItsWay | None = None
-
-    @classmethod
-    def of(cls, rules: Rules, limits: AngleLimits) -> Self:
-        return cls(rules, limits)
 
     @property
     def in_force(self) -> RobotCalibration:

@@ -3,17 +3,19 @@
 A rule is a file with one such class, and a line in the supervisor's `ORDER`.
 """
 
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Calibrate, Command, Effect, Event, Reset
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
+from schemas.robot import LEGS
 from schemas.telemetry import Cause, Reason
 
 Barred = Command | Reset | Calibrate
 """A request to which an interlock may object."""
 Why = tuple[Reason, str]
+ALL_LEGS: Final = tuple(LEGS)
 Own = TypeVar("Own")
 """The events that an interlock takes."""
 
@@ -48,13 +50,8 @@ class Interlock(Generic[Own]):
     due_ns: int | None = None
     """When `expire` is due, or None."""
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:  # noqa: ARG002
         self._rules = rules
-
-    @classmethod
-    def of(cls, rules: Rules, limits: AngleLimits) -> Self:  # noqa: ARG003
-        """Return the interlock of a robot with these rules and angle limits."""
-        return cls(rules)
 
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
         """Return why `request` is rejected, or None."""

@@ -3,6 +3,7 @@
 from typing import Final
 
 from gateway.allowance import NS_PER_S
+from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop, EstopKept, Rejected, Reset
 from gateway.robot.core.interlock import Halt, Interlock
 from gateway.robot.core.leg import Rules
@@ -18,8 +19,8 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
 
     takes = (EmergencyStop, Reset, EstopKept)
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+        super().__init__(rules, limits)
         self.number = 0
         """The number of the latest emergency stop; 0: none. It continues from the run before."""
         self.since_ns: int | None = None

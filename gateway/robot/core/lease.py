@@ -17,6 +17,7 @@ import hmac
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
+from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, LeaseRequest, RequestAnswer, Reset
 from gateway.robot.core.interlock import Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
@@ -34,8 +35,8 @@ class RobotLease(Interlock[LeaseRequest]):
     takes = (LeaseRequest,)
     bars = (Command, Reset, Calibrate)
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+        super().__init__(rules, limits)
         self.holder: str | None = None
         """The holder, or the nominee of a handover."""
         self.verified = False

@@ -8,6 +8,7 @@ its angle.
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
+from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Effect, PowerSeen
 from gateway.robot.core.interlock import Down, Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
@@ -24,8 +25,8 @@ class PowerRule(Interlock[PowerSeen]):
 
     takes = (PowerSeen,)
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+        super().__init__(rules, limits)
         self.alive = not rules.power
         self.closed = rules.power
         self._refused: Mapping[int, str] = {}

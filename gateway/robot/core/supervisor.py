@@ -125,7 +125,7 @@ class Supervisor:
         self._limits = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
         self.legs = Legs(rules, self._limits)
         self.backlog = Backlog(rules, self.legs)
-        self.connect(each.of(rules, self._limits) for each in ORDER)
+        self.connect(each(rules, self._limits) for each in ORDER)
         self._opened = False  # ever
         self._fault = Kind.BUS_FAULT  # the announced fault, while there is one
         self._ended = False

@@ -11,14 +11,13 @@ would be due later than the landing's end.
 from typing import Any, Final, Never
 
 from gateway.allowance import NS_PER_MS
+from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect
-from gateway.robot.core.interlock import Down, Interlock, Why, nothing_to_stop
+from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why, nothing_to_stop
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
-from schemas.robot import LEGS
 from schemas.telemetry import Cause, Kind, Reason
 
-_ALL: Final = tuple(LEGS)
 _LANDING: Final = "the robot lands; start it once all legs are stopped"
 
 
@@ -27,8 +26,8 @@ class Watchdog(Interlock[Never]):
 
     bars = (Command, Calibrate)
 
-    def __init__(self, rules: Rules) -> None:
-        super().__init__(rules)
+    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+        super().__init__(rules, limits)
         self.expirations = 0
         """How often a leg was silent for the timeout since the start."""
 
@@ -62,7 +61,7 @@ class Watchdog(Interlock[Never]):
         whole += ", since this robot can only be stopped as a whole" if rules.starts_whole else ""
         for number in silent:
             detail = f"no command for leg {number} in {timeout_ms:g} ms{whole}"
-            stopped = _ALL if rules.stops_whole else (number,)
+            stopped = ALL_LEGS if rules.stops_whole else (number,)
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
         return effects
 
@@ -75,7 +74,7 @@ class Watchdog(Interlock[Never]):
         for leg in armed:
             leg.expired = True
         detail = "the robot has landed; all six legs are stopped"
-        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=_ALL)]
+        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=ALL_LEGS)]
 
 
 def bring_down(down: Down, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
@@ -93,4 +92,4 @@ def bring_down(down: Down, now_ns: int, legs: Legs, rules: Rules) -> list[Effect
 def _begin_landing(why: str, ends_ns: int, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
     dropped = legs.begin_landing(now_ns, ends_ns)
     detail = f"{why}; the robot lands, and is stopped {rules.landing_ns / NS_PER_MS:g} ms later"
-    return [*dropped, Announce(Kind.LANDING, detail, legs=_ALL)]
+    return [*dropped, Announce(Kind.LANDING, detail, legs=ALL_LEGS)]

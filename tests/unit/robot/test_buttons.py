@@ -5,7 +5,7 @@ from typing import Final
 import pytest
 
 from gateway.allowance import NS_PER_MS
-from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED, Buttons
+from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED
 from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
@@ -192,7 +192,8 @@ def test_a_check_in_that_was_held_back_counts_no_longer_than_its_age() -> None:
 
 
 def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
-    found, legs = Buttons(RULES), Supervisor(RULES).legs
+    robot = Supervisor(RULES)
+    found, legs = robot.buttons, robot.legs
     found.take(ButtonRequest("register", 0, "kitchen", fresh_token=KITCHEN), 0, legs)
     check_in = ButtonRequest("alive", 5, token=KITCHEN, count=1)
     (answer,) = found.take(check_in, 5 + TIMEOUT_MS * NS_PER_MS, legs)
@@ -203,7 +204,8 @@ def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
 
 def offset_of(rise_ms: list[tuple[float, float]]) -> float:
     """How late a button's last message counts as sent, in ms: its messages come at (s) with so much delay (ms)."""
-    buttons, legs = Buttons(RULES), Supervisor(RULES).legs
+    robot = Supervisor(RULES)
+    buttons, legs = robot.buttons, robot.legs
     for number, (at_s, delay_ms) in enumerate(rise_ms):
         received_ns = round(at_s * 1e9)
         do: ButtonDo = "alive" if number else "register"
@@ -233,7 +235,8 @@ def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> No
 @pytest.mark.parametrize("hours", [1, 10])
 def test_check_ins_that_are_held_back_ever_longer_are_old(hours: int) -> None:
     """0.19 ms more each second is less than a slow clock may lose, and was 6.8 s after ten hours."""
-    buttons, legs = Buttons(RULES), Supervisor(RULES).legs
+    robot = Supervisor(RULES)
+    buttons, legs = robot.buttons, robot.legs
     token = "0" * 32
     buttons.take(ButtonRequest("register", 0, "kitchen", sent_ms=0, fresh_token=token), 0, legs)
     counts_ms = 0.0
