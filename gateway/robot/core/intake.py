@@ -208,8 +208,9 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
         command = row.read(number, payload)
     except ValidationError as error:
         return explain(error)
-    # Each field has a colon. A payload with no more colons than fields has no name twice and is read only once.
-    return (name_given_twice(payload) if colons > _fields(row, command) else None) or command
+    # Each field has a colon. A setpoint with no more colons than fields has no name twice and is read only once.
+    fields = _fields(row, command) if type(command) is Command else 0
+    return (name_given_twice(payload) if colons > fields else None) or command
 
 
 def named_source(payload: bytes) -> str | None:
@@ -220,12 +221,8 @@ def named_source(payload: bytes) -> str | None:
         return None
 
 
-def _fields(row: TargetRules, command: Command | Reset) -> int:
+def _fields(row: TargetRules, command: Command) -> int:
     """Return the least number of fields of a payload with this content."""
-    fields = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
     once, each_leg = row.fields_around
-    if type(command) is Reset:
-        fields += command.estop is not None
-    else:
-        fields += command.left + len(command.moves) + each_leg * len(command.by_leg)  # a Stop has no angle
-    return fields + once
+    sender = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
+    return sender + once + each_leg * len(command.by_leg) + command.left + len(command.moves)  # a Stop has no angle

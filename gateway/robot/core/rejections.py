@@ -60,11 +60,10 @@ def name_given_twice(payload: bytes) -> Rejection | None:
 
     pydantic silently keeps the last value, but the sender may have meant the other one.
     """
-    if payload:
-        try:
-            json.loads(payload, object_pairs_hook=each_name_once)
-        except _GivenTwiceError as error:
-            return Rejection(Reason.INVALID, f"{_name(str(error))} is given twice in one object; give it once")
+    try:
+        json.loads(payload, object_pairs_hook=each_name_once)
+    except _GivenTwiceError as error:
+        return Rejection(Reason.INVALID, f"{_name(str(error))} is given twice in one object; give it once")
     return None
 
 

@@ -38,10 +38,8 @@ class Watchdog(Interlock[Never]):
         if legs.landing is not None:
             return self._touch_down(legs.landing.ends_ns, now_ns, legs)
         rules = self._rules
-        deadlines = {
-            leg.number: deadline for leg in legs if (deadline := leg.deadline_ns(rules.timeout_ns)) is not None
-        }
-        silent = {number: deadline for number, deadline in deadlines.items() if now_ns >= deadline}
+        deadlines = [(leg.number, leg.deadline_ns(rules.timeout_ns)) for leg in legs]
+        silent = {number: deadline for number, deadline in deadlines if deadline is not None and now_ns >= deadline}
         if not silent:
             return []
         self.expirations += len(silent)

@@ -294,7 +294,6 @@ ALL_LEGS = {"legs": {str(number): {"servos": [START_90] * 3} for number in range
         *((SERVO_32, command) for command in (STOP, START_90, START_90 | SENT, STOP | {"sent_ms": None})),
         *((LEG_3, command) for command in (LEG, LEG | SENT, {"servos": [STOP] * 3})),
         *((LEGS_KEY, command) for command in (ALL_LEGS | SENT, {"legs": {"2": LEG}}, {"legs": {"2": LEG, "6": LEG}})),
-        *((RESET_KEY, command) for command in ({}, {"estop": 7}, {"estop": 7} | SENT)),
     ],
     ids=repr,
 )
