@@ -303,6 +303,7 @@ def servos_of(leg: int) -> tuple[Servo, Servo, Servo]:
 # ---- its effects
 
 
+# mutants accepted (Step): the longer way leads to the same frame
 def frame_of(leg: Leg, named: Sequence[tuple[Servo, ServoOp]]) -> Frame:
     """Return the frame with these operations. If it names two servos, the third repeats its current state."""
     if named[2:]:

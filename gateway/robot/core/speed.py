@@ -74,8 +74,7 @@ class LimitedSpeeds:
     def in_steps(self, leg: Leg, waiting: list[tuple[Servo, ServoOp]], now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """Return the operations in the frame that leaves now: with a speed limit, steps towards the waiting targets."""
         steps = [(servo, op if op.op is OP_STOP else self._step(servo, op, now_ns)) for servo, op in waiting]
-        first, second, third = leg.servos
-        leg.eases = first.eases or second.eases or third.eases
+        leg.eases = any(servo.eases for servo in leg.servos)
         if len(waiting) == 2:
             (idle,) = {*leg.servos} - {servo for servo, _ in waiting}
             idle.since_ns = now_ns  # the frame repeats its angle, and the next step counts from here
