@@ -81,7 +81,7 @@ class Legs:
     @property
     def running(self) -> bool:
         """Whether a servo runs now, even within a step."""
-        return any(leg.runs for leg in self._all)
+        return {servo.angle_cdeg for servo in self.servos.values()} != {None}
 
     # ---- time
 
@@ -95,7 +95,7 @@ class Legs:
     def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
         """End a step: compute what is due next, and whether anything runs."""
         due_ns = repeat_ns = NEVER
-        at_rest, rests, held = True, False, self._held()
+        at_rest, rests, held = True, False, () if self._fed is None else self._held()
         for leg in self._all:
             waits = holds = runs = armed = False
             for servo in leg.servos:
@@ -339,7 +339,7 @@ class Legs:
 
     def _send(self, leg: Leg, now_ns: int, cause: Cause = Cause.COMMAND) -> list[Effect]:
         """Return the frame for this leg's waiting targets, if it may leave now. Stops alone need no rate slot."""
-        held = self._held()
+        held = () if self._fed is None else self._held()
         waiting: list[tuple[Servo, ServoOp]] = []
         moves = starts = False
         for servo in leg.servos:
@@ -486,7 +486,7 @@ class Legs:
 
     def drop(self, servos: Collection[Servo], reason: Reason, detail: str) -> list[Effect]:
         """Drop these servos' waiting targets, and reject the commands that set them, as a whole."""
-        rejected = dict.fromkeys(servo.waiting_for for servo in servos if servo.pending)
+        rejected = dict.fromkeys([each.waiting_for for each in servos if each.waiting is not None and not each.begun])
         for servo in self.servos.values():  # a rejected command must not take effect on another leg, nor continue there
             if servo.waiting is not None and servo.waiting_for in rejected:
                 servo.waiting = servo.announced_cdeg = servo.passing_cdeg = None

@@ -41,6 +41,14 @@ SCENES: Final = {
     "another servos frame does not": f"""{RUNS}
         41 servo 32 set 80
         51 servo 31 set 180 → command 31 set 92; …""",
+    "a stop of another leg ends a start that waits and no motion beside it": """
+        rules max_speed_cdeg_s={31: 10000}, start_pause_ms=200
+        1 leg 3 start 90
+        51 servo 31 set 110 → command 31 set 92; …
+        60 servo 32 stop
+        61 servo 32 start 90 → nothing
+        62 leg 5 stop → …; rejected 4 servo_stopped; …
+        71 time → command 31 set 94""",
 }
 test_a_scene = scene_test(SCENES)
 
