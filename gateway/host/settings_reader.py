@@ -58,7 +58,7 @@ def read(kind: type[S], table: object, faults: list[Fault], place: Place = ()) -
             allowed = each.metadata.get("allowed", _ANY)
             value = _value(each.type, allowed, others.pop(each.name), (*place, each.name), faults)
             found |= {} if value is None else {each.name: value}
-    # An empty removed section is no fault: the file that 1.0.0 installed has one.
+    # An empty removed section, which an earlier installed file still contains, is no fault.
     unknown = (((*place, name), value) for name, value in others.items())
     faults += [(at, REMOVED.get(at, NO_SETTING)) for at, value in unknown if value != {} or at not in REMOVED]
     made = kind(**found)

@@ -296,12 +296,26 @@ FOR_STOPS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The settings that a Stop needs. A fault elsewhere in a file must not prevent Stops."""
 
+_IN_STATE: Final = "was removed; name its folder with state.path, the folder for all kept state"
 REMOVED: Final[Mapping[Place, str]] = {
-    ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
+    ("calibration",): f"{_IN_STATE} (the calibration as calibration.toml)",
+    ("recorder",): f"{_IN_STATE} (the black box keeps 60 s)",
+    ("spi", "protocol"): "was removed; write its value as name in [wire]",
+    ("spi", "batch"): "was removed; lists of transfers are written, and single ones where the kernel takes no lists",
     ("spi", "resync_ms"): "was removed; length-prefixed framing synchronises a stream once a second",
+    ("spi", "avoid_deg"): "was removed; it follows from the framing",
+    ("controller", "cycle_hz"): "was removed; the controller's cycle is 50 Hz",
+    ("lease", "takeover"): "was removed; everybody may take the lease, which stops all legs first",
+    ("telemetry", "state_hz"): "was removed; the state is published ten times a second",
+    ("telemetry", "rate_hz"): "was removed; telemetry is published ten times a second",
+    ("telemetry", "metrics_hosts"): "was removed; the page answers to this machine's name and addresses",
+    ("log",): "was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
     ("watchdog", "repeats"): f"was removed; a Stop is repeated {STOP_REPEATS} times",
     ("watchdog", "repeat_interval_ms"): f"was removed; a Stop is repeated every {STOP_REPEAT_MS:g} ms",
-    ("telemetry", "state_hz"): "was removed; the state is published ten times a second",
-    ("log",): "was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
+    ("zenoh", "connect"): "was removed; name what the gateway dials in the file of zenoh.config (connect.endpoints)",
+    ("power", "cut_on"): "was removed: a Stop cuts the power of the servos that it stops",
+    ("power", "bitrate"): "was removed: the board's bus runs at 1 Mbit/s",
+    ("power", "idle_ma"): "was removed: a servo at rest may draw 150 mA",
+    ("power", "settle_ms"): "was removed: a stopped servo may draw current for 300 ms",
 }
-"""Settings of 1.0.0, each with the sentence that names its replacement."""
+"""Removed settings and sections, each with the sentence that names its replacement."""

@@ -149,7 +149,8 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     _merge(tables, variables)
     found, faults = read_for_stops(tables)
     added = ("wire", NO_SETTING)  # by a variable: no wire has such an option
-    preventing = [(at, why) for at, why in faults if at not in settings_table.REMOVED and (at[0], why) != added]
+    harmless = settings_table.REMOVED.keys() - {("spi", "protocol")}
+    preventing = [(at, why) for at, why in faults if at not in harmless and (at[0], why) != added]
     lines = [_line(path, fault, variables) for fault in preventing]
     _require_framing(path, tables, lines)
     _raise(lines)
@@ -175,7 +176,7 @@ def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[s
     wire, spi = tables.get("wire", {}), tables.get("spi", {})
     default = settings_table.WireSettings()
     framed = isinstance(wire, Mapping) and replace(default, name=str(wire.get("name", default.name))).framed
-    if framed and isinstance(spi, Mapping) and "framing" not in spi:
+    if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
 

@@ -245,13 +245,14 @@ def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkey
     assert settings.load(file).spi.framing is settings.load().spi.framing is Framing.LENGTH_PREFIXED
 
 
-def test_a_removed_setting_names_what_takes_its_place(file: Path) -> None:
-    file.write_text("[log]\n")  # as 1.0.0 installed it
+def test_a_removed_setting_or_section_names_what_takes_its_place(file: Path) -> None:
+    file.write_text("[log]\n[recorder]\n")  # as earlier versions installed it
     assert load(file) == Settings()
-    file.write_text('[telemetry]\nstate_hz = 5\n[log]\nlevel = "info"\n')
+    file.write_text('[telemetry]\nrate_hz = 5\n[recorder]\npath = "/mnt/box"\n')
     assert faults(file) == [
-        "file: telemetry.state_hz: was removed; the state is published ten times a second",
-        "file: log: was removed; everything from info on is logged; journalctl -p warning shows warnings and worse",
+        "file: telemetry.rate_hz: was removed; telemetry is published ten times a second",
+        "file: recorder: was removed; name its folder with state.path, the folder for all kept state "
+        "(the black box keeps 60 s)",
     ]
 
 
@@ -265,6 +266,7 @@ PREVENTING = [
     ('spi.framing = "Plain"\n', "spi.framing"),
     (FRAMED + "spi.speed = 5\n", "spi.speed: is no setting"),
     (FRAMED + 'spi.device = "spidev0.0"\n', "spi.device"),
+    ('spi.protocol = "elkapod-2025"\n', "spi.protocol: was removed; write its value"),
     (FRAMED + 'wire.name = "elkapod"\n', "wire"),
     ('wire.name = ["hexapod-1.0"]\n', "wire.name"),
     ('wire.name = "elkapod-2025"\ncontroller.uart = "ttyAMA1"\n', "controller.uart"),
@@ -295,14 +297,14 @@ def test_a_variable_of_the_wire_that_is_wrong_or_misnamed(file: Path, monkeypatc
         "[controller]\nsilent_ms = 'x'\ny = 1\n",
         "[safety]\nmax_tilt_deg = 45\n",
         "[power]\nconfirm_ms = 1\n",
-        # of 1.0.0
-        "[spi]\nframing = 'plain'\nresync_ms = 0.5\n[watchdog]\nrepeats = 7\n[log]\nlevel = 'info'\n",
+        # of earlier versions
+        "[spi]\nframing = 'plain'\nresync_ms = 0.5\nbatch = false\n[watchdog]\nrepeats = 7\n[log]\nlevel = 'info'\n",
     ],
 )
 def test_nothing_else_prevents_a_stop(file: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     file.write_text(text if "framing" in text else FRAMED + text)
     for variable in (
-        "HEXAPOD_SPI__RESYNC_MS",
+        "HEXAPOD_SPI__BATCH",
         "HEXAPOD_WATCHDOG__TIMEOUT_MS",
         "HEXAPOD_X",
         "HEXAPOD_POWER",
