@@ -2,7 +2,6 @@
 
 import importlib
 import os
-import secrets
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -47,7 +46,7 @@ def read(path: Path, most_bytes: int) -> bytes | None:
         return None
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise ValueError("is no file")
+            raise ValueError("is no regular file")
         with open(descriptor, "rb", closefd=False) as file:
             data = file.read(most_bytes + 1)
     finally:
@@ -73,7 +72,7 @@ def write_with_mode(path: Path, data: bytes, mode: int, *, prepare: Callable[[in
 
     `prepare` gets the descriptor of the new, empty file.
     """
-    with replacing(path, path.with_name(f".{path.name}.{secrets.token_hex(4)}")) as staged:
+    with replacing(path, path.with_name(f".{path.name}.{os.urandom(4).hex()}")) as staged:
         create(staged, data, mode, prepare=prepare)
 
 

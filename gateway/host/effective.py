@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from gateway import nesting
+from gateway import durable, nesting
 from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
 from gateway.host.settings_table import FOR_STOPS
@@ -87,9 +87,11 @@ def running() -> Effective | None:
 def differences(used: Effective, path: Path) -> list[str]:
     """Return a sentence for each difference between a file and the settings that the service uses."""
     try:
-        with path.open("rb") as file:
-            stated, _ = read_for_stops(nesting.read_toml(file.read(nesting.MOST_BYTES + 1)))
+        data = durable.read(path, nesting.MOST_BYTES)
+        stated = None if data is None else read_for_stops(nesting.read_toml(data))[0]
     except (OSError, ValueError):
+        stated = None
+    if stated is None:
         return [f"{path} cannot be read, and the service uses spi.framing = {_shown(used.spi.framing)}"]
     found = []
     for section, uses in _tables(used).items():

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self
 
-from gateway import nesting
+from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.host import settings_table
 from gateway.host.directories import CONFIGURATION
@@ -193,12 +193,10 @@ def overrides(variables: Mapping[str, str]) -> dict[str, str]:
 def _read(path: Path | None) -> dict[str, Any]:
     found = path or CONFIGURATION
     try:
-        with found.open("rb") as file:
-            return nesting.read_toml(file.read(nesting.MOST_BYTES + 1))
-    except FileNotFoundError:
-        if path is None:
-            return {}
-        raise ConfigError(f"{found}: there is no such file; name another with --config") from None
+        data = durable.read(found, nesting.MOST_BYTES)  # not from a FIFO, for whose writer a Stop would wait
+        if data is None and path is not None:
+            raise ConfigError(f"{found}: there is no such file; name another with --config")
+        return nesting.read_toml(data or b"")
     except OSError as error:
         raise ConfigError(f"{found}: cannot be read ({error.strerror}); name another file with --config") from error
     except ValueError as error:

@@ -1,6 +1,7 @@
 """What the service in fact uses: written at its start, read by `stop-servos` and `check`, judged by its process."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -83,4 +84,6 @@ def test_where_a_file_differs(folder: Path) -> None:
     for text in ("spi = 3\n", "no TOML"):
         file.write_text(text)
         assert Framing.LENGTH_PREFIXED in effective.differences(found, file)[0]
-    assert "cannot be read" in effective.differences(found, folder / "none")[0]
+    os.mkfifo(folder / "FIFO")
+    for name in ("none", "FIFO"):
+        assert "cannot be read" in effective.differences(found, folder / name)[0]

@@ -1,5 +1,6 @@
 """Settings from a file and the environment: defaults, what overrides what, ranges, and what is said of faults."""
 
+import os
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -208,7 +209,9 @@ def test_a_fault_of_the_file(file: Path, text: str, line: str) -> None:
 
 def test_a_file_that_is_none(file: Path, tmp_path: Path) -> None:
     assert faults(file) == ["file: there is no such file; name another with --config"]
-    assert faults(tmp_path) == ["file: cannot be read (Is a directory); name another file with --config"]
+    os.mkfifo(file)
+    for none in (tmp_path, file):
+        assert faults(none) == ["file: is no regular file"], "at once: a Stop must not wait for a FIFO's writer"
 
 
 # ---- faults of the environment
