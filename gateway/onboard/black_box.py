@@ -7,7 +7,7 @@ from typing import Final
 import typer
 
 from gateway.errors import ConfigError, GatewayError
-from gateway.model.black_box.format import RING_FILE
+from gateway.model.black_box import RING_FILE
 from gateway.own_command import this_command
 from gateway.people.recorder import ring_reader
 from gateway.people.recorder.export import write

@@ -21,7 +21,7 @@ from gateway.host.directories import runtime_directory, state_directory
 from gateway.host.mounts import forgets
 from gateway.host.settings_reader import ForStops
 from gateway.host.worker import in_thread
-from gateway.model.black_box.format import STOP_FACTS
+from gateway.model.black_box import STOP_FACTS
 from gateway.model.frames import centidegrees
 from gateway.robot import wires
 from gateway.robot.blackbox.recorder import Recorder

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.black_box.format import RING_FILE
+from gateway.model.black_box import RING_FILE
 from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.model.framing import Framing
 from gateway.people.recorder import ring_reader as rec

@@ -5,7 +5,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from gateway.model.black_box import format as form
+from gateway.model import black_box as form
 from gateway.people.recorder import ring_reader
 
 

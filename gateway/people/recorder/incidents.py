@@ -5,15 +5,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Final
 
-from gateway.model.black_box import format as form
-from gateway.model.black_box.incidents import (
-    FOLLOW_NS,
-    INCIDENT_NAMES,
-    LONGEST_INCIDENT_NS,
-    MISTAKE,
-    follow_ns,
-    incident_id,
-)
+from gateway.model import black_box as form
 from gateway.people.recorder import ring_reader as rec
 from schemas import keys
 from schemas.telemetry import Cause, Kind
@@ -27,7 +19,7 @@ NEAR_RECORDS: Final = 200
 LAST_RECORDS: Final = 20
 """The latest time is among these records: a command's time is its arrival, before it was recorded."""
 
-_TRIGGERS: Final = frozenset({*INCIDENT_NAMES, MISTAKE})
+_TRIGGERS: Final = frozenset({*form.INCIDENT_NAMES, form.MISTAKE})
 _TELL_THE_TIME: Final = frozenset({form.START, form.CLOCK, form.INCIDENT})
 
 
@@ -92,10 +84,10 @@ def _noted(records: rec.Records, run: range) -> list[Incident]:
             case rec.WallTime(wall_ns, name):
                 near = range(max(run.start, index - NEAR_RECORDS), min(run.stop, index + NEAR_RECORDS))
                 zero_ns = _zero(records, near, record.ns, kind_of(name))
-                end_ns, longest_ns = record.ns + follow_ns(kind_of(name)), record.ns + LONGEST_INCIDENT_NS
+                end_ns, longest_ns = record.ns + form.follow_ns(kind_of(name)), record.ns + form.LONGEST_INCIDENT_NS
                 found.append(Incident(name, zero_ns, zero_ns - BEFORE_NS, end_ns, wall_ns - record.ns))
             case rec.EventPublished(kind) if kind in _TRIGGERS and found and record.ns <= found[-1].end_ns:
-                end_ns = min(max(found[-1].end_ns, record.ns + follow_ns(kind)), longest_ns)
+                end_ns = min(max(found[-1].end_ns, record.ns + form.follow_ns(kind)), longest_ns)
                 found[-1] = replace(found[-1], end_ns=end_ns)
     return found
 
@@ -109,10 +101,10 @@ def _zero(records: rec.Records, near: range, noted_ns: int, kind: str) -> int:
         record = records[index]
         match record.content:
             case rec.FrameWritten(cause=Cause.WATCHDOG, late_ns=late_ns) if (
-                late_ns and kind == INCIDENT_NAMES[Kind.WATCHDOG_EXPIRED]  # frames of a landing have no deadline
+                late_ns and kind == form.INCIDENT_NAMES[Kind.WATCHDOG_EXPIRED]  # frames of a landing have no deadline
             ):
                 zero_ns = min(zero_ns, record.ns - late_ns)
-            case rec.CommandRecord(key=keys.ESTOP) if kind == INCIDENT_NAMES[Kind.ESTOP_ENGAGED]:
+            case rec.CommandRecord(key=keys.ESTOP) if kind == form.INCIDENT_NAMES[Kind.ESTOP_ENGAGED]:
                 zero_ns = min(zero_ns, record.ns)
     return zero_ns
 
@@ -124,7 +116,7 @@ def _crash(records: rec.Records, run: range, killed_ns: int) -> Incident | None:
             record = records[index]
             if isinstance(record.content, rec.Start | rec.WallTime):
                 offset_ns = record.content.wall_ns - record.ns
-                name = incident_id(killed_ns + offset_ns, CRASH)
-                begin_ns, end_ns = killed_ns - BEFORE_NS, killed_ns + FOLLOW_NS
+                name = form.incident_id(killed_ns + offset_ns, CRASH)
+                begin_ns, end_ns = killed_ns - BEFORE_NS, killed_ns + form.FOLLOW_NS
                 return Incident(name, killed_ns, begin_ns, end_ns, offset_ns, killed_ns)
     return None

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Final, NamedTuple
 
 from pydantic import AwareDatetime, Field
 
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import ACCEPTED
+from gateway.model import black_box as form
+from gateway.model.black_box import ACCEPTED
 from gateway.model.elkapod import Measured
 from gateway.model.frames import Op
 from gateway.model.telemetry import report_of

@@ -21,8 +21,8 @@ from pydantic_core import from_json
 
 from gateway.errors import GatewayError
 from gateway.host.file_lock import is_locked
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import MAX_SLOTS, copies_of
+from gateway.model import black_box as form
+from gateway.model.black_box import MAX_SLOTS, copies_of
 from gateway.model.elkapod import Measured, measured
 from gateway.model.frames import MAX_ANGLE_CDEG, Op, ServoOp
 from schemas.calibration import Calibration

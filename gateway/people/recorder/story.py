@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
+from gateway.model.black_box import INCIDENT_NAMES, MISTAKE
 from gateway.model.frames import Frame, Op
 from gateway.people.recorder.incidents import kind_of
 from gateway.people.recorder.messages import INCIDENT, RECORDER, RecordedMessage

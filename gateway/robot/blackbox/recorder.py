@@ -20,17 +20,9 @@ from gateway import __version__, durable
 from gateway.allowance import MOST_SOURCES, Allowance, AllowanceBySource
 from gateway.host.directories import state_directory
 from gateway.host.worker import Worker
+from gateway.model import black_box as form
 from gateway.model import elkapod
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import ACCEPTED, COPIED_SHARE, MOST_COPIES, copies_of, copy_path
-from gateway.model.black_box.incidents import (
-    FOLLOW_NS,
-    INCIDENT_NAMES,
-    LONGEST_INCIDENT_NS,
-    MISTAKE,
-    follow_ns,
-    incident_id,
-)
+from gateway.model.black_box import ACCEPTED, COPIED_SHARE, MOST_COPIES, copies_of, copy_path
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.model.elkapod import Measured
 from gateway.robot.blackbox import ring as rings
@@ -155,7 +147,7 @@ class Recorder:
         self._first_ns = self._until_ns = 0  # begin and end of the latest incident
         self._copy_due = self._runs = False
         self._ran = True  # since the latest copy
-        self._copied_ns = -FOLLOW_NS
+        self._copied_ns = -form.FOLLOW_NS
         self._on = state_directory(settings.state.path) is not None
         about = {
             "version": __version__,
@@ -192,7 +184,7 @@ class Recorder:
         """Close the ring; later records are discarded."""
         self._on = False
         if self._ring is not None:
-            self._copy(self._ring, self._copied_ns + FOLLOW_NS)
+            self._copy(self._ring, self._copied_ns + form.FOLLOW_NS)
             self._worker.close(CLOSE_S)
             self._ring.close()
             self._ring = None
@@ -257,7 +249,7 @@ class Recorder:
     def event(self, event: Announce, source: str | None, left_out: int) -> str | None:
         """Record a published event. Return the id of the incident that it begins or belongs to, or None."""
         now_ns = self._clock()
-        what = INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
+        what = form.INCIDENT_NAMES.get(event.kind) if event.legs or event.kind not in _IF_LEGS_STOP else None
         always = event.kind not in _BY_CLIENTS or (what is not None and self._begins(now_ns))
         if always or self._shares.admit(source, EVENT_SLOTS, now_ns):
             fields = form.fields(event.kind, source, event.key, event.reason, event.detail, left_out)
@@ -289,7 +281,7 @@ class Recorder:
 
         A flood of emergency stops makes one copy: the next one needs servos that have run since, and FOLLOW_NS.
         """
-        if self._copy_due and now_ns - self._copied_ns >= FOLLOW_NS:
+        if self._copy_due and now_ns - self._copied_ns >= form.FOLLOW_NS:
             self._copy_due, self._ran, self._copied_ns = False, self._runs, now_ns
             self._worker.do(partial(_take, self._path, ring.sequence - 1))
 
@@ -302,8 +294,8 @@ class Recorder:
     def mistake(self, detail: str) -> None:
         """Record an unexpected exception, which ends the service."""
         now_ns = self._clock()
-        self._append(form.EVENT, now_ns, form.fields(MISTAKE, None, None, None, detail, 0))
-        self._happened(MISTAKE, now_ns)
+        self._append(form.EVENT, now_ns, form.fields(form.MISTAKE, None, None, None, detail, 0))
+        self._happened(form.MISTAKE, now_ns)
 
     def calibration(self, calibration: RobotCalibration) -> None:
         """Record the calibration in force. Call it at the start, and at each change."""
@@ -316,7 +308,7 @@ class Recorder:
 
     def _begins(self, now_ns: int) -> bool:
         """Return whether an incident now would be a new one, and not prolong the latest."""
-        return self.incident is None or now_ns > min(self._until_ns, self._first_ns + LONGEST_INCIDENT_NS)
+        return self.incident is None or now_ns > min(self._until_ns, self._first_ns + form.LONGEST_INCIDENT_NS)
 
     def _happened(self, what: str, now_ns: int) -> str | None:
         """Begin an incident or prolong the latest. Return its id."""
@@ -324,12 +316,12 @@ class Recorder:
             return None
         if self._begins(now_ns):
             wall_ns = self._wall_ns()
-            self.incident = incident_id(wall_ns, what)
+            self.incident = form.incident_id(wall_ns, what)
             self.incidents += 1
             self._first_ns = now_ns
             self._append(form.INCIDENT, now_ns, form.fields(wall_ns, self.incident))
         self._copy_due |= self._ran
-        self._until_ns = max(self._until_ns, now_ns + follow_ns(what))
+        self._until_ns = max(self._until_ns, now_ns + form.follow_ns(what))
         return self.incident
 
     def _append(self, kind: int, ns: int, rest: bytes) -> None:

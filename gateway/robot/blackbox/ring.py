@@ -18,8 +18,8 @@ from zlib import crc32
 
 from gateway.host.directories import runtime_directory, state_to_read, users_state
 from gateway.host.file_lock import lock
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import HEAD_BYTES, RING_FILE, pack_head, pack_slot_into
+from gateway.model import black_box as form
+from gateway.model.black_box import HEAD_BYTES, RING_FILE, pack_head, pack_slot_into
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
 

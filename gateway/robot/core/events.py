@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Final, Literal, final
 
-from gateway.model.black_box.format import ACCEPTED, COALESCED
+from gateway.model.black_box import ACCEPTED, COALESCED
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import OP_STOP, Frame, ServoOp
 from gateway.robot.core.message import Reply, Verb, value

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from gateway.errors import SpiError
-from gateway.model.black_box.format import ACCEPTED, COALESCED
+from gateway.model.black_box import ACCEPTED, COALESCED
 from gateway.model.frames import legs_of
 from gateway.robot.blackbox.recorder import Written
 from gateway.robot.core.events import (

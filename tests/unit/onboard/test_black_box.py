@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import RING_FILE
+from gateway.model import black_box as form
+from gateway.model.black_box import RING_FILE
 from gateway.onboard import black_box
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.blackbox.ring import RecordRing

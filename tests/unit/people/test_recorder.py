@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.black_box.format import RING_FILE
+from gateway.model.black_box import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.model.framing import Framing

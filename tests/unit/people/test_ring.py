@@ -12,9 +12,8 @@ from mcap.reader import make_reader
 
 from gateway import __version__
 from gateway.geometry import load
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import RING_FILE
-from gateway.model.black_box.incidents import INCIDENT_NAMES, MISTAKE
+from gateway.model import black_box as form
+from gateway.model.black_box import INCIDENT_NAMES, MISTAKE, RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import STOP, Op, ServoOp, stop_leg
 from gateway.people.recorder import export

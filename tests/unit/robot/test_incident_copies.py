@@ -10,8 +10,8 @@ from typing import Final
 import pytest
 
 from gateway import durable
-from gateway.model.black_box import format as form
-from gateway.model.black_box.format import COPIED_SHARE, RING_FILE, copies_of, copy_path
+from gateway.model import black_box as form
+from gateway.model.black_box import COPIED_SHARE, RING_FILE, copies_of, copy_path
 from gateway.onboard import black_box
 from gateway.people.recorder import ring_reader as rec
 from gateway.people.recorder.incidents import find

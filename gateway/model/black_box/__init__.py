@@ -1,1 +1,0 @@
-"""The black box, for its writer and its readers: the bytes of its ring, its files, and its incidents."""
