@@ -6,6 +6,7 @@ whose loading takes longer than all Stops.
 """
 
 # ruff: noqa: E501, RUF009  (a row for each setting, however long; `_setting` returns a field)
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,8 +15,8 @@ from typing import Any, Final, Literal, NamedTuple
 from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.model.framing import Framing
 from gateway.model.protocols import BUILT_IN, FRAMED, SpiProtocol
-from gateway.text import key_name
-from gateway.wire import Capabilities, ServoWire
+from gateway.text import key_name, visible
+from gateway.wire import GROUP, Capabilities, ServoWire
 from schemas.keys import MAX_SOURCE
 from schemas.robot import SERVO_IDS
 
@@ -23,7 +24,6 @@ SIMULATED: Final = "sim"
 START_STAGGER_MS: Final = 15.0
 """A servo draws most current in its first milliseconds. Six legs start within 75 ms, well within a usual watchdog."""
 DEFAULT_LISTEN: Final = ("tcp/127.0.0.1:7447",)
-
 
 Place = tuple[int | str, ...]
 """Path to a value: ("spi", "speed_hz"), ("zenoh", "listen", 0), ("limits", "servos", "11", "min_deg")."""
@@ -46,9 +46,8 @@ def _setting(default: Any, meaning: str = "", limits: tuple[float, float] | None
     )
 
 
-def _is_device(example: str) -> Callable[[str], str]:
-    wanted = f"write the path of a device, such as {example}"
-    return lambda path: "" if path.startswith("/") and "\0" not in path else wanted
+def _like(pattern: str, wanted: str) -> Callable[[str], str]:
+    return lambda text: "" if re.fullmatch(pattern, text) else wanted
 
 
 def _host_and_port(value: str) -> str:
@@ -56,12 +55,6 @@ def _host_and_port(value: str) -> str:
     if not value or (host and port.isascii() and port.isdecimal() and 0 < int(port) < 65536):
         return ""
     return 'write a host and a port, such as "127.0.0.1:9464", or "" for none'
-
-
-def _absolute(path: str) -> str:
-    if (not path or path.startswith("/")) and "\0" not in path:
-        return ""
-    return 'write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none'
 
 
 def _beyond_walking(tilt_deg: float) -> str:
@@ -72,8 +65,7 @@ def _beyond_walking(tilt_deg: float) -> str:
 def _interface(name: str) -> str:
     if name == "gs_usb":  # python-can's goes around the kernel by libusb, whose devices the unit denies
         return 'Linux has a driver for this adapter: write interface = "socketcan", channel = "can0"'
-    plain = len(name) <= 32 and all(each in "abcdefghijklmnopqrstuvwxyz0123456789_-" for each in name)
-    return "" if plain else 'write a name of python-can, such as "socketcan", or "" for none'
+    return _like("[a-z0-9_-]{0,32}", 'write a name of python-can, such as "socketcan", or "" for none')(name)
 
 
 def _each_once(servos: tuple[int, ...]) -> str:
@@ -84,6 +76,26 @@ def _each_once(servos: tuple[int, ...]) -> str:
 def _names(names: tuple[str, ...]) -> str:
     wanted = f"write at most 64 names, each of 1 to {MAX_SOURCE} characters"
     return "" if len(names) <= 64 and all(0 < len(name) <= MAX_SOURCE for name in names) else wanted
+
+
+def load_plugin(name: str, options: Mapping[str, object]) -> ServoWire:
+    """Return a plug-in's wire, found by its entry point. Raises ValueError if it is missing, broken or rejects these."""
+    from importlib.metadata import entry_points  # noqa: PLC0415  (a Stop over SPI does not wait for it)
+
+    found = {each.name: each for each in entry_points(group=GROUP)}
+    if name not in found:
+        known = ", ".join(f'"{each}"' for each in (*BUILT_IN, *sorted(found.keys() - BUILT_IN.keys())))
+        raise ValueError(f'there is no wire "{visible(name)}"; installed are {known}')
+    named = f'"{name}" ({found[name].value})'
+    try:
+        made = found[name].load()(options)
+    except ValueError:
+        raise
+    except (Exception, SystemExit) as error:  # a foreign module may raise anything
+        raise ValueError(f"{named} cannot be loaded with these options: {type(error).__name__}: {error}") from error
+    if not isinstance(made, ServoWire) or not isinstance(made.capabilities, Capabilities):
+        raise ValueError(f"{named} is no gateway.wire.ServoWire with its Capabilities")
+    return made
 
 
 class Section:
@@ -115,9 +127,7 @@ class WireSettings(Section):
     @cached_property
     def plugin(self) -> ServoWire:
         """The plug-in of this name. Raises ValueError if it is missing, broken or rejects its options."""
-        from gateway.host.wire_plugins import load  # noqa: PLC0415  (a Stop over SPI does not wait for it)
-
-        return load(self.name, self.options, tuple(BUILT_IN))
+        return load_plugin(self.name, self.options)
 
     @property
     def framed(self) -> bool:
@@ -153,7 +163,7 @@ class WireSettings(Section):
 class SpiSettings(Section):
     """The device. The clock was measured to be clean at 2.5 MHz; the controller takes at most 20 MHz."""
 
-    device: str = _setting("/dev/spidev0.0", fault=_is_device("/dev/spidev0.0"))
+    device: str = _setting("/dev/spidev0.0", fault=_like(r"/[^\0]*", "write the path of a device, such as /dev/spidev0.0"))
     # 0: the protocol's.
     speed_hz: int = _setting(0, "with `length-prefixed` 5000000 at most, else the published firmware loses bytes", (1, 20_000_000))
     # The default is for --sim only: a real device needs it to be set.
@@ -189,7 +199,7 @@ class SpiSettings(Section):
 class ControllerSettings(Section):
     """The controller's own line; with elkapod-2025 only."""
 
-    uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_is_device("/dev/ttyAMA1"))
+    uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_like(r"/[^\0]*", "write the path of a device, such as /dev/ttyAMA1"))
     # At least five cycles: one answer may be lost, and one late.
     silent_ms: float = _setting(300.0, "with `elkapod-2025`: silence of the controller that is a bus fault (Behaviour *The wire of elkapod-2025*)", (100, 2000))
 
@@ -255,7 +265,7 @@ class ButtonSettings(Section):
 class StateSettings(Section):
     """The folder of what outlasts the gateway; "": systemd's state directory, without which nothing outlasts it."""
 
-    path: str = _setting("", "existing folder for emergency stop, calibration (`calibration.toml`), revocations and black box; `\"\"`: systemd's `STATE_DIRECTORY`, else nothing outlasts the process, and the black box is off", fault=_absolute)
+    path: str = _setting("", "existing folder for emergency stop, calibration (`calibration.toml`), revocations and black box; `\"\"`: systemd's `STATE_DIRECTORY`, else nothing outlasts the process, and the black box is off", fault=_like(r"|/[^\0]*", 'write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none'))
 
 
 @dataclass(frozen=True)

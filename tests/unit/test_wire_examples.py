@@ -12,7 +12,7 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.geometry import load
-from gateway.host import wire_plugins
+from gateway.host import settings_table
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
 from gateway.onboard.check import conformance
@@ -45,7 +45,7 @@ def kind(bus: I2cBus, monkeypatch: pytest.MonkeyPatch) -> Iterator[type[ServoWir
 
 @pytest.fixture
 def wire(kind: type[ServoWire], monkeypatch: pytest.MonkeyPatch) -> WireSettings:
-    monkeypatch.setattr(wire_plugins, "load", lambda _name, options, _known: kind(options))
+    monkeypatch.setattr(settings_table, "load_plugin", lambda _name, options: kind(options))
     options = {name: value for name, value in OPTIONS.items() if name != "name"}
     return WireSettings(OPTIONS["name"], options)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import ConfigError
-from gateway.host import wire_plugins
+from gateway.host import settings_table
 from gateway.onboard.check import conformance
 from gateway.wire import Capabilities, ServoWire
 
@@ -86,7 +86,7 @@ def judged(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[int, str]]:
     def run(kind: type[ServoWire], *, unplug: bool = False) -> tuple[int, str]:
-        monkeypatch.setattr(wire_plugins, "load", lambda _name, options, _known: kind(options))
+        monkeypatch.setattr(settings_table, "load_plugin", lambda _name, options: kind(options))
         (tmp_path / "gateway.toml").write_text('wire.name = "board"')
         code = conformance.conformance(tmp_path / "gateway.toml", agreed=True, unplug=unplug)
         return code, capsys.readouterr().out
@@ -147,7 +147,7 @@ def test_a_wire_that_is_built_in_and_a_person_who_does_not_agree(
     with pytest.raises(ConfigError, match=r"hexapod-1\.0 is built in"):
         conformance.conformance(file, agreed=True, unplug=False)
     file.write_text('wire.name = "board"')
-    monkeypatch.setattr(wire_plugins, "load", lambda _name, options, _known: Board(options))
+    monkeypatch.setattr(settings_table, "load_plugin", lambda _name, options: Board(options))
     monkeypatch.setattr(conformance, "ask", lambda _question: "no")
     with pytest.raises(ConfigError, match="nothing was moved"):
         conformance.conformance(file, agreed=False, unplug=False)

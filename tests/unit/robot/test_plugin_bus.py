@@ -1,5 +1,6 @@
 """A plug-in (`gateway.wire`) that does what no wire should: a Stop, and a rule, never depend on its author's care."""
 
+import importlib.metadata
 import os
 import sys
 from collections.abc import Sequence
@@ -9,7 +10,6 @@ from typing import ClassVar
 import pytest
 
 from gateway.errors import ConfigError, SpiError
-from gateway.host import wire_plugins
 from gateway.host.settings_table import WireSettings
 from gateway.model.frames import stop_leg
 from gateway.robot.settings import Settings
@@ -41,7 +41,7 @@ class Exits(ServoWire):
 def installed(monkeypatch: pytest.MonkeyPatch) -> None:
     found = EntryPoint("exits", f"{__name__}:Exits", GROUP)
     early = EntryPoint("early", "sys:exit", GROUP)
-    monkeypatch.setattr(wire_plugins, "entry_points", lambda **_: (found, early))
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_: (found, early))
 
 
 def test_one_that_calls_exit_is_a_bug_and_the_other_servos_are_stopped() -> None:
