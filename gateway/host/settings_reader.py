@@ -84,16 +84,19 @@ class ForStops:
 
 
 def read_for_stops(tables: Mapping[str, Any]) -> tuple[ForStops, list[Fault]]:
-    """Return the settings that a Stop needs, and the faults that prevent it: only in [wire], [spi] and the UART."""
-    prevent, of_others = list[Fault](), list[Fault]()
-    wire = read(WireSettings, tables.get("wire", {}), prevent, ("wire",))
-    spi = read(SpiSettings, tables.get("spi", {}), prevent, ("spi",))
-    controller = read(ControllerSettings, tables.get("controller", {}), of_others, ("controller",))
-    power = read(PowerSettings, tables.get("power", {}), of_others, ("power",))
-    needed = [fault for fault in of_others if len(place := fault[0]) == 1 or place[1] in FOR_STOPS[str(place[0])]]
-    prevent += [fault for fault in needed if fault[0][0] == "controller"]
-    wrong = any(place[0] == "power" for place, _ in needed)
-    return ForStops(wire, spi.of(wire), controller, None if wrong else power), prevent
+    """Return the settings that a Stop needs, and the faults that prevent it: only in [wire], [spi] and the UART.
+
+    An unknown name prevents it in [spi] only, where a misspelt clock or framing would jam the controller.
+    """
+    found = list[Fault]()
+    wire = read(WireSettings, tables.get("wire", {}), found, ("wire",))
+    spi = read(SpiSettings, tables.get("spi", {}), found, ("spi",))
+    controller = read(ControllerSettings, tables.get("controller", {}), found, ("controller",))
+    power = read(PowerSettings, tables.get("power", {}), found, ("power",))
+    left = [each for each in found if each[0] == ("spi", "protocol") or each[0] not in REMOVED]
+    needed = [(at, why) for at, why in left if len(at) == 1 or at[0] == "spi" or at[1] in FOR_STOPS[str(at[0])]]
+    prevent = [fault for fault in needed if fault[0][0] != "power"]
+    return ForStops(wire, spi.of(wire), controller, power if prevent == needed else None), prevent
 
 
 _ANY: Final = Allowed("")

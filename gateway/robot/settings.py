@@ -135,7 +135,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     lines = [_line(path, fault) for fault in in_file]
     lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
     if not simulated:
-        _require_framing(path, tables, lines)
+        _require_framing(path, found.wire, tables, lines)
     _raise(lines)
     return found
 
@@ -148,11 +148,8 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     tables, variables = _read(path), _variables()
     _merge(tables, variables)
     found, faults = read_for_stops(tables)
-    added = ("wire", NO_SETTING)  # by a variable: no wire has such an option
-    harmless = settings_table.REMOVED.keys() - {("spi", "protocol")}
-    preventing = [(at, why) for at, why in faults if at not in harmless and (at[0], why) != added]
-    lines = [_line(path, fault, variables) for fault in preventing]
-    _require_framing(path, tables, lines)
+    lines = [_line(path, fault, variables) for fault in faults]
+    _require_framing(path, found.wire, tables, lines)
     _raise(lines)
     return found
 
@@ -172,11 +169,11 @@ _WHICH_FRAMING: Final = (
 )
 
 
-def _require_framing(path: Path | None, tables: Mapping[str, Any], lines: list[str]) -> None:
-    wire, spi = tables.get("wire", {}), tables.get("spi", {})
-    default = settings_table.WireSettings()
-    framed = isinstance(wire, Mapping) and replace(default, name=str(wire.get("name", default.name))).framed
-    if framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
+def _require_framing(
+    path: Path | None, wire: settings_table.WireSettings, tables: Mapping[str, Any], lines: list[str]
+) -> None:
+    spi = tables.get("spi", {})
+    if wire.framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
 
