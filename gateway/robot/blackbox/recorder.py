@@ -38,32 +38,29 @@ CLOSE_S: Final = 1.0
 """Longest wait for a copy; one of the largest ring takes about 10 ms."""
 
 
-def _take(ring: Path, newest: int) -> None:
+def copy(ring: Path, newest: int) -> None:
+    """Copy the COPIED_SHARE of a ring's records up to `newest`, and remove the oldest copies. Logs why it failed."""
+    staged = durable.staged_for(ring)
     try:
-        copy(ring, newest)
+        staged.unlink(missing_ok=True)  # from a killed process
+        with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
+            head = source.read(form.HEADER_BYTES)
+            slots = form.slots_of(head, os.fstat(source.fileno()).st_size)
+            count = max(1, slots // COPIED_SHARE)
+            with open(staged, "xb", opener=partial(os.open, mode=0o600)) as target:
+                target.write(form.new_header(count))
+                number = max(1, newest + 1 - count)
+                while number <= newest:
+                    run = min(CHUNK, newest + 1 - number, slots - number % slots, count - number % count)
+                    target.seek(form.HEADER_BYTES + number % count * form.SLOT)
+                    begin = form.HEADER_BYTES + number % slots * form.SLOT
+                    target.write(os.pread(source.fileno(), run * form.SLOT, begin))
+                    number += run
+                target.truncate(form.file_bytes(count))
         for old in copies_of(ring)[:-MOST_COPIES]:
             old.unlink()
     except (OSError, form.DamagedRingError) as error:
         logger.warning("the time before this incident is not copied, and is lost after a minute: %s", error)
-
-
-def copy(ring: Path, newest: int) -> None:
-    """Copy the COPIED_SHARE of a ring's records up to `newest`. Raises OSError, DamagedRingError for a bad header."""
-    staged = durable.staged_for(ring)
-    staged.unlink(missing_ok=True)  # from a killed process
-    with ring.open("rb") as source, durable.replacing(copy_path(ring, newest), staged):
-        head = source.read(form.HEADER_BYTES)
-        slots = form.slots_of(head, os.fstat(source.fileno()).st_size)
-        count = max(1, slots // COPIED_SHARE)
-        with open(staged, "xb", opener=partial(os.open, mode=0o600)) as target:
-            target.write(form.new_header(count))
-            number = max(1, newest + 1 - count)
-            while number <= newest:
-                run = min(CHUNK, newest + 1 - number, slots - number % slots, count - number % count)
-                target.seek(form.HEADER_BYTES + number % count * form.SLOT)
-                target.write(os.pread(source.fileno(), run * form.SLOT, form.HEADER_BYTES + number % slots * form.SLOT))
-                number += run
-            target.truncate(form.file_bytes(count))
 
 
 SHARE: Final = 0.75
@@ -101,8 +98,6 @@ ABOUT_NS: Final = 5_000_000_000
 """Period of records of version, settings and calibration. So also a short copy contains one."""
 MEASURED_NS: Final = 100_000_000
 """Shortest time between records of measurements: 1 % of the ring, and a fall takes longer."""
-KEPT_BEFORE_OPEN: Final = 200
-"""Records kept before the ring is open; the first Stops do not wait for the ring."""
 
 EVENT_SLOTS: Final = 3
 """Slots of an event with a long sentence."""
@@ -140,6 +135,7 @@ class Recorder:
         self._ring: RecordRing | None = None
         self._shares = RecordShares(rings.client_records_a_second(settings))
         self._waiting: list[tuple[int, int, bytes]] = []
+        """Records before the ring is open, for which the first Stops do not wait."""
         self._clock_ns = 0  # of the latest record of the wall clock
         self._about_ns = clock()
         self._calibration = b""
@@ -148,7 +144,8 @@ class Recorder:
         self._copy_due = self._runs = False
         self._ran = True  # since the latest copy
         self._copied_ns = -form.FOLLOW_NS
-        self._on = state_directory(settings.state.path) is not None
+        self._folder = state_directory(settings.state.path)
+        """None: the black box is off, or closed."""
         about = {
             "version": __version__,
             "protocol": settings.protocol,
@@ -163,26 +160,25 @@ class Recorder:
 
     def open(self) -> None:
         """Open the ring, and write the records that wait for it. Never raises."""
-        folder = state_directory(self._settings.state.path)
-        if folder is None:
+        if self._folder is None:
             return
-        waiting, self._waiting = self._waiting, []
         try:
-            self._path = rings.prepare(folder)
+            self._path = rings.prepare(self._folder)
             self._ring = RecordRing(self._path, rings.slots_for(self._settings))
         except OSError as error:
-            logger.warning("the black box is off: %s: %s", folder, error.strerror or error)
-            self._on, self.incident = False, None
+            logger.warning("the black box is off: %s: %s", self._folder, error.strerror or error)
+            self._folder = self.incident = None
             return
         self._worker = Worker("copy incident")
         if self._ring.note:
             logger.warning(self._ring.note)
-        for each in waiting:
+        for each in self._waiting:
             self._ring.append(*each)
+        self._waiting.clear()
 
     def close(self) -> None:
         """Close the ring; later records are discarded."""
-        self._on = False
+        self._folder = None
         if self._ring is not None:
             self._copy(self._ring, self._copied_ns + form.FOLLOW_NS)
             self._worker.close(CLOSE_S)
@@ -195,7 +191,7 @@ class Recorder:
         A request with the number 0 was rejected before the supervisor. If the sender has used up its share, the step is
         omitted. Steps without a message, such as the watchdog's, are always recorded.
         """
-        if not self._on:
+        if self._folder is None:
             return
         if received is not None or decided or (written and written[0][0].cause is _ESTOP):
             request = received or (decided[0][0] if decided else None)
@@ -258,7 +254,7 @@ class Recorder:
 
     def beat(self, lag_ns: int) -> None:
         """Record a timer that was `lag_ns` late, and the periodic records. Call it ten times a second."""
-        if not self._on:
+        if self._folder is None:
             return
         now_ns = self._clock()
         if self._ring is not None:
@@ -283,11 +279,11 @@ class Recorder:
         """
         if self._copy_due and now_ns - self._copied_ns >= form.FOLLOW_NS:
             self._copy_due, self._ran, self._copied_ns = False, self._runs, now_ns
-            self._worker.do(partial(_take, self._path, ring.sequence - 1))
+            self._worker.do(partial(copy, self._path, ring.sequence - 1))
 
     def measured(self, values: Measured, now_ns: int) -> None:
         """Record the robot's measurements, at most once in MEASURED_NS."""
-        if self._on and now_ns - self._measured_ns >= MEASURED_NS:
+        if self._folder is not None and now_ns - self._measured_ns >= MEASURED_NS:
             self._measured_ns = now_ns
             self._append(form.MEASURED, now_ns, elkapod.answer(values))
 
@@ -312,7 +308,7 @@ class Recorder:
 
     def _happened(self, what: str, now_ns: int) -> str | None:
         """Begin an incident or prolong the latest. Return its id."""
-        if not self._on:
+        if self._folder is None:
             return None
         if self._begins(now_ns):
             wall_ns = self._wall_ns()
@@ -327,5 +323,5 @@ class Recorder:
     def _append(self, kind: int, ns: int, rest: bytes) -> None:
         if self._ring is not None:
             self._ring.append(kind, ns, rest)
-        elif self._on and len(self._waiting) < KEPT_BEFORE_OPEN:
+        elif self._folder is not None:
             self._waiting.append((kind, ns, rest))

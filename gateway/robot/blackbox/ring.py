@@ -47,15 +47,17 @@ class RecordRing:
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         self._fd = os.open(path, flags, 0o600)
         try:
-            _check_owner(self._fd, path)
             try:
                 lock(self._fd, fcntl.F_WRLCK)
             except OSError as error:
                 raise OSError(error.errno, "another gateway writes to it") from error
-            size, found = form.file_bytes(slots), os.fstat(self._fd).st_size
-            whole = found == size and os.pread(self._fd, form.HEADER_BYTES, 0) == form.new_header(slots)
+            found = os.fstat(self._fd)
+            if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
+                raise PermissionError(f"{path} belongs to another user")  # it may be planted, such as in /dev/shm
+            size = form.file_bytes(slots)
+            whole = found.st_size == size and os.pread(self._fd, form.HEADER_BYTES, 0) == form.new_header(slots)
             if not whole:
-                self.note = "the black box starts empty: its file is of another version or size" if found else ""
+                self.note = "the black box starts empty: its file is of another version or size" * bool(found.st_size)
                 os.ftruncate(self._fd, 0)
                 for copy in form.copies_of(path):  # they have sequence numbers of another ring
                     with suppress(OSError):
@@ -91,13 +93,6 @@ class RecordRing:
         os.close(self._fd)
 
 
-def _check_owner(fd: int, path: Path) -> None:
-    """Raise PermissionError for another user's file, which may be planted in a folder such as /dev/shm."""
-    found = os.fstat(fd)
-    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
-        raise PermissionError(f"{path} belongs to another user")
-
-
 # ---- size and folder
 
 
@@ -124,26 +119,19 @@ def tried() -> Path:
 
 
 def prepare(folder: Path) -> Path:
-    """Make a link in the folder to the ring, and return the ring's path. Raises OSError, also for a missing folder."""
+    """Make a link in the folder to the ring, and return the ring's path. Raises OSError, also for a missing folder.
+
+    The ring is in memory, or in the folder itself if the system has no folder in memory.
+    """
     os.listdir(folder)
-    place, link = in_memory(folder), folder / RING_FILE
-    if place == link:
-        return place
-    if not link.is_symlink() or Path(os.readlink(link)) != place:
+    link, runtime = folder / RING_FILE, runtime_directory()
+    name = f"hexapod-gateway-{os.geteuid()}-{crc32(bytes(folder.resolve())):08x}"
+    places = (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm")  # noqa: S108  the owner is checked
+    in_memory = (Path(each) / name for each in places if each and os.access(each, os.W_OK))
+    place = next(in_memory, link) if runtime is None else runtime / RING_FILE
+    if place != link and (not link.is_symlink() or Path(os.readlink(link)) != place):
         new = link.with_suffix(".new")
         new.unlink(missing_ok=True)
         new.symlink_to(place)
         new.replace(link)
     return place
-
-
-def in_memory(folder: Path) -> Path:
-    """Return a path in memory for this folder's ring, or in the folder itself if the system has none."""
-    runtime = runtime_directory()
-    if runtime is not None:
-        return runtime / RING_FILE
-    name = f"hexapod-gateway-{os.geteuid()}-{crc32(bytes(folder.resolve())):08x}"
-    for candidate in (os.environ.get("XDG_RUNTIME_DIR", ""), "/dev/shm"):  # noqa: S108  the owner is checked
-        if candidate and os.access(candidate, os.W_OK):
-            return Path(candidate) / name
-    return folder / RING_FILE
