@@ -22,8 +22,9 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 from gateway import durable
 from gateway.errors import ConfigError
 from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
+from gateway.host.worker import in_thread
 from gateway.robot.core.events import Announce, EstopKept
-from gateway.robot.host.disk import StateFolder, report_mistake
+from gateway.robot.host.disk import StateFolder
 from gateway.robot.host.ownership import OwnersTimer
 from gateway.robot.runtime.conductor import Conductor
 from schemas.keys import ESTOP
@@ -74,8 +75,7 @@ class EstopKeeper:
         self._conductor = conductor
         self._folder = folder
         self._loop = loop
-        self._found: KeptEstop | None = None
-        self._is_read = asyncio.Event()
+        self._found: asyncio.Future[KeptEstop] = loop.create_future()
         self._wanted: KeptEstop | None = None
         self._written: KeptEstop | None = None
         self._unknown: str | None = None
@@ -89,7 +89,8 @@ class EstopKeeper:
         if folder is not None:
             late = partial(self._report, f"the disk has not answered for {SLOW_S:g} s")
             self._slow = OwnersTimer(loop, conductor.owner, late)
-            threading.Thread(target=self._keep, args=(folder,), name="keep estop", daemon=True).start()
+            thread = in_thread("keep estop", partial(self._keep, folder))
+            thread.add_done_callback(asyncio.Future.result)  # a mistake ends the service
 
     # ---- the start
 
@@ -97,10 +98,9 @@ class EstopKeeper:
         """Report the earlier run's emergency stop to the supervisor, before any command. Takes READ_S at most."""
         if self._folder is None:
             return
-        with suppress(TimeoutError):
-            await asyncio.wait_for(self._is_read.wait(), READ_S)
-        found = self._found or _unknown(f"{self._folder.path}: the disk has not answered for {READ_S:g} s")
-        conductor = self._conductor
+        late = f"{self._folder.path}: the disk has not answered for {READ_S:g} s"
+        read_in_time, _ = await asyncio.wait((self._found,), timeout=READ_S)
+        conductor, found = self._conductor, self._found.result() if read_in_time else _unknown(late)
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
                 conductor.events.estop = found.source
@@ -152,22 +152,19 @@ class EstopKeeper:
         """The thread: read what an earlier run left, then write each change, with a pause after each attempt."""
         prefer_thread(PAGE_PRIORITY)
         try:
-            try:
-                folder.own()
-                self._found = read(folder.path)
-            except ConfigError as error:
-                self._found = _unknown(str(error))
-            with suppress(RuntimeError):  # the loop is closed: the service has ended
-                self._loop.call_soon_threadsafe(self._is_read.set)
-            while True:
-                self._wakes.get()
-                while (wanted := self._wanted) is not None and wanted != self._written:
-                    until_s = self._write(folder, wanted) + time.monotonic()
-                    with suppress(Empty):
-                        while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
-                            pass
-        except Exception as error:
-            report_mistake(self._loop, "the thread keep estop failed", error)
+            folder.own()
+            found = read(folder.path)
+        except ConfigError as error:
+            found = _unknown(str(error))
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            self._loop.call_soon_threadsafe(self._found.set_result, found)
+        while True:
+            self._wakes.get()
+            while (wanted := self._wanted) is not None and wanted != self._written:
+                until_s = self._write(folder, wanted) + time.monotonic()
+                with suppress(Empty):
+                    while not self._wakes.get(timeout=max(0.0, until_s - time.monotonic())):
+                        pass
 
     def _write(self, folder: StateFolder, wanted: KeptEstop) -> float:
         """Write, and report how that ended. Return the pause before the next attempt in seconds."""
