@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from gateway import durable, nesting
-from gateway.host.directories import CONFIGURATION, SERVICE_RUNTIME, runtime_directory
+from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_reader import ForStops, read_for_stops
 from gateway.host.settings_table import FOR_STOPS
 
@@ -111,11 +111,6 @@ def _tables(used: ForStops) -> dict[str, dict[str, Any]]:
     }
     found["wire"] |= used.wire.options
     return found
-
-
-def differs_here(path: Path = CONFIGURATION) -> list[str]:
-    """Return `differences` for the service that runs on this machine; empty if none runs or it cannot be read."""
-    return differences(used, path) if (used := running()) is not None else []
 
 
 def _shown(value: Any) -> str:

@@ -177,18 +177,13 @@ class SpiSettings(Section):
         speed_hz = self.speed_hz or (wire.built_in or FRAMED).speed_hz
         return replace(self, speed_hz=speed_hz, framing=self.framing if wire.framed else Framing.PLAIN)
 
-    @property
-    def too_fast(self) -> str:
-        """Why the controller would lose frames at this clock and pause, or ""."""
-        return self.framing.too_fast(self.speed_hz, self.frame_gap_us)
-
     def within_limits(self) -> tuple["SpiSettings", str]:
         """Return the settings with clock and pause within the framing's limits, and a sentence if that changed them.
 
         The service rejects such settings. `stop-servos` must neither fail for them nor lose Stops by them.
         """
-        fault, framing = self.too_fast, self.framing
-        if not fault:
+        framing = self.framing
+        if not (fault := framing.too_fast(self.speed_hz, self.frame_gap_us)):
             return self, ""
         speed_hz, gap_us = min(self.speed_hz, framing.most_hz), max(self.frame_gap_us, framing.least_gap_us)
         changed = f"spi: {fault}; stop-servos uses {speed_hz} Hz and {gap_us:g} µs"

@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from gateway.model.frames import ServoOp
-from schemas.robot import JOINTS
 from schemas.telemetry import Kind
 
 HEADER_BYTES: Final = 4096
@@ -123,16 +122,14 @@ length, and the frame. The command follows, as in a CommandRecord."""
 _UINT32: Final = 0xFFFFFFFF
 TARGET_STRUCTS: Final = tuple(struct.Struct("<" + "BH" * count) for count in range(19))
 _SENT_NOT: Final = float("nan")
-_OF_A_LEG: Final = len(JOINTS)
 
 STOP_CODE, SET_CODE = 65_535, 20_000
 _OF_OP: Final = (0, 0, STOP_CODE, SET_CODE)
 """The code of each operation. Operation and angle (0 to 18000) are one number of 16 bits."""
 _MAX_BYTE: Final = 255
-MAX_KNOWN: Final = 200
 
 
-@lru_cache(MAX_KNOWN)  # texts recur
+@lru_cache(200)  # texts recur
 def _texts(*texts: str | None) -> bytes:
     """Return texts of at most 255 bytes, each after its length; None becomes ""."""
     made = b""
@@ -199,13 +196,13 @@ def carried_out(
     rest_bytes = _CARRIED_OUT_HEAD_BYTES + len(texts)
     size = len(data)
     fits = rest_bytes <= ROOM and size <= _MOST_FRAME
-    if len(targets) != _OF_A_LEG or not fits or not 0 <= after_ns <= _UINT32:
+    if len(targets) != 3 or not fits or not 0 <= after_ns <= _UINT32:
         return None
     (first, one), (second, two), (third, three) = targets
     fixed = _pack_carried_out(
         HEAD_BYTES + rest_bytes, CARRIED_OUT, 0, sequence, ns,
         after_ns, transfer_ns & _UINT32, size, data,
-        number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, _OF_A_LEG,
+        number & _UINT32, _SENT_NOT if sent_ms is None else sent_ms, 3,
         first, _OF_OP[one.op] + one.angle_cdeg,
         second, _OF_OP[two.op] + two.angle_cdeg,
         third, _OF_OP[three.op] + three.angle_cdeg,

@@ -83,8 +83,8 @@ class Settings(settings_table.Section):
 
     def faults(self) -> Iterable[tuple[settings_table.Place, str]]:
         wire = self.wire.name
-        if self.spi.too_fast:
-            yield ("spi",), self.spi.too_fast
+        if too_fast := self.spi.framing.too_fast(self.spi.speed_hz, self.spi.frame_gap_us):
+            yield ("spi",), too_fast
         if self.starts_whole and self.power.interface:
             yield ("power", "interface"), f"{wire} starts all servos at once, which no power board does"
         if self.starts_whole and self.limits.start_stagger_ms:
@@ -159,7 +159,7 @@ def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyTy
     its place in the file."""
     place, sentence = fault
     named = [variable for at, (variable, _) in variables.items() if place[: len(at)] == at or at[: len(place)] == place]
-    hint = f"; {_NAMES}" if named and sentence == NO_SETTING else ""
+    hint = f"; a variable is named like {ENV_PREFIX}SPI__DEVICE" if named and sentence == NO_SETTING else ""
     return f"{' and '.join(named) or f'{path or CONFIGURATION}: {dotted(place)}'}: {sentence}{hint}"
 
 
@@ -223,9 +223,3 @@ def _merge(tables: dict[str, Any], variables: Variables) -> None:
                 table[name] = {}
             table = table[name]
         table[last] = value
-
-
-_NAMES: Final = (
-    f"a variable is named like {ENV_PREFIX}SPI__DEVICE; the sections are "
-    f"{', '.join(each.name for each in fields(Settings))}"
-)

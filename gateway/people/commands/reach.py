@@ -52,7 +52,8 @@ def connection(connect: str | None, zenoh_config: Path | None, timeout_s: float,
 
 def show_differences(config: Path | None = None) -> None:
     """Print how the file differs from what this machine's service uses; nothing if none runs."""
-    for each in effective.differs_here(config or CONFIGURATION):
+    used = effective.running()
+    for each in [] if used is None else effective.differences(used, config or CONFIGURATION):
         hint(each)
 
 

@@ -197,9 +197,8 @@ class Recorder:
             request = received or (decided[0][0] if decided else None)
             source = None if request is None else request.source  # an emergency stop's is read after its Stops
             now_ns = written[0][1].ns if written else self._clock()
-            count = len(written) + len(decided)
-            if not written and received is not None:
-                count += 1  # a record for the command, besides its outcome's
+            alone = not written and received is not None  # a command has a record, besides its outcome's
+            count = len(written) + len(decided) + alone
             if not self._shares.admit(source, count, now_ns):
                 return
         accepted = 0  # the number of a command accepted with the step's only frame: it needs no Decision
@@ -209,8 +208,15 @@ class Recorder:
                 if verdict == ACCEPTED and commands == (request,):
                     accepted = request.number
         if (one := received) is not None:
-            if accepted == one.number != 0 and len(decided) == 1 and self._carried_out(one, written[0][1]):
-                return
+            if accepted == one.number != 0 and len(decided) == 1 and self._ring is not None:
+                sent = written[0][1]
+                body = form.carried_out(
+                    self._ring.sequence, one.received_ns, one.number, one.verb, one.key, one.source,
+                    one.sent_ms, one.targets, sent.data, sent.ns, sent.call_ns,
+                )  # fmt: skip
+                if body is not None:
+                    self._ring.put(body)
+                    return
             fields = form.command(one.number, one.verb, one.key, one.source, one.sent_ms, one.targets)
             self._append(form.COMMAND, one.received_ns, fields)
         for transmit, sent in written:
@@ -220,19 +226,6 @@ class Recorder:
             number = request.number
             if not number or number != accepted:
                 self._append(form.DECISION, self._clock(), form.decision(number, verdict, request.key, request.source))
-
-    def _carried_out(self, command: Request, sent: Sent) -> bool:
-        """Record a command and its frame in one record. Return False if that does not fit, or the ring is closed."""
-        if self._ring is None:
-            return False
-        body = form.carried_out(
-            self._ring.sequence, command.received_ns, command.number, command.verb, command.key, command.source,
-            command.sent_ms, command.targets, sent.data, sent.ns, sent.call_ns,
-        )  # fmt: skip
-        if body is None:
-            return False
-        self._ring.put(body)
-        return True
 
     def mode(self, mode: Mode) -> None:
         """Record a change of the gateway's mode. Emergency stops and resets in turns use up a share."""

@@ -74,9 +74,9 @@ def test_where_a_file_differs(folder: Path) -> None:
     uart += "[power]\ninterface = 'slcan'\nchannel = '/dev/ttyACM0'\n"
     file.write_text(f'[spi]\nframing = "length-prefixed"\n{rest}{uart}')
     assert effective.differences(found, file) == []
-    assert effective.differs_here(file) == []
+    assert found == effective.running()
     file.write_text(f'[spi]\nframing = "plain"\nspeed_hz = 500_000\n{uart}')
-    assert effective.differs_here(file) == [
+    assert effective.differences(found, file) == [
         f'{file} has spi.framing = "plain", and the service uses "length-prefixed"',
         f'{file} has spi.device = "/dev/spidev0.0", and the service uses "/dev/spi\\"dev1.0"',
         f"{file} has spi.frame_gap_us = 50.0, and the service uses 60.5",

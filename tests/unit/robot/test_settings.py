@@ -19,10 +19,7 @@ from gateway.robot import settings
 from gateway.robot.settings import FramingNotSetError, Settings
 from release import settings_page
 
-SECTIONS = (
-    "the sections are zenoh, wire, spi, controller, limits, watchdog, lease, buttons, state, telemetry, safety, power"
-)
-NO_VARIABLE = f"is no setting; a variable is named like HEXAPOD_SPI__DEVICE; {SECTIONS}"
+NO_VARIABLE = "is no setting; a variable is named like HEXAPOD_SPI__DEVICE"
 WORD = "is not allowed: input should be"
 INTEGER = f"{WORD} a valid integer"
 NUMBER = f"{WORD} a valid number"
