@@ -11,12 +11,19 @@ from typing import Final
 _FLOCK: Final = struct.Struct("hhqqi4x")  # struct flock: type, whence, start, length, process
 
 
-def lock(fd: int, kind: int, place: int = 0) -> None:
-    """Lock (F_WRLCK, F_RDLCK) or unlock (F_UNLCK) a byte, without waiting. Raises OSError if another has locked it."""
-    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
+def lock(fd: int, kind: int, place: int = 0) -> bool:
+    """Lock (F_WRLCK, F_RDLCK) or unlock (F_UNLCK) a byte, without waiting. Return whether that worked."""
+    try:
+        fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _FLOCK.pack(kind, os.SEEK_SET, place, 1, 0))
+    except OSError:
+        return False
+    return True
 
 
-def is_locked(fd: int, place: int = 0) -> bool:
-    """Return whether another opening has locked the byte. Raises OSError."""
-    answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
+def is_locked(fd: int, place: int = 0) -> bool | None:
+    """Return whether another opening has locked the byte, or None if not known."""
+    try:
+        answer = fcntl.fcntl(fd, fcntl.F_OFD_GETLK, _FLOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, place, 1, 0))
+    except OSError:  # the device is going away
+        return None
     return bool(_FLOCK.unpack(answer)[0] != fcntl.F_UNLCK)

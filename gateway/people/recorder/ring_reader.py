@@ -202,7 +202,7 @@ def _read_file(file: Path, path: Path) -> tuple[bytes, bool]:
             trusted = (path.lstat().st_uid, os.geteuid(), 0)
             if found.st_uid not in trusted or found.st_nlink != 1 or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
                 raise NoRingError(f"{path}: another user has made this file, or may write to it; it is not read")
-            written = is_locked(opened.fileno())  # first: a gateway that ends meanwhile has written all
+            written = is_locked(opened.fileno()) is not False  # first: a gateway that ends meanwhile has written all
             return opened.read(found.st_size), written
     except OSError as error:
         raise NoRingError(f"{path}: {error.strerror}") from error

@@ -7,6 +7,7 @@ The file must be in memory (tmpfs). On a disk, the first write to a page after e
 busy, which would delay a Stop (measured: docs/recordings.md).
 """
 
+import errno
 import fcntl
 import mmap
 import os
@@ -47,10 +48,8 @@ class RecordRing:
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         self._fd = os.open(path, flags, 0o600)
         try:
-            try:
-                lock(self._fd, fcntl.F_WRLCK)
-            except OSError as error:
-                raise OSError(error.errno, "another gateway writes to it") from error
+            if not lock(self._fd, fcntl.F_WRLCK):
+                raise BlockingIOError(errno.EAGAIN, "another gateway writes to it")
             found = os.fstat(self._fd)
             if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
                 raise PermissionError(f"{path} belongs to another user")  # it may be planted, such as in /dev/shm

@@ -11,7 +11,7 @@ import time
 from contextlib import suppress
 from typing import Final
 
-from gateway.host import file_lock
+from gateway.host.file_lock import is_locked, lock
 
 PATIENCE_S: Final = 0.5
 """How long `stop-servos` waits to be noticed. A gateway polls ten times a second; a hanging one is not waited for."""
@@ -26,15 +26,15 @@ class Listener:
         """Lock the device. Raises BlockingIOError if another gateway has it."""
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._fd = fd
-        self._waits = _lock(fd, fcntl.F_WRLCK, _UNSEEN)
+        self._waits = lock(fd, fcntl.F_WRLCK, _UNSEEN)
 
     def poll(self) -> bool | None:
         """Return whether `stop-servos` is at work, or None if not known. Takes some microseconds, never raises."""
         # UNSEEN before AT_WORK: if `stop-servos` finds UNSEEN free after its last Stop, a poll has seen it at work.
-        self._waits = self._waits or _lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
-        at_work = _held(self._fd, _AT_WORK)
+        self._waits = self._waits or lock(self._fd, fcntl.F_WRLCK, _UNSEEN)
+        at_work = is_locked(self._fd, _AT_WORK)
         if at_work:
-            self._waits = not _lock(self._fd, fcntl.F_UNLCK, _UNSEEN)
+            self._waits = not lock(self._fd, fcntl.F_UNLCK, _UNSEEN)
         return at_work
 
 
@@ -51,8 +51,8 @@ class Notice:
         if self._fd is None:
             with suppress(OSError):
                 self._fd = os.open(self._path, os.O_RDWR | os.O_CLOEXEC)
-                _lock(self._fd, fcntl.F_RDLCK, _AT_WORK)  # shared: two may be at work
-                self.gateway_runs = _held(self._fd, _UNSEEN) is not False  # if not known, wait for a gateway
+                lock(self._fd, fcntl.F_RDLCK, _AT_WORK)  # shared: two may be at work
+                self.gateway_runs = is_locked(self._fd, _UNSEEN) is not False  # if not known, wait for a gateway
 
     def end(self) -> bool:
         """Wait until a gateway has noticed, then unlock AT_WORK. Return whether it did. Call it after all Stops."""
@@ -60,7 +60,7 @@ class Notice:
             return True
         give_up_s = time.monotonic() + PATIENCE_S
         seen = self._wait_for(self._fd, give_up_s, unseen=False)
-        _lock(self._fd, fcntl.F_UNLCK, _AT_WORK)
+        lock(self._fd, fcntl.F_UNLCK, _AT_WORK)
         if self.gateway_runs and seen:
             self._wait_for(self._fd, give_up_s, unseen=True)  # the gateway has seen the end and takes starts again
         os.close(self._fd)
@@ -69,34 +69,17 @@ class Notice:
 
     @staticmethod
     def _wait_for(fd: int, give_up_s: float, *, unseen: bool) -> bool:
-        while _held(fd, _UNSEEN) is not unseen:
+        while is_locked(fd, _UNSEEN) is not unseen:
             if time.monotonic() > give_up_s:
                 return False
             time.sleep(_POLL_S)
         return True
 
 
-def _lock(fd: int, kind: int, place: int) -> bool:
-    """Lock or unlock a byte. Return whether that worked."""
-    try:
-        file_lock.lock(fd, kind, place)
-    except OSError:
-        return False
-    return True
-
-
-def _held(fd: int, place: int) -> bool | None:
-    """Return whether another program has locked the byte, or None if not known."""
-    try:
-        return file_lock.is_locked(fd, place)
-    except OSError:  # the device is going away
-        return None
-
-
 def is_gateways(path: str) -> bool:
     """Return whether a gateway has locked the device, or may have. Raises OSError if the device does not open."""
     fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
     try:
-        return _held(fd, _UNSEEN) is not False
+        return is_locked(fd, _UNSEEN) is not False
     finally:
         os.close(fd)
