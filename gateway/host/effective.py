@@ -8,7 +8,6 @@ systemd runs after its end. Later they remain for a `stop-servos` that finds no 
 
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -25,20 +24,12 @@ _INVOCATION: Final = "INVOCATION_ID"
 
 @dataclass(frozen=True)
 class Effective(ForStops):
-    """The settings that a service uses, and its process."""
+    """The settings that a service uses."""
 
-    tables: Mapping[str, Any]
-
-    @property
-    def runs(self) -> bool:
-        """Whether the process that wrote this runs. Its number and begin are compared, since numbers are reused."""
-        process = self.tables.get("process")
-        return isinstance(process, int) and _begun(process) == self.tables.get("begun")
-
-    @property
-    def ended_here(self) -> bool:
-        """Whether systemd runs this command after the end of the service that wrote this."""
-        return bool(self.tables.get("invocation")) and self.tables["invocation"] == os.environ.get(_INVOCATION)
+    runs: bool
+    """Whether the process that wrote this runs. Its number and begin are compared, since numbers are reused."""
+    ended_here: bool
+    """Whether systemd runs this command after the end of the service that wrote this."""
 
 
 def write(used: ForStops) -> None:
@@ -75,7 +66,10 @@ def read() -> Effective | None:
     found, faults = read_for_stops(tables)
     if faults or (found.wire.framed and "framing" not in tables.get("spi", {})):
         return None
-    return Effective(found.wire, found.spi, found.controller, found.power, tables)
+    process, invocation = tables.get("process"), tables.get("invocation")
+    runs = isinstance(process, int) and _begun(process) == tables.get("begun")
+    ended_here = bool(invocation) and invocation == os.environ.get(_INVOCATION)
+    return Effective(found.wire, found.spi, found.controller, found.power, runs, ended_here)
 
 
 def running() -> Effective | None:

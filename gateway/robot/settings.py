@@ -135,7 +135,7 @@ def load(path: Path | None = None, *, simulated: bool = False) -> Settings:
     lines = [_line(path, fault) for fault in in_file]
     lines += [_line(path, fault, variables) for fault in faults if fault not in in_file]
     if not simulated:
-        _require_framing(path, found.wire, tables, lines)
+        _require_framing(path, found.wire, tables.get("spi", {}), lines)
     _raise(lines)
     return found
 
@@ -149,7 +149,7 @@ def load_for_stops(path: Path | None = None) -> ForStops:
     _merge(tables, variables)
     found, faults = read_for_stops(tables)
     lines = [_line(path, fault, variables) for fault in faults]
-    _require_framing(path, found.wire, tables, lines)
+    _require_framing(path, found.wire, tables.get("spi", {}), lines)
     _raise(lines)
     return found
 
@@ -169,10 +169,7 @@ _WHICH_FRAMING: Final = (
 )
 
 
-def _require_framing(
-    path: Path | None, wire: settings_table.WireSettings, tables: Mapping[str, Any], lines: list[str]
-) -> None:
-    spi = tables.get("spi", {})
+def _require_framing(path: Path | None, wire: settings_table.WireSettings, spi: object, lines: list[str]) -> None:
     if wire.framed and isinstance(spi, Mapping) and not {"framing", "protocol"} & spi.keys():
         lines += [f"{path or CONFIGURATION}: spi.framing: {sentence}" for sentence in _WHICH_FRAMING]
         raise FramingNotSetError("\n".join(lines))
