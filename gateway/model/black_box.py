@@ -43,9 +43,7 @@ MAX_TEXT: Final = 1000
 
 _HEAD: Final = struct.Struct("<HBBQq")
 _SLOT: Final = struct.Struct(f"<I{SLOT - 4}s")
-_CRC: Final = struct.Struct("<I")
-_SEQUENCE_BYTES: Final = 8
-"""Size of a sequence number, and its offset in a slot."""
+_CHECKED_HEAD: Final = struct.Struct("<IHBBQq")
 HEAD_BYTES: Final = _HEAD.size
 pack_head: Final = _HEAD.pack
 pack_slot_into: Final = _SLOT.pack_into
@@ -91,9 +89,8 @@ def slot_bytes(data: bytes, index: int) -> bytes:
 
 def read_slot(data: bytes) -> Slot | None:
     """Decode a slot of SLOT bytes. Return None if it holds no valid record."""
-    (checksum,) = _CRC.unpack_from(data)
-    length, kind, more, sequence, ns = _HEAD.unpack_from(data, _CRC.size)
-    if not _HEAD.size <= length <= SLOT - _CRC.size or zlib.crc32(data[4 : 4 + length]) != checksum:
+    checksum, length, kind, more, sequence, ns = _CHECKED_HEAD.unpack_from(data)
+    if not _HEAD.size <= length <= SLOT - 4 or zlib.crc32(data[4 : 4 + length]) != checksum:
         return None
     return Slot(kind, bool(more), sequence, ns, data[4 + _HEAD.size : 4 + length])
 
@@ -101,7 +98,7 @@ def read_slot(data: bytes) -> Slot | None:
 def newest(buffer: Any, slots: int) -> int:
     """Return the highest sequence number of a valid record; 0: there is none."""
     with memoryview(buffer) as whole, whole[HEADER_BYTES:].cast("Q") as words:
-        numbers = words[1 :: SLOT // _SEQUENCE_BYTES].tolist()
+        numbers = words[1 :: SLOT // 8].tolist()  # a slot's second word
     in_place = (number for slot, number in enumerate(numbers) if number and number % slots == slot)
     for number in sorted(in_place, reverse=True):
         if read_slot(slot_bytes(buffer, number % slots)) is not None:
@@ -221,12 +218,10 @@ def fields(*values: object) -> bytes:
 VERSION: Final = 3
 MAGIC: Final = b"hexapod black box\n"
 
-_BEGIN: Final = struct.Struct("<18sHII")
-
 
 def new_header(slots: int) -> bytes:
     """Return the header of a new file."""
-    return _BEGIN.pack(MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
+    return struct.pack("<18sHII", MAGIC, VERSION, SLOT, slots).ljust(HEADER_BYTES, b"\0")
 
 
 def file_bytes(slots: int) -> int:

@@ -20,11 +20,9 @@ from zlib import crc32
 from gateway.host.directories import runtime_directory, state_to_read, users_state
 from gateway.host.file_lock import lock
 from gateway.model import black_box as form
-from gateway.model.black_box import HEAD_BYTES, RING_FILE, pack_head, pack_slot_into
+from gateway.model.black_box import HEAD_BYTES, HEADER_BYTES, RING_FILE, ROOM, SLOT, pack_head, pack_slot_into
 from gateway.robot.settings import Settings
 from schemas.robot import LEGS
-
-_HEADER, _SLOT, _ROOM = form.HEADER_BYTES, form.SLOT, form.ROOM
 
 RECORDS_PER_FRAME: Final = 4
 """A setpoint makes one record, or two if a frame is two transfers. A stream above the rate limit makes twice as many,
@@ -54,7 +52,7 @@ class RecordRing:
             if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_nlink != 1:
                 raise PermissionError(f"{path} belongs to another user")  # it may be planted, such as in /dev/shm
             size = form.file_bytes(slots)
-            whole = found.st_size == size and os.pread(self._fd, form.HEADER_BYTES, 0) == form.new_header(slots)
+            whole = found.st_size == size and os.pread(self._fd, HEADER_BYTES, 0) == form.new_header(slots)
             if not whole:
                 self.note = "the black box starts empty: its file is of another version or size" * bool(found.st_size)
                 os.ftruncate(self._fd, 0)
@@ -69,21 +67,21 @@ class RecordRing:
             raise
         self._slots = slots
         if not whole:
-            self._map[: form.HEADER_BYTES] = form.new_header(slots)
+            self._map[:HEADER_BYTES] = form.new_header(slots)
         self.sequence = form.newest(self._map, slots) + 1
         """Number of the next record."""
 
     def append(self, kind: int, ns: int, rest: bytes) -> None:
         """Write a record, in several slots if it does not fit in one."""
-        part, more = rest[:_ROOM], len(rest) > _ROOM
+        part, more = rest[:ROOM], len(rest) > ROOM
         self.put(pack_head(len(part) + HEAD_BYTES, kind, more, self.sequence, ns) + part)
         if more:
-            self.append(form.MORE, ns, rest[_ROOM:])
+            self.append(form.MORE, ns, rest[ROOM:])
 
     def put(self, body: bytes) -> None:
         """Write a one-slot record. `body` begins with its head, which has the number `sequence`."""
         sequence = self.sequence
-        pack_slot_into(self._map, _HEADER + sequence % self._slots * _SLOT, crc32(body), body)
+        pack_slot_into(self._map, HEADER_BYTES + sequence % self._slots * SLOT, crc32(body), body)
         self.sequence = sequence + 1
 
     def close(self) -> None:
