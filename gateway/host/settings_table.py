@@ -192,8 +192,6 @@ class SpiSettings(Section):
 
 @dataclass(frozen=True)
 class ControllerSettings(Section):
-    """The controller's own line; with elkapod-2025 only."""
-
     uart: str = _setting("/dev/ttyAMA1", "with `elkapod-2025`: the UART of start, shutdown and heartbeat", fault=_like(r"/[^\0]*", "write the path of a device, such as /dev/ttyAMA1"))
     # At least five cycles: one answer may be lost, and one late.
     silent_ms: float = _setting(300.0, "with `elkapod-2025`: silence of the controller that is a bus fault (Behaviour *The wire of elkapod-2025*)", (100, 2000))
@@ -228,8 +226,6 @@ class LimitSettings(Section):
 
 @dataclass(frozen=True)
 class WatchdogSettings(Section):
-    """Silence stops a leg. It cannot be switched off."""
-
     timeout_ms: float = _setting(250.0, "silence that stops a leg; cannot be switched off", (20, 10_000))
     scope: Literal["leg", "robot"] = _setting("leg", "what one silent leg stops")
     landing_ms: float = _setting(0.0, "time to the landing pose before a silent robot stops; 0: a silent leg stops at once", (0, 5000))
@@ -238,8 +234,6 @@ class WatchdogSettings(Section):
 
 @dataclass(frozen=True)
 class LeaseSettings(Section):
-    """Whether driving requires the lease, and how long that lasts unrenewed."""
-
     required: bool = _setting(False, "starts and sets are rejected while nobody holds the lease")
     # Clients renew at a third of it; below 200 a hiccup of a wireless network would end it.
     ttl_ms: float = _setting(1000.0, "silence that ends a lease", (200, 10_000))
@@ -247,8 +241,6 @@ class LeaseSettings(Section):
 
 @dataclass(frozen=True)
 class ButtonSettings(Section):
-    """How many stop buttons must be alive for the robot to move, and for how long a check-in counts."""
-
     # More than eight people watch no robot of this size.
     required: int = _setting(0, "buttons that must be alive for anything to move", (0, 8))
     # A browser runs a background page once a second, which by this default means a stop (docs/driving.md).
@@ -258,8 +250,6 @@ class ButtonSettings(Section):
 
 @dataclass(frozen=True)
 class StateSettings(Section):
-    """The folder of what outlasts the gateway; "": systemd's state directory, without which nothing outlasts it."""
-
     path: str = _setting("", "existing folder for emergency stop, calibration (`calibration.toml`), revocations and black box; `\"\"`: systemd's `STATE_DIRECTORY`, else nothing outlasts the process, and the black box is off", fault=_like(r"|/[^\0]*", 'write a whole path, from / on, such as one below /var/lib/hexapod-gateway, or "" for none'))
 
 
@@ -271,16 +261,12 @@ class TelemetrySettings(Section):
 
 @dataclass(frozen=True)
 class SafetySettings(Section):
-    """Rules that need what the robot measures; 0: never."""
-
     min_battery_v: float = _setting(0.0, "lowest battery voltage for starts (Behaviour *Measurements*); 0: any", (0, 100))
     max_tilt_deg: float = _setting(0.0, "tilt (10 at least) that stops or lands the robot; 0: any", (0, 90), fault=_beyond_walking)
 
 
 @dataclass(frozen=True)
 class PowerSettings(Section):
-    """The board on CAN that switches each servo's supply; none by default."""
-
     interface: str = _setting("", 'the board that feeds the servos (Behaviour *Power*): `"sim"`, or an interface of python-can, such as `"socketcan"` (also for gs_usb) or `"slcan"`; `""`: none', fault=_interface)
     channel: str = _setting("can0", 'its channel, such as `"can0"` or `"/dev/ttyACM0"`')
     servos: tuple[int, ...] = _setting((), "the servo on each output, 1 to 18; `[]`: 11, 12, 13, 21 … 63. `check --move` tests one", fault=_each_once)

@@ -102,10 +102,10 @@ MEASURED_NS: Final = 100_000_000
 EVENT_SLOTS: Final = 3
 """Slots of an event with a long sentence."""
 _ESTOP: Final = Cause.ESTOP  # see `frames.OP_STOP`
-_UNLIMITED: Final = (Kind.LEASE_EXPIRED, Kind.BUTTON_SILENT)
-LIMITED: Final = frozenset({Kind.COMMAND_REJECTED, Kind.SOURCE_CHANGED, Kind.OVERFLOW, Kind.CALIBRATED}).union(
-    kind for kind in Kind if kind.startswith(("lease_", "button_")) and kind not in _UNLIMITED
-)
+LIMITED: Final = (
+    frozenset({Kind.COMMAND_REJECTED, Kind.SOURCE_CHANGED, Kind.OVERFLOW, Kind.CALIBRATED})
+    | {kind for kind in Kind if kind.startswith(("lease_", "button_"))}
+) - {Kind.LEASE_EXPIRED, Kind.BUTTON_SILENT}
 """Events that clients can cause at any rate. Each kind has its own limit, so that a flood of one hides no other: two
 clients that compete for a leg hide no takeover."""
 _BY_CLIENTS: Final = frozenset({*LIMITED, Kind.ESTOP_ENGAGED, Kind.ESTOP_RESET})
