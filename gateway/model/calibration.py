@@ -132,9 +132,9 @@ def _mapped(frame: Frame, cdeg_of: Callable[[int, int], int]) -> Frame:
     return OneLeg(frame.leg, (first, second, third))
 
 
-def changed_servos(before: RobotCalibration, after: RobotCalibration) -> frozenset[int]:
-    """Return the servos whose frames or limits differ; the landing pose alone changes none."""
-    return frozenset(servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id))
+def changed_servos(before: RobotCalibration, after: RobotCalibration) -> list[int]:
+    """Return the servos whose frames or limits differ, ascending; the landing pose alone changes none."""
+    return [servo_id for servo_id in SERVO_IDS if before.of(servo_id) != after.of(servo_id)]
 
 
 def report_of(calibration: RobotCalibration) -> wire.Calibration:

@@ -84,7 +84,7 @@ _KNOWN: Final = (
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
     (_ROBOT._limits, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited _free_cdeg"),
-    (_ROBOT.calibrating, "_rules _limits fault _on_its_way"),
+    (_ROBOT.calibrating, "_rules _limits fault saving"),
     (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_rules _settled_ns _runs_left runs due_ns"),
@@ -229,14 +229,14 @@ def _calibration_key(calibration: RobotCalibration) -> tuple[object, ...]:
 def _calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
     """What of it can still matter."""
     calibrating, limits = supervisor.calibrating, supervisor._limits
-    way = calibrating._on_its_way
+    saving = calibrating.saving
     return (
         _calibration_key(limits.calibration),
         limits.wire is not None,
         limits.limited,
         calibrating.fault,
         calibrating.closed,
-        way and (_calibration_key(way.calibration), way.servos, way.event.change.accept_default),
+        saving and (_calibration_key(saving[1]), saving[0].change.accept_default),
     )
 
 

@@ -344,8 +344,8 @@ def _calibrate(robot: Scenes, words: str, options: Options) -> events.Calibrate:
 
 def _kept(robot: Scenes, fault: str, _: Options) -> events.CalibrationSaved:
     """The disk has answered for the latest change."""
-    way = robot.supervisor.calibrating._on_its_way
-    return events.CalibrationSaved(0 if way is None else way.event.number, fault or None)
+    saving = robot.supervisor.calibrating.saving
+    return events.CalibrationSaved(0 if saving is None else saving[0].number, fault or None)
 
 
 def _reset(robot: Scenes, newer: str, options: Options) -> events.Reset:

@@ -73,7 +73,7 @@ def import_file(connect: Connection, file: Path, *, agreed: bool) -> int:
         raise ConfigError(f"{file} is not a calibration as `calibrate export` prints it: {why}") from error
     with connect() as client:
         state, now = client.state(), calibration_of(client.calibration())
-        changed = sorted(changed_servos(now, wanted))
+        changed = changed_servos(now, wanted)
         if not changed and now.landing_cdeg == wanted.landing_cdeg:
             say(f"there is nothing to change: {_about(state.calibration, now)}")
             return 0

@@ -11,7 +11,7 @@ If the calibration file cannot be read (`fault`), nothing moves until a person t
 robot's: with a wrong trim or direction, a leg would move to an angle that was not commanded.
 """
 
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import CalibrationError, RobotCalibration, changed, changed_servos
@@ -34,15 +34,6 @@ ACCEPT_DEFAULT: Final = "calibrate accept-default"
 """The command for a calibration that cannot be trusted."""
 
 
-class _OnItsWay(NamedTuple):
-    """An accepted change that is not saved yet."""
-
-    calibration: RobotCalibration
-    servos: frozenset[int]
-    """The servos whose frames or limits the change alters."""
-    event: Calibrate
-
-
 class Calibrating(Interlock[Calibrate | CalibrationSaved]):
     """One robot's calibration, and the change that is being saved."""
 
@@ -53,7 +44,8 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self._limits = limits
         self.fault: str | None = None
         """Why the calibration cannot be trusted, or None."""
-        self._on_its_way: _OnItsWay | None = None
+        self.saving: tuple[Calibrate, RobotCalibration] | None = None
+        """An accepted change that is not saved yet, and the calibration with it."""
 
     @property
     def in_force(self) -> RobotCalibration:
@@ -69,9 +61,8 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
         if self.fault is not None:
             return Reason.SERVO_STOPPED, self._untrusted()
-        changing = frozenset() if self._on_its_way is None else self._on_its_way.servos
         for servo_id, _ in request.moves:
-            if servo_id in changing:
+            if self.saving is not None and self.saving[1].of(servo_id) != self.in_force.of(servo_id):
                 return Reason.SERVO_STOPPED, f"servo {servo_id} is being calibrated; start it once the change is saved"
         return None
 
@@ -92,17 +83,16 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
             why_not = self._limits.why_avoided(calibration, servo_id, angle_cdeg)
             if why_not is not None:
                 return [Rejected(event, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
-        servos = changed_servos(self.in_force, calibration)
-        for servo_id in sorted(servos):
+        for servo_id in changed_servos(self.in_force, calibration):
             if legs.servos[servo_id].will_run:
                 detail = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
                 return [Rejected(event, Reason.INVALID, detail)]
-        self._on_its_way = _OnItsWay(calibration, servos, event)
+        self.saving = event, calibration
         self.closed = True
         return [SaveCalibration(event.number, calibration)]
 
     def _why_not_now(self, change: CalibrationCommand) -> Why | None:
-        if self._on_its_way is not None:
+        if self.saving is not None:
             return Reason.STALE, "another change of the calibration is being saved; read it then, and change it again"
         revision = self.in_force.revision
         if change.revision not in (None, revision):
@@ -120,16 +110,15 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     def _kept(self, event: CalibrationSaved) -> list[Effect]:  # mutants accepted (Forget): only time is lost
         """Put the saved change in force, or reject it and keep the old calibration if the disk failed."""
-        if self._on_its_way is None or self._on_its_way.event.number != event.number:
+        if self.saving is None or self.saving[0].number != event.number:
             return []  # nobody waits for it
-        calibration, servos, asked = self._on_its_way
-        self._on_its_way = None
+        (asked, calibration), self.saving = self.saving, None
         if event.fault is not None:
             self.closed = self.fault is not None
             return [Rejected(asked, Reason.INVALID, event.fault)]
-        landing_changes = calibration.landing_cdeg != self.in_force.landing_cdeg
+        parts = [f"servo {servo_id}" for servo_id in changed_servos(self.in_force, calibration)]
+        parts += ["the landing pose"] * (calibration.landing_cdeg != self.in_force.landing_cdeg)
         self.load(calibration)
-        parts = [f"servo {servo_id}" for servo_id in sorted(servos)] + ["the landing pose"] * landing_changes
         detail = f"calibration {calibration.revision} is in force; it changes {', '.join(parts) or 'nothing'}"
         if asked.change.accept_default:
             detail = f"the default calibration is taken as this robot's; {detail}"

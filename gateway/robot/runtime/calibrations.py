@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from gateway.model.calibration import RobotCalibration, report_of
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
-from gateway.robot.core.events import Calibrate, CalibrationSaved
+from gateway.robot.core.events import Calibrate, CalibrationSaved, SaveCalibration
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import explain, name_given_twice
 from gateway.robot.host import calibration_file
@@ -77,8 +77,8 @@ class Calibrations(RequestAnswers):
             executor.reject(event, Reason.STALE, too_old)
             return
         event.number = next(conductor.numbers)
-        keep = conductor.ask(event).keep
-        if keep is None:
+        keep = conductor.ask(event).to_do
+        if not isinstance(keep, SaveCalibration):
             return
         kept = partial(self._kept, keep.number)
         if self._folder is None:

@@ -51,14 +51,9 @@ class Outcome:
     """The requests that the step has ended, for the black box, the answers and the metrics."""
 
     @property
-    def answer(self) -> RequestAnswer | None:
-        """The answer that the caller has to send."""
-        return next((each for each in self.effects if type(each) is RequestAnswer), None)
-
-    @property
-    def keep(self) -> SaveCalibration | None:
-        """The calibration that the caller has to write to the disk."""
-        return next((each for each in self.effects if type(each) is SaveCalibration), None)
+    def to_do(self) -> RequestAnswer | SaveCalibration | None:
+        """The answer that the caller has to send, or the calibration that it has to write to the disk."""
+        return next((each for each in self.effects if isinstance(each, RequestAnswer | SaveCalibration)), None)
 
     def decide(self) -> None:
         """Set the results. A fault rejects the commands whose frames were not received."""

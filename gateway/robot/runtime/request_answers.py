@@ -114,8 +114,8 @@ class _ProvedAnswers(RequestAnswers):
 
     def ask(self, request: Any, reply: Reply) -> None:
         """Let the supervisor decide. Answer after its frames are written."""
-        answer = self._conductor.ask(request).answer
-        if answer is None:  # the service has ended
+        answer = self._conductor.ask(request).to_do
+        if not isinstance(answer, RequestAnswer):  # the service has ended
             return
         if answer.reason is None:
             reply(self.accepted(**self._granted(answer)))

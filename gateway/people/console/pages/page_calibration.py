@@ -125,7 +125,7 @@ class Guide:
     @property
     def changed(self) -> list[int]:
         """The servos whose calibration the draft changes."""
-        return sorted(changed_servos(self.in_force, RobotCalibration(servos=self.draft)))
+        return changed_servos(self.in_force, RobotCalibration(servos=self.draft))
 
     def now_in_force(self, calibration: RobotCalibration) -> list[int]:
         """Another calibration is in force, by this draft or by another person's change.
