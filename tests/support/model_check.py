@@ -83,7 +83,7 @@ _KNOWN: Final = (
     (_ROBOT.power, "_rules alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
-    (_ROBOT._limits, "_limits_cdeg _landing_cdeg _avoid_cdeg calibration wire limited _free_cdeg"),
+    (_ROBOT._limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited _free_cdeg"),
     (_ROBOT.calibrating, "_rules _limits fault saving"),
     (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),
     (_ROBOT.legs, "_speeds rest sends"),

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, get_args
 
 from pydantic import ValidationError
 
@@ -20,8 +20,7 @@ from gateway import durable, nesting
 from gateway.errors import ConfigError
 from gateway.model.calibration import RobotCalibration, changed, report_of
 from gateway.robot.core.rejections import explain
-from schemas.calibration import CalibrationCommand, ServoChange
-from schemas.robot import SERVO_IDS
+from schemas.calibration import CalibrationCommand, ServoChange, ServoName
 
 CALIBRATION_FILE: Final = "calibration.toml"
 """File name in the service's state directory."""
@@ -47,16 +46,14 @@ def load(path: Path) -> tuple[RobotCalibration, str | None]:
     with suppress(OSError):
         earlier = previous(path)
     newest = max(earlier, default=-1)
+    fault = f"{path}: is missing, but {earlier[newest].name} is in its folder" if earlier else None
     try:
-        found, fault = (
-            read(path),
-            f"{path}: is missing, but {earlier[newest].name} is in its folder" if earlier else None,
-        )
+        found = read(path)
+        if found is not None:  # one may have been put back by hand
+            return replace(found, revision=max(found.revision, newest + 1)), None
     except ConfigError as error:
-        found, fault = None, str(error)
-    if found is None:
-        return RobotCalibration(newest + 1), fault
-    return replace(found, revision=max(found.revision, newest + 1)), None  # one may have been put back by hand
+        fault = str(error)
+    return RobotCalibration(newest + 1), fault
 
 
 def read(path: Path) -> RobotCalibration | None:
@@ -90,17 +87,17 @@ def previous(path: Path) -> Mapping[int, Path]:
 
 def _keep_previous(path: Path) -> None:
     """Hard-link the current file under its revision. A complete file exists at any time."""
-    try:
+    name = "broken"
+    with suppress(ConfigError):
         before = read(path)
-        name = None if before is None else str(before.revision)
-    except ConfigError:
-        name = "broken"
-    if name is not None:
-        copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
-        copy.unlink(missing_ok=True)
-        os.link(path, copy)
-        for old in list(previous(path).values())[EARLIER_KEPT:]:
-            old.unlink()
+        if before is None:
+            return
+        name = str(before.revision)
+    copy = path.with_name(f"{path.stem}.{name}{path.suffix}")
+    copy.unlink(missing_ok=True)
+    os.link(path, copy)
+    for old in list(previous(path).values())[EARLIER_KEPT:]:
+        old.unlink()
 
 
 def to_toml(calibration: RobotCalibration) -> str:
@@ -125,10 +122,7 @@ def from_toml(data: bytes) -> RobotCalibration:
         found = CalibrationCommand.model_validate(values)  # the file is a change of every value
     except ValidationError as error:
         raise ValueError(explain(error).detail) from None
-    whole = {
-        name for name, servo in found.servos.items() if len(servo.model_fields_set) == len(ServoChange.model_fields)
-    }
-    for name in map(str, SERVO_IDS):
-        if name not in whole:
+    for name in get_args(ServoName):
+        if len(found.servos.get(name, ServoChange()).model_fields_set) < len(ServoChange.model_fields):
             raise ValueError(f"servos.{name} is not whole; a whole calibration names every servo and all its numbers")
     return replace(changed(RobotCalibration(), found), revision=found.revision or 0)
