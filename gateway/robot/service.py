@@ -206,7 +206,7 @@ class _Service:
 
     async def run(self, on_ready: Callable[[zenoh.Config], None]) -> ServiceEnd:
         """Run from the first Stops to the end. Return why it ended."""
-        conductor, notifier, end = self.conductor, self.notifier, self.end
+        conductor, end, closes = self.conductor, self.end, [self.keeper.flush]
         try:
             # Stops before Zenoh: servos that move at the start are stopped before any command can arrive.
             with self.owner:
@@ -219,55 +219,44 @@ class _Service:
             opening = asyncio.gather(in_thread("open", self.open_zenoh), self.keeper.known())
             ended = asyncio.ensure_future(end.requested.wait())
             await asyncio.wait((opening, ended), return_when=asyncio.FIRST_COMPLETED)
-            if not opening.done():
-                notifier.stopping()
-                await stop_the_robot(conductor, self.bus)
-                self.keeper.flush()
-                end.leave()
-            ended.cancel()
-            session, _ = opening.result()
-            self.outbox.open(session)
-            with self.owner:  # the inbox's threads receive at once; they wait until the start is announced
-                self.inbox = conductor.messages = self.inbox_of(session)
-                conductor.reports.announce_start()
-                self.keeper.announce_start()
-                self.calibrations.publish()
-            realtime.freeze_gc()
-            # After Zenoh has opened: its threads inherit the priority of the thread that starts them, and must not get
-            # it.
-            granted = realtime.prefer_thread(realtime.LOOP_PRIORITY)
-            logger.info("real-time priority %s", "granted" if granted else "not allowed")
-            on_ready(self.config)  # before the notification, on which `make run` prints its own lines
-            notifier.ready("takes commands")
-            self.upkeep.start(session)
-            connection_limiter = ConnectionLimiter(
-                session, partial(setattr, conductor.metrics, "sessions"), self.shut_out.common_names
-            )
-            self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
-            self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all)
-            await end.requested.wait()
-            notifier.stopping(anew=end.starts_anew)
-            self.beat.cancel()
+            if opening.done():
+                session, _ = opening.result()
+                closes += self.take_commands(session, on_ready)
+                await ended
+                self.beat.cancel()
+            self.notifier.stopping(anew=end.starts_anew)
             deadline = self.loop.time() + SHUTDOWN_S
-            await stop_the_robot(conductor, self.bus)
-            with self.owner:
-                conductor.close()
-            await close_within(
-                deadline - self.loop.time(),
-                end.leave,
-                self.keeper.flush,
-                self.outbox.close,
-                connection_limiter.close,
-                self.upkeep.close,
-                self.inbox.close,
-                session.close,
-                *(() if self.supply is None else (self.supply.line.close,)),
-            )
+            await stop_the_robot(conductor)
         finally:
             with self.owner:
                 conductor.close()
-            notifier.close()
+        await close_within(deadline - self.loop.time(), closes)
         return end
+
+    def take_commands(
+        self, session: zenoh.Session, on_ready: Callable[[zenoh.Config], None]
+    ) -> list[Callable[[], None]]:
+        """Take commands from this session. Return what closes all that was opened, in this order."""
+        conductor = self.conductor
+        self.outbox.open(session)
+        with self.owner:  # the inbox's threads receive at once; they wait until the start is announced
+            self.inbox = conductor.messages = self.inbox_of(session)
+            conductor.reports.announce_start()
+            self.keeper.announce_start()
+            self.calibrations.publish()
+        realtime.freeze_gc()
+        # After Zenoh has opened: its threads inherit the priority of the thread that starts them, and must not get it.
+        granted = realtime.prefer_thread(realtime.LOOP_PRIORITY)
+        logger.info("real-time priority %s", "granted" if granted else "not allowed")
+        on_ready(self.config)  # before the notification, on which `make run` prints its own lines
+        self.notifier.ready("takes commands")
+        self.upkeep.start(session)
+        count = partial(setattr, conductor.metrics, "sessions")
+        connection_limiter = ConnectionLimiter(session, count, self.shut_out.common_names)
+        self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
+        self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all)
+        closes = [self.outbox.close, connection_limiter.close, self.upkeep.close, self.inbox.close, session.close]
+        return closes if self.supply is None else [*closes, self.supply.line.close]
 
     def show(self, status: str, missing: tuple[str, ...]) -> None:
         """Show a sentence in `systemctl status`, and these endpoints in the state. For any thread."""

@@ -66,11 +66,6 @@ class SystemdNotifier:
         if self._timeout_us:
             signal.setitimer(signal.ITIMER_REAL, self._timeout_us / 1e6 * HANGS_AFTER)
 
-    def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
     def _send(self, text: str) -> None:
         if self._socket is not None:
             with suppress(OSError):  # systemd acts by itself when notifications stop

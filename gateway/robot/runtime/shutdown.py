@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -76,13 +76,24 @@ class ServiceEnd:
         self.requested.set()
 
     def leave(self) -> NoReturn:
-        """Exit, or restart in the same process: at once, since a thread in Zenoh keeps the interpreter from ending."""
+        """Exit, or execute the gateway again in the same process, with the same arguments, which ends all its threads.
+
+        This happens at once, since a thread in Zenoh keeps the interpreter from ending. systemd sees no end of a
+        service that starts anew, so that takes only as long as Python's start.
+        """
         if self.failure is not None:
             sys.stderr.write(f"hexapod-gateway: {self.failure}\n")
         logs.close(LAST_WORDS_S)
         if self.starts_anew:
-            _start_anew()
-        os._exit(0 if self.failure is None else GatewayError.exit_code)
+            here = Path(gateway.__file__).parents[1]
+            # A package's folder is a program, run without this machine's packages (deploy/debian/hexapod-gateway).
+            program = ("-IS", str(here)) if (here / "__main__.py").exists() else ("-m", "gateway")
+            command = (sys.executable, *program, *sys.argv[1:])
+            # A program inherits its thread's scheduling class, and this thread cannot give up its own
+            # (SCHED_RESET_ON_FORK).
+            threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
+            threading.Event().wait(EXEC_S)
+        os._exit(GatewayError.exit_code if self.starts_anew or self.failure is not None else 0)
 
     def _failed(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         error = context.get("exception")
@@ -90,13 +101,12 @@ class ServiceEnd:
         self.because(f"a mistake in the gateway ended it: {error or context['message']}")
 
 
-async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
+async def stop_the_robot(conductor: Conductor) -> None:
     """Stop all six legs, and repeat the Stops for REPEATS_S at most.
 
-    If the conductor fails, the Stops are written directly to `bus`.
+    If the conductor fails, the Stops are written directly to its bus.
     """
-    deadline = asyncio.get_running_loop().time() + REPEATS_S
-    supply, asked_ns = conductor.supply, time.monotonic_ns()
+    supply, asked_ns, deadline_s = conductor.supply, time.monotonic_ns(), time.monotonic() + REPEATS_S
     if supply is not None:
         supply.line.cut()  # a transfer that hangs may hold the state
     with conductor.owner:
@@ -106,7 +116,7 @@ async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
             logger.exception("the orderly end failed; writing the Stops directly")
             stopped = False
         if not stopped:
-            _last_attempt(bus, deadline)
+            _last_attempt(conductor.bus, deadline_s)
     if stopped:
         with suppress(TimeoutError):
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
@@ -120,13 +130,8 @@ async def stop_the_robot(conductor: Conductor, bus: Wire) -> None:
 async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> str:
     """Return the power board's confirmation as a sentence, or that none came within REPEATS_S."""
     answered: asyncio.Future[float | None] = asyncio.get_running_loop().create_future()
-
-    def then(ms: float | None) -> None:
-        if not answered.done():
-            answered.set_result(ms)
-
     with owner:
-        supply.confirm(SERVO_IDS, asked_ns, then)
+        supply.confirm(SERVO_IDS, asked_ns, lambda ms: None if answered.done() else answered.set_result(ms))
     ms = None
     with suppress(TimeoutError):
         ms = await asyncio.wait_for(answered, REPEATS_S)
@@ -136,7 +141,7 @@ async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> st
     return said
 
 
-def _last_attempt(bus: Wire, deadline: float) -> None:
+def _last_attempt(bus: Wire, deadline_s: float) -> None:
     """Stop all six legs repeatedly: a transient fault, or a fault of one leg's frame, must not keep others moving.
 
     This blocks the loop and owns the state: after an exception nothing else may write to the bus.
@@ -147,7 +152,7 @@ def _last_attempt(bus: Wire, deadline: float) -> None:
         unstopped -= stopped
         opened = fault is None
         rounds_left -= opened
-        if not rounds_left or time.monotonic() > deadline:
+        if not rounds_left or time.monotonic() > deadline_s:
             break
         time.sleep(STOP_REPEAT_MS / 1000)
     if unstopped:
@@ -156,8 +161,8 @@ def _last_attempt(bus: Wire, deadline: float) -> None:
         logger.warning("all six legs got their Stop at the last attempt")
 
 
-async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes: Callable[[], object]) -> None:
-    """Call each of `closes` on a background thread. If they take longer than `timeout_s`, call `leave`.
+async def close_within(timeout_s: float, closes: Iterable[Callable[[], None]]) -> None:
+    """Call each of `closes` on a background thread. If they take longer than `timeout_s`, do not wait for them.
 
     A frozen peer can delay Zenoh's close by ten seconds. The servos are already stopped.
     """
@@ -170,19 +175,3 @@ async def close_within(timeout_s: float, leave: Callable[[], NoReturn], *closes:
     closed, _ = await asyncio.wait([in_thread("close", run_close)], timeout=max(0.0, timeout_s))
     if not closed:
         logger.warning("a peer does not close its connection; ending without waiting for it")
-        leave()
-
-
-def _start_anew() -> NoReturn:
-    """Execute the gateway again in the same process, with the same arguments. This ends all of its threads.
-
-    systemd sees no end of the service, so the restart takes only as long as Python's start. A new thread executes it:
-    a program inherits its thread's scheduling class, and this thread cannot give up its own (SCHED_RESET_ON_FORK).
-    """
-    here = Path(gateway.__file__).parents[1]
-    # A package's folder is a program, run without this machine's packages (deploy/debian/hexapod-gateway).
-    program = ("-IS", str(here)) if (here / "__main__.py").exists() else ("-m", "gateway")
-    command = (sys.executable, *program, *sys.argv[1:])
-    threading.Thread(target=os.execv, args=(sys.executable, command), daemon=True).start()
-    threading.Event().wait(EXEC_S)
-    os._exit(GatewayError.exit_code)

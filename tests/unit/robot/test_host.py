@@ -4,6 +4,8 @@ import asyncio
 import logging
 import socket
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import FrameType
 
@@ -59,48 +61,38 @@ def test_without_a_folder_it_is_nothing(tmp_path: Path, caplog: pytest.LogCaptur
 # ---- The notifications to systemd, on the test's own socket
 
 
-@pytest.fixture
-def listener(tmp_path: Path) -> socket.socket:
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    listener.bind(str(tmp_path / "notify"))
-    listener.settimeout(5)
-    return listener
+@contextmanager
+def notifier(**environment: str) -> Iterator[SystemdNotifier]:
+    """A notifier in this environment. A service's socket closes with its process."""
+    made = SystemdNotifier(environment)
+    with nullcontext() if made._socket is None else made._socket:
+        yield made
 
 
-def test_what_is_told(listener: socket.socket) -> None:
-    with listener:
-        notifier = SystemdNotifier({"NOTIFY_SOCKET": listener.getsockname()})
-        notifier.ready("takes commands")
-        notifier.alive()
-        notifier.stopping()
-        notifier.close()
-        assert [listener.recv(100) for _ in range(3)] == [
-            b"READY=1\nSTATUS=takes commands",
-            b"WATCHDOG=1",
-            b"STOPPING=1",
-        ]
-
-
-def test_a_manager_that_does_not_read_holds_nobody_up(listener: socket.socket) -> None:
-    with listener:
-        notifier = SystemdNotifier({"NOTIFY_SOCKET": listener.getsockname()})
-        for _ in range(10_000):
-            notifier.alive()
-        notifier.close()
+def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        listener.settimeout(5)
+        with notifier(NOTIFY_SOCKET=listener.getsockname()) as made:
+            made.ready("takes commands")
+            made.stopping()
+            for _ in range(10_000):
+                made.alive()
+        told = [listener.recv(100) for _ in range(3)]
+    assert told == [b"READY=1\nSTATUS=takes commands", b"STOPPING=1", b"WATCHDOG=1"]
 
 
 def test_without_a_manager_nothing_happens() -> None:
-    notifier = SystemdNotifier({"WATCHDOG_USEC": "2000000"})
-    notifier.ready("x")
-    notifier.alive()
-    assert notifier.ping_period_s is None
+    with notifier(WATCHDOG_USEC="2000000") as made:
+        made.ready("x")
+        made.alive()
+        assert made.ping_period_s is None
 
 
 @pytest.mark.parametrize(("timeout_us", "period_s"), [("2000000", 2 / PINGS_PER_TIMEOUT), ("0", None)])
 def test_how_often_it_wants_to_hear(timeout_us: str, period_s: float | None) -> None:
-    notifier = SystemdNotifier({"NOTIFY_SOCKET": "/nowhere", "WATCHDOG_USEC": timeout_us})
-    assert notifier.ping_period_s == period_s
-    notifier.close()
+    with notifier(NOTIFY_SOCKET="/nowhere", WATCHDOG_USEC=timeout_us) as made:
+        assert made.ping_period_s == period_s
 
 
 # ---- What is written to a disk is written aside, and the owner of the state learns of it
