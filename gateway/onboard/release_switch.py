@@ -28,7 +28,7 @@ _FORMER: Final = Path("/opt/hexapod-gateway")
 _SERVICE: Final = "hexapod-gateway"
 _CONSOLE: Final = "hexapod-console"
 _SERVOS: Final = SERVICE_RUNTIME / "servos"
-"""Written by gateway.robot.host.servos_file."""
+"""Written by gateway.robot.service."""
 _FRESH_NS: Final = 1_000_000_000
 _LOOKS: Final = 20
 _POLL_S: Final = 0.1

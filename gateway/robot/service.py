@@ -2,6 +2,8 @@
 
 import asyncio
 import logging
+import mmap
+import os
 import selectors
 import time
 from collections.abc import Callable
@@ -9,7 +11,8 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from math import ceil
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
 import zenoh
 
@@ -32,7 +35,6 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host import stop_note
 from gateway.robot.host.disk import StateFolder, report_mistake
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.servos_file import ServosFile
 from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
@@ -61,7 +63,36 @@ BEAT_S = 0.1
 """Period of a beat: measure the loop's lag, notify systemd, publish state and telemetry. It suits people who watch a
 page. A systemd watchdog may need a shorter period."""
 
+SERVOS_FILE: Final = "servos"
+_LINE: Final = "%020d %d\n"
+
 logger = logging.getLogger(__name__)
+
+
+class ServosFile:
+    """A file that shows whether a servo runs, for an upgrade and `setup`, which have no certificate to ask over Zenoh.
+
+    It has one line, `MONOTONIC_NS 0` or `MONOTONIC_NS 1`, written ten times a second. It is memory-mapped, so a write
+    needs no system call. A line older than a second means that the service hangs.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        """`folder` is the service's runtime directory. None: no file is written."""
+        self._map: mmap.mmap | None = None
+        if folder is None:
+            return
+        try:
+            descriptor = os.open(folder / SERVOS_FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+            with os.fdopen(descriptor, "r+b") as file:
+                file.truncate(len(_LINE % (0, 0)))
+                self._map = mmap.mmap(descriptor, 0)
+        except OSError as error:
+            logger.warning("an upgrade cannot see whether a servo runs: %s", error)
+
+    def write(self, now_ns: int, *, any_runs: bool) -> None:
+        """Record whether any servo runs, at `now_ns` of the monotonic clock."""
+        if self._map is not None:
+            self._map[:] = (_LINE % (now_ns, any_runs)).encode()
 
 
 def rules(settings: Settings) -> Rules:
@@ -148,17 +179,30 @@ class _Service:
     """The parts of one service, connected. For the loop's thread."""
 
     def __init__(self, settings: Settings, recorder: Recorder, simulated: SimulatedParts) -> None:
-        """Make all parts that need no Zenoh session. Raises ConfigError if a file cannot be used."""
+        """Make all parts that need no Zenoh session. Raises ConfigError if a file or certificate cannot be used."""
         # The servos file exists before systemd counts the service as active, when an upgrade reads it.
         loop, owner, self.servos = asyncio.get_running_loop(), Ownership(), ServosFile(runtime_directory())
         self.settings, self.recorder, self.simulated, self.loop, self.owner = settings, recorder, simulated, loop, owner
         self.end, self.notifier = ServiceEnd(loop, owner, recorder), SystemdNotifier()
-        self.failed = partial(report_mistake, loop, "a thread failed")
-        self.configure()
+        self.config = service_config(settings.zenoh)
+        self.shut_out = revocation_state(self.config, settings)
+        list_common_names(self.config, self.shut_out.common_names)
+        if simulated.folder is not None:  # it has the socket of a simulated body
+            from gateway.simulation.body import admit  # noqa: PLC0415  (a robot's first Stops do not wait for it)
+
+            admit(self.config, simulated.folder)
+        cas, _, known = self.shut_out
+        if known is not None:
+            names = ", ".join(sorted(known.common_names)) or "nobody"
+            logger.info("list %d shuts out %s; it was signed on %s", known.number, names, f"{known.date:%Y-%m-%d}")
+        self.checker = certs.proof.ProofChecker(cas, known) if cas else None
+        if self.checker is not None and (fault := self.checker.clock_fault(wall_clock())):
+            logger.warning(fault)
         found = state_directory(settings.state.path)
         state = None if found is None else StateFolder(found)
         self.bus = wires.wire(settings, simulated)
-        self.supply = supply_of(settings, self.bus, simulated.board_channel, loop, owner, self.failed)
+        failed = partial(report_mistake, loop, "a thread failed")
+        self.supply = supply_of(settings, self.bus, simulated.board_channel, loop, owner, failed)
         self.outbox = ZenohOutbox()
         self.conductor = Conductor(
             settings,
@@ -183,26 +227,6 @@ class _Service:
         self.upkeep = Upkeep(self.config, self.show, wall_clock)
         if (first := self.upkeep.first_expiry) is not None:
             reports.certificate = CertificateReport(file=first.file.name, expires=first.end)
-
-    def configure(self) -> None:
-        """Make Zenoh's configuration; if it names a CA, also the checker of proofs and the revocations.
-
-        Raises ConfigError if the Zenoh file or a certificate cannot be used.
-        """
-        self.config = service_config(self.settings.zenoh)
-        self.shut_out = revocation_state(self.config, self.settings)
-        list_common_names(self.config, self.shut_out.common_names)
-        if self.simulated.folder is not None:  # it has the socket of a simulated body
-            from gateway.simulation.body import admit  # noqa: PLC0415  (a robot's first Stops do not wait for it)
-
-            admit(self.config, self.simulated.folder)
-        cas, _, known = self.shut_out
-        if known is not None:
-            names = ", ".join(sorted(known.common_names)) or "nobody"
-            logger.info("list %d shuts out %s; it was signed on %s", known.number, names, f"{known.date:%Y-%m-%d}")
-        self.checker = certs.proof.ProofChecker(cas, known) if cas else None
-        if self.checker is not None and (fault := self.checker.clock_fault(wall_clock())):
-            logger.warning(fault)
 
     async def run(self, on_ready: Callable[[zenoh.Config], None]) -> ServiceEnd:
         """Run from the first Stops to the end. Return why it ended."""

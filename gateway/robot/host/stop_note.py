@@ -10,8 +10,6 @@ from typing import Final
 from gateway.host.directories import runtime_directory
 
 _NAME: Final = "stop-servos"
-_MOST_BYTES: Final = 50
-"""The note has about 30."""
 
 
 def leave(first_ns: int, last_ns: int) -> None:
@@ -27,8 +25,7 @@ def take() -> tuple[int, ...]:
     folder = runtime_directory()
     with suppress(OSError, ValueError):
         if folder is not None:
-            with (folder / _NAME).open("rb") as file:
-                found = tuple(map(int, file.read(_MOST_BYTES).split()))
+            found = tuple(map(int, (folder / _NAME).read_text().split()))
             (folder / _NAME).unlink()
             return found
     return ()

@@ -14,9 +14,9 @@ import pytest
 from gateway.model.frames import SETS
 from gateway.robot.host.disk import DiskWriter
 from gateway.robot.host.ownership import Ownership
-from gateway.robot.host.servos_file import SERVOS_FILE, ServosFile
 from gateway.robot.host.systemd import PINGS_PER_TIMEOUT, SystemdNotifier
 from gateway.robot.protocol.latency import Latency
+from gateway.robot.service import SERVOS_FILE, ServosFile
 from schemas import keys
 from tests.support.robot import Robot, leg, started_and_quiet
 
