@@ -44,11 +44,9 @@ class OwnersTimer:
     """Calls back on the loop, as owner of the state. Any owner may set it, from any thread."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Ownership, callback: Callable[[], None]) -> None:
-        """Construct it on the loop's thread."""
         self._loop = loop
         self._owner = owner
         self._callback = callback
-        self._loop_thread = threading.get_ident()
         self._due_s = math.inf
         self._wakes_s = math.inf
         """When the loop wakes up for this timer."""
@@ -58,20 +56,16 @@ class OwnersTimer:
     def armed(self) -> bool:
         return self._due_s < math.inf
 
-    def set(self, due_s: float) -> None:  # mutants accepted (GtE_Gt): equal times
+    def set(self, due_s: float) -> None:  # mutants accepted (Lt_LtE): equal times
         """Call back at `due_s` of the loop's clock, instead of the time set before.
 
         Only an earlier time wakes the loop. For a later one, it wakes up at the old time and sets the timer again. That
         happens a few times a second; waking it from another thread would cost each command 20 µs and a context switch.
         """
         self._due_s = due_s
-        if due_s >= self._wakes_s:
-            return
-        if threading.get_ident() == self._loop_thread:
-            self._place()
-        else:
+        if due_s < self._wakes_s:
             self._wakes_s = due_s
-            self._loop.call_soon_threadsafe(self._place_as_owner)
+            self._loop.call_soon_threadsafe(self._wake)
 
     def set_in(self, delay_s: float) -> None:
         self.set(self._loop.time() + delay_s)
@@ -79,25 +73,15 @@ class OwnersTimer:
     def cancel(self) -> None:
         self._due_s = math.inf
 
-    # ---- on the loop
-
-    def _place_as_owner(self) -> None:
-        with self._owner:
-            self._place()
-
-    def _place(self) -> None:  # mutants accepted (Forget): a wakeup too many does nothing
+    def _wake(self) -> None:  # mutants accepted (Forget, Gt_GtE): equal times; a wakeup too many
+        """Call back if it is due, else wake up again when it will be."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
-        self._wakes_s = self._due_s
-        if self.armed:
-            self._handle = self._loop.call_at(self._due_s, self._wake)
-
-    def _wake(self) -> None:  # mutants accepted (Forget, Gt_GtE): equal times; a wakeup too many
-        self._handle = None
         with self._owner:
-            if self._due_s > self._loop.time() + _EARLY_S:
-                self._place()
-            else:
+            due_s, self._wakes_s = self._due_s, self._due_s
+            if due_s <= self._loop.time() + _EARLY_S:
                 self._due_s = self._wakes_s = math.inf
                 self._callback()
+            elif due_s < math.inf:
+                self._handle = self._loop.call_at(due_s, self._wake)
