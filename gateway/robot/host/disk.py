@@ -39,35 +39,30 @@ class StateFolder:
     def _lock(self) -> bool:
         """Return whether it is ours: also a missing folder, which its readers report, and one without locks."""
         try:
-            descriptor = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
-        except OSError:
-            return True
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(os.open(self.path, os.O_RDONLY | os.O_CLOEXEC), fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            os.close(descriptor)
             return not isinstance(error, BlockingIOError)
         return True
 
 
-class DiskWriter:
+class DiskWriter(Worker):
     """A worker that writes, and reports to the owner of the state. A hanging write delays only its own later ones."""
 
     def __init__(self, name: str, loop: asyncio.AbstractEventLoop, owner: Ownership) -> None:
+        super().__init__(name)
         self._loop = loop
         self._owner = owner
-        self._worker = Worker(name)
 
     def write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
         """Queue `write` and return at once. `then` is called afterwards by the owner of the state.
 
         `then` receives None, or the text of the ConfigError that `write` raised.
         """
-        self._worker.do(lambda: self._write(write, then))
+        self.do(lambda: self._write(write, then))
 
     def _write(self, write: Callable[[], None], then: Callable[[str | None], object]) -> None:
+        fault = None
         try:
-            fault = None
             try:
                 write()
             except ConfigError as error:
@@ -75,7 +70,7 @@ class DiskWriter:
             with self._owner:
                 then(fault)
         except Exception as error:
-            report_mistake(self._loop, f"the thread {self._worker.thread.name} failed", error)
+            report_mistake(self._loop, f"the thread {self.thread.name} failed", error)
 
 
 def report_mistake(loop: asyncio.AbstractEventLoop, what: str, error: Exception) -> None:
