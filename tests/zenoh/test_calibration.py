@@ -15,7 +15,7 @@ from gateway.client import Client
 from gateway.model.calibration import RobotCalibration, ServoMapping
 from gateway.model.frames import decode
 from gateway.people.commands.calibration import NotKeptYetError, once_kept
-from gateway.robot.host import calibration_file
+from gateway.robot.runtime import calibrations
 from schemas import keys
 from schemas.calibration import Calibration, ServoChange
 from schemas.telemetry import Ack, Mode, Reason
@@ -47,7 +47,7 @@ def test_the_wire_has_the_servos_angles_the_state_the_users_and_the_disk_the_cal
     heard, told, news = frames(client), events(client), Heard(client, keys.CALIBRATION, Calibration)
     revision = client.calibration().revision
     assert client.calibrate(MIRRORED, {11: 45}, revision=revision).accepted
-    kept = calibration_file.read(gateway.config.with_name("calibration.toml"))
+    kept = calibrations.read(gateway.config.with_name("calibration.toml"))
     assert kept is not None
     assert (kept.revision, kept.landing_cdeg) == (revision + 1, {11: 45_00})
     assert kept.of(32) == ServoMapping(-10_00, inverted=True)
@@ -181,16 +181,16 @@ def test_no_stop_waits_for_a_disk_that_hangs(tmp_path: Path) -> None:
         until_it_is_being_kept(client)
         gateway.child.terminate()
         assert gateway.child.wait(10) == 0, str(gateway.child)
-    kept = calibration_file.read(path)
+    kept = calibrations.read(path)
     assert kept is not None
     assert kept.of(31).trim_cdeg == 7_50
 
 
 def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
-    text = calibration_file.to_toml(OWN).partition("\n[servos.21]")[0]
-    calibration_file.write(path, RobotCalibration(3))
-    calibration_file.write(path, OWN)
+    text = calibrations.to_toml(OWN).partition("\n[servos.21]")[0]
+    calibrations.write(path, RobotCalibration(3))
+    calibrations.write(path, OWN)
     path.write_text(text)
     with Gateway(tmp_path, {"state": {"path": str(tmp_path)}}) as gateway, gateway.client() as client:
         logged = gateway.child.wait_for_output("nothing is started until")
@@ -206,7 +206,7 @@ def test_a_broken_file_starts_nothing_until_a_person_takes_the_default(tmp_path:
         assert gateway.run("calibrate", "accept-default", "--yes").returncode == 0
         assert client.state().calibration.fault is None
         assert client.start_leg(1, 90, 90, 90).accepted
-        kept = calibration_file.read(path)
+        kept = calibrations.read(path)
         assert kept is not None
         assert (kept.revision, kept.servos) == (5, {})
         assert path.with_name("calibration.broken.toml").read_text() == text

@@ -23,8 +23,8 @@ from gateway.onboard import computer
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command
 from gateway.robot.core.calibrating import ACCEPT_DEFAULT
-from gateway.robot.host.calibration_file import CALIBRATION_FILE, load
 from gateway.robot.power.interface import BITRATE, open_bus
+from gateway.robot.runtime.calibrations import CALIBRATION_FILE, load
 from gateway.robot.spi import outside
 from gateway.robot.spi.bus import CS_CHANGE_NS
 from gateway.robot.spi.kernel import NO_SPIDEV, KernelDevice, spidev_module

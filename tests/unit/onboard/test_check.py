@@ -23,7 +23,7 @@ from gateway.onboard.check.installation import AS_ROOT
 from gateway.onboard.check.move import output
 from gateway.onboard.check.table import CheckedRobot, Probes, Result, Verdict, results
 from gateway.onboard.whole import Whole
-from gateway.robot.host import calibration_file
+from gateway.robot.runtime import calibrations
 from gateway.robot.settings import Settings
 from gateway.wire import Capabilities
 from schemas.keys import CALIBRATION
@@ -286,7 +286,7 @@ def kept(calibration: RobotCalibration | str) -> Callable[[Path], CheckedRobot]:
         if isinstance(calibration, str):
             path.write_text(calibration)
         else:
-            calibration_file.write(path, calibration)
+            calibrations.write(path, calibration)
         return robot(root, state={"path": str(root)})
 
     return plant

@@ -15,10 +15,8 @@ from gateway.errors import ConfigError
 from gateway.model.calibration import RobotCalibration, calibration_of, changed, report_of
 from gateway.model.frames import OneLeg, Op
 from gateway.robot.core.rejections import Rejection
-from gateway.robot.host.calibration_file import CALIBRATION_FILE, load
 from gateway.robot.host.disk import DiskWriter, StateFolder
-from gateway.robot.runtime import calibrations
-from gateway.robot.runtime.calibrations import Calibrations
+from gateway.robot.runtime.calibrations import CALIBRATION_FILE, Calibrations, load
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
 from schemas.calibration import CalibrationCommand
@@ -84,12 +82,19 @@ async def test_while_the_disk_writes_stops_leave_and_what_comes_after_the_end_ch
     assert told(robot).revision == 1
 
 
-def test_the_folder_of_another_gateway_is_not_written(tmp_path: Path) -> None:
-    ours = StateFolder(tmp_path)
-    calibrations._write(ours, RobotCalibration(3))
+@virtual_time
+async def test_the_folder_of_another_gateway_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk: list[Callable[[], None]] = []
+    monkeypatch.setattr(DiskWriter, "write", lambda _self, write, _then: disk.append(write))
+    for _ in range(2):
+        robot = Robot(state=StateFolder(tmp_path))
+        robot.conductor.start()
+        robot.calibrate(OWN)
+    disk[0]()
     with pytest.raises(ConfigError, match="another gateway had this folder"):
-        calibrations._write(StateFolder(tmp_path), RobotCalibration(4))
-    assert load(tmp_path / CALIBRATION_FILE) == (RobotCalibration(3), None)
+        disk[1]()
+    calibration, fault = load(tmp_path / CALIBRATION_FILE)
+    assert (calibration.revision, fault) == (1, None)
 
 
 @virtual_time

@@ -8,7 +8,7 @@ from hypothesis import given
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.robot.host.calibration_file import (
+from gateway.robot.runtime.calibrations import (
     EARLIER_KEPT,
     MAX_CALIBRATION_BYTES,
     from_toml,
