@@ -278,7 +278,7 @@ class _Service:
         count = partial(setattr, conductor.metrics, "sessions")
         connection_limiter = ConnectionLimiter(session, count, self.shut_out.common_names)
         self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
-        self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all)
+        self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all, self.loop.time())
         closes = [self.outbox.close, connection_limiter.close, self.upkeep.close, self.inbox.close, session.close]
         return closes if self.supply is None else [*closes, self.supply.line.close]
 
@@ -323,30 +323,12 @@ class _Service:
 
     # ---- the beat: timers instead of a task's sleep, so that an idle loop turns once for each beat, and not twice
 
-    def look_after_all(self) -> None:
-        """Notify systemd if the loop and the receiver threads make progress, and set the next beat's timer.
+    def look_after_all(self, due_s: float) -> None:
+        """Do what a beat has to do, and set the next one's timer if the receiver threads make progress.
 
-        A beat owns the state for a moment: if another thread never releases the state, systemd gets no notification.
-        """
-        conductor = self.conductor
-        with self.owner:
-            now_ns = conductor.record_alive()
-            conductor.check_outside()
-            at_rest = conductor.supervisor.legs.at_rest
-        self.servos.write(now_ns, any_runs=not at_rest)
-        if not self.inbox.makes_progress():
-            self.end.because("a thread that takes commands has ended or is stuck")
-        elif self.supply is not None and not self.supply.makes_progress():
-            self.end.because("the thread that receives from the power board is stuck")
-        else:
-            self.notifier.alive()
-            due_s = self.loop.time() + min(BEAT_S, self.notifier.ping_period_s or BEAT_S)
-            self.beat = self.loop.call_at(due_s, self.publish, due_s)
-
-    def publish(self, due_s: float) -> None:
-        """Measure the loop's lag since `due_s`, and publish the reports that have a subscriber.
-
-        Changes of mode are published as they happen.
+        Measure the loop's lag since `due_s`, publish the reports that have a subscriber (changes of mode are published
+        as they happen), and notify systemd. A beat owns the state for a moment: if another thread never releases the
+        state, systemd gets no notification.
         """
         conductor, lag_ns = self.conductor, round((self.loop.time() - due_s) * 1e9)
         found = self.unknown_keys.poll()
@@ -359,7 +341,19 @@ class _Service:
                 conductor.executor.reject_unread(*found)
             for publish in wanted:
                 publish()
-        self.look_after_all()
+        with self.owner:  # again, so that an emergency stop need not wait for both
+            now_ns = conductor.record_alive()
+            conductor.check_outside()
+            at_rest = conductor.supervisor.legs.at_rest
+        self.servos.write(now_ns, any_runs=not at_rest)
+        if not self.inbox.makes_progress():
+            self.end.because("a thread that takes commands has ended or is stuck")
+        elif self.supply is not None and not self.supply.makes_progress():
+            self.end.because("the thread that receives from the power board is stuck")
+        else:
+            self.notifier.alive()
+            due_s = self.loop.time() + min(BEAT_S, self.notifier.ping_period_s or BEAT_S)
+            self.beat = self.loop.call_at(due_s, self.look_after_all, due_s)
 
 
 def _answer(answer: Callable[[Reply], None], _query: zenoh.Query, _ns: int, reply: Reply) -> OwnersTask:

@@ -179,12 +179,8 @@ class Executor:
         moves: list[Transmit] = []
         for effect in effects:
             if type(effect) is Transmit:
-                if not effect.frame.is_stop:
-                    moves += [effect]
-                elif effect.cause is _REPEAT and not effect.joins:
-                    repeated += [effect]
-                else:
-                    first += [effect]
+                stops = repeated if effect.cause is _REPEAT and not effect.joins else first
+                (stops if effect.frame.is_stop else moves).append(effect)
         for batch in first, repeated, moves:
             if not batch or outcome.fault is not None:
                 continue
