@@ -41,7 +41,7 @@ _CALIBRATION: Final = (
     *_model("calibration"),
     *_robot("supervisor_calibration supervisor_landing calibration_conductor"),
 )
-_CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor calibration_file"), *_tests("zenoh", "calibration"))
+_CALIBRATION_REQUESTS: Final = (*_robot("calibration_conductor"), *_tests("zenoh", "calibration"))
 _CHECKER: Final = (*_people("lease_checker"), *_robot("lease_conductor"))
 _BUS: Final = (*_robot("bus bus_device conductor conductor_safety"), *_SETTINGS, *_robot("slow_failures"))
 _POWER: Final = _robot("power_scenes power_board power_conductor")
@@ -94,7 +94,7 @@ JUDGES: Final = {
     "gateway/robot/zenoh_io/proofs.py": _people("lease_checker"),
     "gateway/model/angle_limits.py": (*_CALIBRATION, *_robot("supervisor_speed")),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
-    "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor calibration_file")),
+    "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor")),
     "gateway/robot/core/rejections.py": _robot("intake conductor conductor_safety"),
     "gateway/robot/core/losses.py": _robot("rejected_stops conductor_safety"),
     "gateway/robot/runtime/calibrations.py": _CALIBRATION_REQUESTS,

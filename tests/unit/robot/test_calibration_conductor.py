@@ -1,4 +1,7 @@
-"""A calibration, from the payload on `hexapod/calibration/cmd` to the answer, the frames, the events and the state."""
+"""A calibration, from the payload on `hexapod/calibration/cmd` to the answer, the frames, the events and the state.
+
+On the disk, what is written is read again, and what is broken in any way is an error.
+"""
 
 import asyncio
 import json
@@ -12,11 +15,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.errors import ConfigError
-from gateway.model.calibration import RobotCalibration, calibration_of, changed, report_of
+from gateway.host.directories import state_directory, state_to_read
+from gateway.model.calibration import RobotCalibration, ServoMapping, calibration_of, changed, report_of
 from gateway.model.frames import OneLeg, Op
 from gateway.robot.core.rejections import Rejection
 from gateway.robot.host.disk import DiskWriter, StateFolder
-from gateway.robot.runtime.calibrations import CALIBRATION_FILE, Calibrations, load
+from gateway.robot.runtime.calibrations import (
+    CALIBRATION_FILE,
+    EARLIER_KEPT,
+    MAX_CALIBRATION_BYTES,
+    Calibrations,
+    from_toml,
+    load,
+    previous,
+    to_toml,
+    write,
+)
+from gateway.robot.runtime.calibrations import read as read_file
 from gateway.robot.runtime.request_answers import PAUSE_S
 from schemas import calibration, keys
 from schemas.calibration import CalibrationCommand
@@ -44,7 +59,9 @@ async def test_it_is_told_when_it_changes_and_when_somebody_asks(monkeypatch: py
     robot.calibrations.publish()
     first = told(robot)
     assert (first.revision, len(first.servos), first.landing) == (0, 18, {})
-    robot.calibrate({**OWN, "landing": {"11": 45}})
+    lease = robot.lease("acquire", "anna").lease
+    assert [ack.reason for ack in robot.calibrate(OWN)] == [Reason.NOT_HOLDER]
+    assert [ack.accepted for ack in robot.calibrate({**OWN, "landing": {"11": 45}, "lease": lease})] == [True]
     published = [report for key, report in robot.reports if key == keys.CALIBRATION]
     assert published == [first, told(robot)]
     assert [each.revision for each in recorded] == [0, 1]
@@ -98,31 +115,15 @@ async def test_the_folder_of_another_gateway_is_not_written(tmp_path: Path, monk
 
 
 @virtual_time
-async def test_only_the_leases_holder_changes_it() -> None:
-    robot = await started_and_quiet()
-    lease = robot.lease("acquire", "anna").lease
-    assert [ack.reason for ack in robot.calibrate(OWN)] == [Reason.NOT_HOLDER]
-    assert [ack.accepted for ack in robot.calibrate({**OWN, "lease": lease})] == [True]
-
-
-@virtual_time
-async def test_what_was_delayed_on_the_way_is_rejected() -> None:
+async def test_what_was_delayed_on_the_way_and_what_is_no_question_is_rejected() -> None:
     robot = await started_and_quiet(limits={"max_age_ms": 100})
     robot.put(LEG_3, leg("stop", sent_ms=500, source="anna"))
     await asyncio.sleep(0.2)
     (ack,) = robot.calibrate({**OWN, "landing": {"11": 45}, "sent_ms": 501, "source": "anna"})
     assert ack.reason == Reason.STALE
     assert robot.events()[-1].legs == (1, 3)
-    assert told(robot).revision == 0
-
-
-@virtual_time
-async def test_what_is_no_command_is_answered_and_told() -> None:
-    robot = await started_and_quiet()
     robot.put(keys.CALIBRATION_CMD, OWN, target=None)
     assert "takes get only" in robot.events()[-1].detail
-    (ack,) = robot.calibrate({"accept_default": True})
-    assert ack.reason is Reason.INVALID, "the calibration in force can be trusted"
     assert told(robot).revision == 0
 
 
@@ -210,7 +211,6 @@ def test_all_that_it_may_say() -> None:
     ("payload", "reason", "detail"),
     [
         (b"", Reason.MALFORMED, "the payload is not JSON"),
-        ([], Reason.INVALID, "the payload: Input should be an object"),
         ({"servos": {"99": {}}}, Reason.INVALID, "servos.99: Input should be '11', '12',"),
         ({"servos": {"11": {"trim_deg": 400}}}, Reason.INVALID, "servos.11.trim_deg: Input should be less than or"),
         (
@@ -218,7 +218,6 @@ def test_all_that_it_may_say() -> None:
             Reason.INVALID,
             "servos.11.trim_deg: Input should be a finite",
         ),
-        ({"servos": {"11": {"speed": 1}}}, Reason.INVALID, "servos.11.speed: Extra inputs"),
         ({"accept_default": False}, Reason.INVALID, "accept_default: Input should be True"),
         ({TOKEN: 7}, Reason.INVALID, "(hex digits): Extra inputs"),
         (b'{"servos": {"11": {}, "11": {}}}', Reason.INVALID, "11 is given twice in one object"),
@@ -255,3 +254,83 @@ def test_what_goes_out_can_be_sent_back_and_changes_nothing(calibration: RobotCa
     assert isinstance(command, CalibrationCommand)
     assert changed(RobotCalibration(), command) == calibration
     assert calibration_of(report_of(calibration)) == calibration
+
+
+# ---- the file
+
+KEPT = RobotCalibration(3, {32: ServoMapping(7_50, inverted=True, max_cdeg=140_00)}, {31: 90_00, 32: 45_25})
+
+
+@given(any_calibration)
+def test_what_is_written_is_read_again(calibration: RobotCalibration) -> None:
+    assert from_toml(to_toml(calibration).encode()) == calibration
+
+
+def test_every_file_that_was_cut_off_is_noticed() -> None:
+    text = to_toml(KEPT)
+    assert from_toml(text.encode()) == KEPT
+    for end in range(len(text) - 1):  # the last character is the end of the line
+        with pytest.raises(ValueError, match=r"."):
+            from_toml(text[:end].encode())
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fault"),
+    [
+        ("trim_deg = 7.5", "trim_deg = 100", "servos.32.trim_deg: Input should be less than or equal to 90"),
+        ("trim_deg = 7.5\n", "", "servos.32 is not whole; a whole calibration names every servo"),
+        ("31 = 90.0", "31 = 150.0\n[servos.31]\nmax_deg = 140.0", "is not TOML: Cannot declare ('servos', '31')"),
+        ("32 = 45.25", "32 = 150", "the landing pose cannot be reached: servo 32 is calibrated to go from 0 to 140"),
+        ("version = 1", "version = 2", "version is 2; this gateway reads 1"),
+        ("revision = 3\n\n[landing]", "revision = 4\n\n[landing]", "the last line is not of_revision = 4"),
+        ("[landing]", "[colours]", "colours: Extra inputs are not permitted"),
+    ],
+)
+def test_a_broken_file_is_an_error_that_names_the_place(tmp_path: Path, before: str, after: str, fault: str) -> None:
+    path = tmp_path / "calibration.toml"
+    text = to_toml(KEPT)
+    assert before in text
+    path.write_text(text.replace(before, after))
+    with pytest.raises(ConfigError) as raised:
+        read_file(path)
+    assert str(raised.value).startswith(f"{path}: {fault}")
+
+
+def test_the_previous_ten_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / "calibration.toml"
+    for revision in range(1, 15):
+        write(path, RobotCalibration(revision, {32: ServoMapping(revision)}))
+    kept = [read_file(found) for found in previous(path).values()]
+    assert [calibration.revision for calibration in kept if calibration] == list(range(13, 13 - EARLIER_KEPT, -1))
+    assert read_file(path) == RobotCalibration(14, {32: ServoMapping(14)})
+    path.write_bytes(previous(path)[5].read_bytes())
+    assert load(path) == (RobotCalibration(14, {32: ServoMapping(5)}), None), "put back by hand"
+
+
+# ---- what a gateway starts with
+
+
+@pytest.mark.parametrize("content", [b"", b"trim = 7\n", b"\xff", b" " * (MAX_CALIBRATION_BYTES + 1), None])
+def test_a_file_that_cannot_be_used_is_a_fault_and_the_next_revision_is_newer_than_all(
+    tmp_path: Path, content: bytes | None
+) -> None:
+    path = tmp_path / "calibration.toml"
+    for revision in range(1, 16):
+        write(path, RobotCalibration(revision))
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    found, fault = load(path)
+    assert found == RobotCalibration(15)
+    assert str(path) in str(fault)
+    write(path, RobotCalibration(16))
+    write(path, RobotCalibration(17))
+    assert [each.name for each in previous(path).values()][:2] == ["calibration.16.toml", "calibration.14.toml"]
+
+
+def test_the_folder_that_a_command_reads_without_systemd(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    assert state_directory("") is None
+    monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}:/var/lib/other")
+    assert state_directory("") == state_to_read("") == tmp_path
+    assert state_directory("/mnt/own") == Path("/mnt/own")
