@@ -16,11 +16,9 @@ from gateway.model.frames import (
     OP_STOP,
     SETS,
     STARTS,
-    STOP,
     Frame,
     OneLeg,
     OneServo,
-    ServoOp,
     centidegrees,
 )
 from schemas import calibration as wire
@@ -121,15 +119,13 @@ class RobotCalibration:
 
 
 def _mapped(frame: Frame, cdeg_of: Callable[[int, int], int]) -> Frame:
-    def op_of(servo_id: int, op: ServoOp) -> ServoOp:
-        if op.op is OP_STOP:
-            return STOP
-        return (STARTS if op.op is OP_START else SETS)[cdeg_of(servo_id, op.angle_cdeg)]
-
-    if isinstance(frame, OneServo):
-        return OneServo(frame.servo_id, op_of(frame.servo_id, frame.command))
-    first, second, third = (op_of(servo_id, op) for servo_id, op in frame.servos)
-    return OneLeg(frame.leg, (first, second, third))
+    ops = [
+        op if op.op is OP_STOP else (STARTS if op.op is OP_START else SETS)[cdeg_of(servo_id, op.angle_cdeg)]
+        for servo_id, op in frame.servos
+    ]
+    return (
+        OneServo(frame.servo_id, ops[0]) if isinstance(frame, OneServo) else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
+    )
 
 
 def changed_servos(before: RobotCalibration, after: RobotCalibration) -> list[int]:

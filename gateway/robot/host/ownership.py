@@ -2,13 +2,7 @@
 
 The rule: the thread that holds the lock owns the state (supervisor, bus, conductor, inbox). It waits only for the bus,
 and for microseconds for a ring into which Zenoh puts a message. An owner takes no lock that is held for longer, so
-there is no deadlock.
-
-Owners are the receiver threads, each for one tick, the loop for its timers, and the service at its start and end. An
-emergency stop's thread queues it before it requests the lock, and the current owner serves it between two commands. So
-an emergency stop waits for one command at most.
-
-The metrics page takes no lock: it reads single numbers, and its low-priority thread delays no Stop.
+there is no deadlock. The threads: docs/design.md, *One owner at a time*.
 """
 
 import asyncio

@@ -22,7 +22,6 @@ from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.spi import Wire
 from gateway.robot.spi.stop_all import stop_once
 from schemas.robot import LEGS, SERVO_IDS
@@ -102,7 +101,7 @@ class ServiceEnd:
 
 
 async def stop_the_robot(conductor: Conductor) -> None:
-    """Stop all six legs, and repeat the Stops for REPEATS_S at most.
+    """Stop all six legs, and repeat the Stops for REPEATS_S at most; then wait as long for the power board.
 
     If the conductor fails, the Stops are written directly to its bus.
     """
@@ -122,23 +121,18 @@ async def stop_the_robot(conductor: Conductor) -> None:
             await asyncio.wait_for(conductor.done.wait(), REPEATS_S)
     how = "all six legs got their Stop" if stopped else "the Stops were written at a last attempt"
     if supply is not None:
-        how = f"{how}; {await _confirmed(conductor.owner, supply, asked_ns)}"
+        answered: asyncio.Future[float | None] = conductor.loop.create_future()
+        with conductor.owner:
+            supply.confirm(SERVO_IDS, asked_ns, lambda ms: None if answered.done() else answered.set_result(ms))
+        ms = None
+        with suppress(TimeoutError):
+            ms = await asyncio.wait_for(answered, REPEATS_S)
+        confirmed = "not confirmed" if ms is None else f"confirmed after {ms:.0f} ms"
+        said = f"the power board has {confirmed} that their supply is off"
+        logger.log(logging.WARNING if ms is None else logging.INFO, said)
+        how = f"{how}; {said}"
     with conductor.owner:
         conductor.recorder.ended(how)
-
-
-async def _confirmed(owner: Ownership, supply: RobotSupply, asked_ns: int) -> str:
-    """Return the power board's confirmation as a sentence, or that none came within REPEATS_S."""
-    answered: asyncio.Future[float | None] = asyncio.get_running_loop().create_future()
-    with owner:
-        supply.confirm(SERVO_IDS, asked_ns, lambda ms: None if answered.done() else answered.set_result(ms))
-    ms = None
-    with suppress(TimeoutError):
-        ms = await asyncio.wait_for(answered, REPEATS_S)
-    confirmed = "not confirmed" if ms is None else f"confirmed after {ms:.0f} ms"
-    said = f"the power board has {confirmed} that their supply is off"
-    logger.log(logging.WARNING if ms is None else logging.INFO, said)
-    return said
 
 
 def _last_attempt(bus: Wire, deadline_s: float) -> None:
