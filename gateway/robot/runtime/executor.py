@@ -55,16 +55,6 @@ class Outcome:
         """The answer that the caller has to send, or the calibration that it has to write to the disk."""
         return next((each for each in self.effects if isinstance(each, RequestAnswer | SaveCalibration)), None)
 
-    def decide(self) -> None:
-        """Set the results. A fault rejects the commands whose frames were not received."""
-        failed: list[Transmit] = []
-        if self.fault is not None:
-            received = {id(transmit) for transmit, sent in self.written if sent.received}
-            failed = [each for each in self.effects if type(each) is Transmit and id(each) not in received]
-        self.results = results(self.effects, failed, f"the frame could not be written: {self.fault}" if failed else "")
-        for request, _, _ in self.results if failed else ():
-            request.stopped = ()
-
     def rejects(self, request: Request) -> bool:
         """Return whether the step has rejected this request. A pending request is not rejected."""
         return any(each is request and type(verdict) is Reason for each, verdict, _ in self.results)
@@ -147,7 +137,6 @@ class Executor:
         supply = self.supply
         cuts = [] if supply is None else supply.before_step(self.supervisor)
         outcome = self._write(effects)
-        outcome.decide()
         self.events.recorder.step(command, outcome.written, outcome.results)
         for result in outcome.results:
             self._end(*result)
@@ -197,4 +186,12 @@ class Executor:
                 logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled
             outcome.fault = report.fault
+        failed: list[Transmit] = []
+        if outcome.fault is not None:  # it rejects the commands whose frames were not received
+            received = {id(transmit) for transmit, sent in outcome.written if sent.received}
+            failed = [each for each in effects if type(each) is Transmit and id(each) not in received]
+        why = f"the frame could not be written: {outcome.fault}" if failed else ""
+        outcome.results = results(effects, failed, why)
+        for request, _, _ in outcome.results if failed else ():
+            request.stopped = ()
         return outcome
