@@ -89,18 +89,16 @@ class Calibrations(RequestAnswers):
             unread = explain(error)
         if unread is not None:
             return partial(self.reject, source, unread.reason, unread.detail, reply)
-        return partial(self.change, change, change.source or source, reply)
+        event = Calibrate(change=change, key=self.key, sent_ms=change.sent_ms, lease=change.lease, reply=reply)
+        event.source = change.source or source
+        return partial(self.change, event)
 
-    def change(self, change: CalibrationCommand, source: str | None, reply: Reply) -> None:
+    def change(self, event: Calibrate) -> None:
         """Let the supervisor decide. The answer follows the write, or the rejection."""
-        conductor, executor = self._conductor, self._conductor.executor
-        now_ns = conductor.clock()
-        event = Calibrate(
-            change=change, key=self.key, source=source, sent_ms=change.sent_ms, lease=change.lease, reply=reply
-        )
+        conductor, now_ns = self._conductor, self._conductor.clock()
         too_old = conductor.too_old(event, now_ns, now_ns)
         if too_old is not None:
-            executor.reject(event, Reason.STALE, too_old)
+            conductor.executor.reject(event, Reason.STALE, too_old)
             return
         event.number = next(conductor.numbers)
         keep = conductor.ask(event).to_do

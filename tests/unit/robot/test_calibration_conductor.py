@@ -13,6 +13,7 @@ from typing import Any, cast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from zenoh import ZBytes
 
 from gateway.errors import ConfigError
 from gateway.host.directories import state_directory, state_to_read
@@ -127,22 +128,17 @@ async def test_what_was_delayed_on_the_way_and_what_is_no_question_is_rejected()
     assert told(robot).revision == 0
 
 
-class Bytes(bytes):
-    def to_bytes(self, *_: object) -> bytes:
-        return self
-
-
-GOOD = Bytes(json.dumps(OWN).encode())
+GOOD = json.dumps(OWN).encode()
 
 
 @pytest.mark.parametrize(
     ("query", "reason"),
     [
         ({"encoding": "application/json"}, None),
-        ({"payload": Bytes(b"{")}, Reason.MALFORMED),
+        ({"payload": ZBytes(b"{")}, Reason.MALFORMED),
         ({"payload": None}, Reason.MALFORMED),
-        ({"payload": Bytes(GOOD.ljust(MAX_PAYLOAD_BYTES))}, None),
-        ({"payload": Bytes(b"{}".ljust(MAX_PAYLOAD_BYTES + 1))}, Reason.TOO_LARGE),
+        ({"payload": ZBytes(GOOD.ljust(MAX_PAYLOAD_BYTES))}, None),
+        ({"payload": ZBytes(b"{}".ljust(MAX_PAYLOAD_BYTES + 1))}, Reason.TOO_LARGE),
         ({"encoding": "text/plain"}, Reason.BAD_ENCODING),
         ({"key_expr": "hexapod/calibration/*"}, Reason.INVALID),
     ],
@@ -153,7 +149,7 @@ async def test_each_question_is_answered_and_a_pause_behind_it_keeps_a_flood_of_
 ) -> None:
     robot = await started_and_quiet()
     source = SimpleNamespace(source_id=SimpleNamespace(zid="0123abc"))
-    good = {"key_expr": keys.CALIBRATION_CMD, "payload": GOOD, "encoding": None, "source_info": source}
+    good = {"key_expr": keys.CALIBRATION_CMD, "payload": ZBytes(GOOD), "encoding": None, "source_info": source}
     asked: Any = SimpleNamespace(**{**good, **query})
     answers: list[bytes] = []
     assert robot.calibrations.note(asked, 0, answers.append)() == PAUSE_S == 0.05
@@ -185,7 +181,7 @@ def read(payload: bytes) -> CalibrationCommand | Rejection:
     def reject(_source: str | None, reason: Reason, detail: str, _reply: object) -> Rejection:
         return Rejection(reason, detail)
 
-    answers: Any = SimpleNamespace(change=lambda change, *_: change, reject=reject)
+    answers: Any = SimpleNamespace(key=keys.CALIBRATION_CMD, change=lambda event: event.change, reject=reject)
     return cast(CalibrationCommand | Rejection, Calibrations.read(answers, payload, 0, print)())
 
 
