@@ -31,31 +31,26 @@ def angles(robot: ElkapodRobot, last: int) -> list[set[float]]:
     return [set(angles_of(data).values()) for _, data in list(robot.elkapod.transfers)[-last:]]
 
 
-STOPS = {
+STOPS: dict[str, tuple[str, object] | None] = {
     "a stop of one leg": (keys.leg_command(3), leg("stop")),
     "a stop of one servo": (keys.servo_command(42), {"op": "stop"}),
     "a stop of all": (keys.LEGS_COMMAND, all_legs("stop")),
     "the emergency stop": (keys.ESTOP, {}),
+    "the end": None,
 }
 
 
 @pytest.mark.parametrize("stop", STOPS)
 async def test_any_stop_shuts_down_at_once_and_is_repeated(stop: str) -> None:
     robot = await walking()
-    key, payload = STOPS[stop]
-    assert robot.ask(key, payload).accepted
+    command = STOPS[stop]
+    assert robot.conductor.shut_down() if command is None else robot.ask(*command).accepted
     assert [what for _, what in robot.said] == ["shutdown"]
     assert not robot.elkapod.energised
     await asyncio.sleep(0.15)
     assert [what for _, what in robot.said] == ["shutdown"] * 4
     assert all(not each.running for leg in robot.conductor.reports.state().legs for each in leg.servos)
     assert angles(robot, 3) == [{80.0}] * 3, "should the shutdown be lost, they hold where they are"
-
-
-async def test_the_end_shuts_down() -> None:
-    robot = await walking()
-    assert robot.conductor.shut_down()
-    assert [what for _, what in robot.said] == ["shutdown"]
 
 
 @pytest.mark.parametrize("fault", ["silent", "frozen", "garbage"])
