@@ -244,6 +244,8 @@ class Bus(Wire):
             try:
                 write(batch)
             except BatchRejectedError as rejection:
+                if not self._lists:  # a part of the batch may have been written
+                    raise
                 self._write_singly(batch)
                 self._lists, report.rejection = False, str(rejection)
         except SpiError:

@@ -8,9 +8,11 @@ from typing import Final
 
 import pytest
 
+from gateway.errors import BatchRejectedError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
 from gateway.model.framing import ZERO, Framing
+from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
 from gateway.robot.spi.bus import Bus
 from schemas.robot import LEGS, SERVO_IDS
@@ -140,6 +142,25 @@ def test_wherever_up_to_three_transfers_fail_all_stops_are_written_and_executed(
     for count in range(4):
         for failing in itertools.combinations(range(20), count):
             check(failing)
+
+
+def test_where_there_are_no_lists_a_rejected_transfer_is_a_failure() -> None:
+    """To begin its batch again would send a second announcement: the Stop behind it would be lost, and count."""
+    controller, bodies = FaultyController(PREFIXED, clock=lambda: 0, spend=lambda _: None), itertools.count()
+
+    class OneByOne(SpiDevice):
+        def transfer(self, batch: Batch) -> None:
+            if len(batch) > 1 or (batch[0][0] == STOPS[0].data and next(bodies) == 0):
+                raise BatchRejectedError("invalid argument")
+            controller.transfer(batch)
+
+    bus = Bus(SpiSettings(speed_hz=2_500_000, framing=PREFIXED), OneByOne, clock=lambda: 0, pause=lambda _: None)
+    bus.open()
+    assert bus.write([OneLeg(1, (ServoOp(Op.START, 90_00),) * 3)]).fault is None
+    report = bus.write(STOPS[:1])
+    assert isinstance(report.fault, BatchRejectedError)
+    assert [sent.place for sent in report.sent if sent.received] == [0]
+    assert not controller.energised
 
 
 def test_stops_are_not_tried_for_ever() -> None:
