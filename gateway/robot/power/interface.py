@@ -1,6 +1,7 @@
 """The power board's interface, opened by python-can. It loads nothing else, since `stop-servos` waits for it."""
 
 import errno
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -23,7 +24,9 @@ BITRATE: Final = 1_000_000
 
 
 AT_ONCE: Final = 64
-"""Frames that one call receives at most: at a real-time priority, a flood would occupy the processor."""
+PAUSE_S: Final = 0.001
+"""Messages of any kind that one call receives at most, and the pause after so many: at a real-time priority, a flood
+would occupy the processor."""
 
 
 class LineError(GatewayError):
@@ -83,12 +86,15 @@ def receive(bus: "can.BusABC", settings: PowerSettings, timeout_s: float) -> lis
     """
     frames: list[CanFrame] = []
     try:
-        message = bus.recv(timeout_s)
-        while message is not None:
+        for _ in range(AT_ONCE):
+            message = bus.recv(timeout_s)
+            if message is None:
+                return frames
+            timeout_s = 0
             foreign = message.is_rx or settings.interface == "socketcan"
             if foreign and not (message.is_error_frame or message.is_remote_frame or message.is_extended_id):
                 frames.append(CanFrame(message.arbitration_id, bytes(message.data)))
-            message = bus.recv(0) if len(frames) < AT_ONCE else None
     except Exception as error:
         raise LineError(str(error)) from error
+    time.sleep(PAUSE_S)
     return frames

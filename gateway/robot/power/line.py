@@ -22,7 +22,7 @@ from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
 from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
-from gateway.robot.power.interface import AT_ONCE, LineError, open_bus, receive, send
+from gateway.robot.power.interface import LineError, open_bus, receive, send
 
 if TYPE_CHECKING:
     import can
@@ -35,8 +35,6 @@ SEND_S: Final = 0.1
 """How long a frame may wait to be sent, if python-can respects that. Later, the interface hangs or the bus is off."""
 BUSY_S: Final = 0.002
 """Before the next attempt with a full transmit queue: ten frames, which leave within 1.3 ms at 1 Mbit/s."""
-PAUSE_S: Final = 0.001
-"""After AT_ONCE frames."""
 STOPS_S: Final = 0.001
 """Pause of the sender after a cut's mask, so that the Stops on SPI have the interpreter."""
 _NOTHING: Final = set_supply(0)
@@ -217,8 +215,6 @@ class PowerLine:
             if bus is None:
                 time.sleep(POLL_S)
             self._take(frames)
-            if len(frames) >= AT_ONCE:
-                time.sleep(PAUSE_S)
 
     def _take(self, frames: list[CanFrame]) -> None:
         before = self.status

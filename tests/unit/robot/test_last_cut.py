@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import can
 import pytest
 
 from gateway.allowance import NS_PER_MS
@@ -42,6 +43,22 @@ def test_nothing_is_waited_for_where_spi_hangs() -> None:
     took = re.search(r"after (\d+) ms", sentence)
     assert took is not None
     assert int(took[1]) < 10_000
+
+
+def test_a_flood_of_frames_that_are_no_answers_keeps_no_mask_from_the_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel's error frames of a disturbed bus, or another node with identifiers of 29 bits."""
+    flood = can.Message(arbitration_id=1, is_extended_id=True)
+
+    class Flooded(BoardBus):
+        def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:  # noqa: ARG002
+            found, filtered = super()._recv_internal(0)
+            return found or flood, filtered
+
+    monkeypatch.setattr(last_cut, "END_S", 3.0)
+    bus = Flooded()
+    confirmed, _ = told(bus)
+    assert confirmed
+    assert bus.board.fed == 0
 
 
 def test_why_it_is_not_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
