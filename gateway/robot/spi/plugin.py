@@ -63,7 +63,8 @@ class PluginDevice(SpiDevice):
             self._lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o660)
             self._listener = Listener(self._lock)
         except OSError as error:
-            self.close()
+            if self._lock is not None:  # the plug-in itself is not open yet
+                os.close(self._lock)
             held = isinstance(error, BlockingIOError)
             why = f"another gateway has {self._name}; end it first" if held else f"{path}: {error.strerror}"
             raise SpiError(why) from error

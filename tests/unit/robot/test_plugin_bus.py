@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import EntryPoint
+from pathlib import Path
 from typing import ClassVar
 
 import pytest
@@ -83,3 +84,18 @@ def test_a_limit_on_what_a_plugin_cannot_hand_over_is_not_accepted() -> None:
     with pytest.raises(ConfigError, match=r"safety\.max_tilt_deg: exits has nothing that measures it"):
         Settings.of({"wire": {"name": "exits"}, "safety": {"max_tilt_deg": 45}})
     assert Settings.of({"wire": {"name": "exits"}}).wire.capabilities.measures
+
+
+def test_one_that_another_gateway_has_is_not_even_closed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It was never opened here: on shared hardware its `close` could take the servos from the other gateway."""
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    first, second, closed = (plugin_bus(WireSettings("exits", {})), plugin_bus(WireSettings("exits", {})), list[str]())
+    first.open()
+    monkeypatch.setattr(Exits, "close", lambda _self: closed.append("closed"))
+    with pytest.raises(SpiError, match="another gateway has exits"):
+        second.open()
+    assert closed == []
+    first.close()
+    second.open()
+    second.close()
+    assert closed == ["closed", "closed"]
