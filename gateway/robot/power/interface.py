@@ -25,7 +25,7 @@ BITRATE: Final = 1_000_000
 
 AT_ONCE: Final = 64
 PAUSE_S: Final = 0.001
-"""Messages of any kind that one call receives at most, and the pause after so many: at a real-time priority, a flood
+"""Messages of any kind that a call receives at most, and the pause after that number: at a real-time priority, a flood
 would occupy the processor."""
 
 
