@@ -137,9 +137,6 @@ class LogStream(io.TextIOBase):
     def fileno(self) -> int:
         return self._log_writer.descriptor
 
-    def isatty(self) -> bool:
-        return os.isatty(self._log_writer.descriptor)
-
 
 FLUSH_S: Final = 0.3
 """How long the end waits for unwritten lines; it may take a second (docs/interface.md, Behaviour *End*)."""

@@ -146,15 +146,9 @@ class Recorder:
         self._copied_ns = -form.FOLLOW_NS
         self._folder = state_directory(settings.state.path)
         """None: the black box is off, or closed."""
-        about = {
-            "version": __version__,
-            "protocol": settings.protocol,
-            "simulated": facts.get("simulated"),
-            "spi": asdict(settings.spi),
-            "watchdog": asdict(settings.watchdog),
-            "limits": asdict(settings.limits),
-        }
-        self._about = form.fields(about)
+        about = {"version": __version__, "protocol": settings.protocol, "simulated": facts.get("simulated")}
+        spi, watchdog, limits = asdict(settings.spi), asdict(settings.watchdog), asdict(settings.limits)
+        self._about = form.fields({**about, "spi": spi, "watchdog": watchdog, "limits": limits})
         self._append(form.START, clock(), form.fields(wall_ns(), {"pid": os.getpid(), **facts}))
         self._append(form.ABOUT, self._about_ns, self._about)
 
