@@ -6,7 +6,6 @@ none left, a failed SPI device could not be reopened, and no Stop would reach th
 
 import os
 from contextlib import suppress
-from pathlib import Path
 from typing import Final
 
 from gateway.errors import ConfigError
@@ -31,7 +30,9 @@ def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
     except ImportError:  # Windows has no such limit
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _taken() + needed
+    wanted = needed
+    with suppress(OSError):  # no /proc, or no descriptor left to list it
+        wanted += len(os.listdir("/proc/self/fd"))
     if soft < wanted <= hard:
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
@@ -41,13 +42,6 @@ def ensure(needed: int = NEEDED, program: str = "the gateway") -> None:
             f"only {soft} files may be open at once, and {program} needs {wanted} for itself and its clients; "
             f"raise the limit: LimitNOFILE={wanted} in a service unit, `ulimit -n {wanted}` in a shell"
         )
-
-
-def _taken() -> int:
-    try:
-        return len(list(Path("/proc/self/fd").iterdir()))
-    except OSError:  # no /proc, or no descriptor left to list it
-        return 0
 
 
 class Spare:

@@ -70,9 +70,7 @@ FILE_FAULTS = [
 
 ENVIRONMENT_FAULTS = [
     ("HEXAPOD_SPI__SPED_HZ", "1", NO_VARIABLE),
-    ("HEXAPOD_SPI", '{"device": "x"}', NO_VARIABLE),
     ("HEXAPOD_SPI_DEVICE", "x", NO_VARIABLE),
-    ("HEXAPOD_", "x", NO_VARIABLE),
     ("hexapod_spi__device", "x", NO_VARIABLE),
     ("HEXAPOD_LIMITS__SERVOS__14__MIN_DEG", "1", f"14 {NO_SERVO}"),
     ("HEXAPOD_SPI__SPEED_HZ", "1e6", f"1000000.0 {INTEGER}"),
