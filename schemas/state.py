@@ -4,7 +4,6 @@ A state must be short for a reader with little memory: zenoh-pico with its defau
 rare changes are on `hexapod/config`, legs are columns, and texts are cut if they are too long together.
 """
 
-import zlib
 from bisect import bisect_left
 from collections.abc import Iterator
 from typing import Annotated, Final, TypeVar
@@ -58,6 +57,13 @@ class StateReport(ChangingState):
         tuple[str, ...], Field(max_length=len(LEGS), description="senders of the commands in force")
     ] = ()
 
+    def fitted(self) -> "StateReport":
+        """Return the report, with its texts cut if it is too long."""
+        if _fits(self):
+            return self
+        level = bisect_left(_CUTS, True, hi=len(_CUTS) - 1, key=lambda most: _fits(self.cut(*most)))
+        return self.cut(*_CUTS[level])
+
     def cut(self, most: int, most_source: int) -> "StateReport":
         """Return the report with at most `most` characters in each text, and `most_source` in each sender's name."""
         lease, buttons, power = self.lease, self.buttons, self.power
@@ -74,43 +80,6 @@ class StateReport(ChangingState):
                 "power": power and power.model_copy(update={"interface": _cut(power.interface, most)}),
             }
         )
-
-
-class Payloads:
-    """Makes the payloads of `hexapod/state` and `hexapod/config`. The state contains the configuration's checksum."""
-
-    def __init__(self) -> None:
-        self._newest: tuple[ConfigReport, ConfigReport] | None = None
-        """The configuration without and with its checksum, which takes as long as all the rest."""
-
-    def of(self, state: GatewayState) -> tuple[StateReport, ConfigReport]:
-        """Return the payloads of `state`."""
-        values = {name: getattr(state, name) for name in ConfigReport.model_fields} | {"config": ""}
-        settings = {name: dict(getattr(state, name)) for name in _IN_BOTH}  # without the counters
-        plain = ConfigReport.model_validate(values | settings)
-        if self._newest is None or self._newest[0] != plain:
-            checksum = f"{zlib.crc32(plain.model_dump_json().encode()):08x}"
-            self._newest = plain, plain.model_copy(update={"config": checksum})
-        config = self._newest[1]
-        return _report_of(state, config.config), config
-
-
-def _report_of(state: GatewayState, config: str) -> StateReport:
-    sources = tuple(dict.fromkeys(leg.source for leg in state.legs if leg.source is not None))
-    angles, targets = zip(*map(_angles, state.legs), strict=True)
-    legs = {
-        "watchdog": tuple(leg.watchdog for leg in state.legs),
-        "age_ms": tuple(None if leg.age_ms is None else round(leg.age_ms, 1) for leg in state.legs),
-        "angles_deg": angles,
-        "targets_deg": None if targets == angles else targets,
-        "source": tuple(None if leg.source is None else sources.index(leg.source) for leg in state.legs),
-    }
-    values = {name: getattr(state, name) for name in ChangingState.model_fields}
-    report = StateReport.model_validate({**values, "config": config, "legs": legs, "sources": sources})
-    if _fits(report):
-        return report
-    level = bisect_left(_CUTS, True, hi=len(_CUTS) - 1, key=lambda most: _fits(report.cut(*most)))
-    return report.cut(*_CUTS[level])
 
 
 def _fits(report: StateReport) -> bool:
@@ -139,12 +108,6 @@ def _legs(state: StateReport) -> Iterator[LegReport]:
             servos=(first, second, third),
             source=None if place is None or place >= len(state.sources) else state.sources[place],
         )
-
-
-def _angles(leg: LegReport) -> tuple[Angles, Angles]:
-    first, second, third = leg.servos
-    at = (first.angle_deg, second.angle_deg, third.angle_deg)
-    return at, (first.target_deg, second.target_deg, third.target_deg)
 
 
 def _cut(text: T, most: int) -> T:

@@ -59,7 +59,7 @@ class VirtualLine(Link):
 
 def running(robot: Robot) -> list[int]:
     """The servos that run, as the state says it."""
-    return [each.id for leg in robot.conductor.reports.state().legs for each in leg.servos if each.running]
+    return [each.id for leg in robot.state().legs for each in leg.servos if each.running]
 
 
 class _Fed(Robot):

@@ -225,10 +225,15 @@ class Robot:
             if key == keys.EVENT and isinstance(report, Event) and kind in (None, report.kind)
         ]
 
+    def state(self) -> GatewayState:
+        """What it would publish now."""
+        config = self.conductor.reports.config()
+        return joined(self.conductor.reports.state(config), config)
+
     @property
     def states(self) -> list[GatewayState]:
         """The states that were published, with their configurations."""
-        now = self.conductor.reports.payloads.of(self.conductor.reports.state())[1]
+        now = self.conductor.reports.config()
         configs = {now.config: now}
         configs |= {each.config: each for _, each in self.reports if isinstance(each, ConfigReport)}
         states = (report for _, report in self.reports if isinstance(report, StateReport))
@@ -240,7 +245,7 @@ class Robot:
 
     @property
     def mode(self) -> str:
-        return self.conductor.reports.state().mode
+        return self.conductor.supervisor.mode
 
 
 def started(**sections: Mapping[str, Any]) -> Robot:

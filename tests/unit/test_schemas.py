@@ -19,8 +19,8 @@ from schemas.keys import CommandKey, Target
 from schemas.lease import LEASE_REQUEST, LeaseAck
 from schemas.revocation import RevocationAck
 from schemas.robot import LEGS
-from schemas.state import Payloads
-from schemas.telemetry import Ack, Cause, Event, FrameRecord, GatewayState, Kind, Reason
+from schemas.state import StateReport
+from schemas.telemetry import Ack, Cause, ConfigReport, Event, FrameRecord, Kind, Reason
 from tests.support.bad_commands import FAULTS
 from tests.support.commands import LEG, as_json
 
@@ -125,13 +125,7 @@ def test_the_fullest_command_needs_less_than_a_payload_may_have() -> None:
 # ---- what goes out
 
 
-STATES = (Path(__file__).parents[1] / "data/wire/1.3/state.jsonl").read_text().splitlines()
-
-
-def read(which: int, state: GatewayState) -> BaseModel:
-    """A state's payload (0), or its configuration's (1), as a reader has it."""
-    sent = Payloads().of(state)[which]
-    return type(sent).model_validate_json(sent.model_dump_json())
+WIRE = Path(__file__).parents[1] / "data" / "wire" / "1.4"
 
 
 reasons = st.sampled_from(Reason)
@@ -153,8 +147,8 @@ reports: st.SearchStrategy[BaseModel] = st.one_of(
     st.builds(ButtonAck, accepted=st.booleans(), reason=st.none() | reasons, detail=st.none() | texts,
               nonce=st.none() | texts, button=st.none() | texts, timeout_ms=st.none() | floats,
               alive=st.none() | st.integers(0), required=st.none() | st.integers(0)),
-    st.sampled_from(STATES).map(lambda text: read(0, GatewayState.model_validate_json(text))),
-    st.sampled_from(STATES).map(lambda text: read(1, GatewayState.model_validate_json(text))),
+    st.sampled_from((WIRE / "state.jsonl").read_text().splitlines()).map(StateReport.model_validate_json),
+    st.sampled_from((WIRE / "config.jsonl").read_text().splitlines()).map(ConfigReport.model_validate_json),
 )  # fmt: skip
 
 

@@ -1,7 +1,8 @@
 """Makes the payloads of `hexapod/state`, `hexapod/config` and `hexapod/telemetry`."""
 
 import logging
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any, Final, NamedTuple
@@ -14,7 +15,7 @@ from gateway.model import power_board
 from gateway.model.elkapod import Measured
 from gateway.model.telemetry import report_of
 from gateway.robot.core.events import Announce
-from gateway.robot.core.leg import Leg, Servo
+from gateway.robot.core.leg import Leg
 from gateway.robot.core.message import Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Status
@@ -24,7 +25,7 @@ from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
 from schemas import keys, telemetry
 from schemas.robot import SERVO_IDS
-from schemas.state import Payloads
+from schemas.state import LegsReport, StateReport
 from schemas.telemetry import Kind, Mode
 
 _CONVERTERS: Final = (power_board.CONVERTERS_1_TO_3_MV, power_board.CONVERTERS_4_5_MV)
@@ -72,7 +73,8 @@ class RobotReports:
         """The Zenoh id of the process that simulates the robot's body, if there is one."""
         self.calibration_kept = False
         """Whether the next boot finds the calibration."""
-        self.payloads = Payloads()
+        self._plain: telemetry.ConfigReport | None = None
+        """The newest configuration without its checksum, which takes as long as all the rest."""
         self._published: telemetry.ConfigReport | None = None
         self.published_mode: Mode | None = None
         """The mode last published; None until the start is announced."""
@@ -94,11 +96,11 @@ class RobotReports:
 
     def publish(self) -> None:
         """Publish the state. If the configuration has changed, publish that first."""
-        report, config = self.payloads.of(self.state())
+        config = self.config()
         if config != self._published:
             self._published = config
             self.events.outbox.publish(keys.CONFIG, config)
-        self.events.outbox.publish(keys.STATE, report)
+        self.events.outbox.publish(keys.STATE, self.state(config))
 
     def publish_telemetry(self) -> None:
         report = self.measured()
@@ -111,11 +113,9 @@ class RobotReports:
         Without any measurements, the query ends without an answer. So a robot that measures nothing, one that has not
         measured yet, and an older gateway look the same.
         """
-        if key == keys.TELEMETRY:
-            report: BaseModel | None = self.measured()
-        else:
-            state, config = self.payloads.of(self.state())
-            report = state if key == keys.STATE else config
+        report: BaseModel | None = self.measured() if key == keys.TELEMETRY else self.config()
+        if key == keys.STATE:
+            report = self.state(self.config())
         if report is not None:
             reply(report.model_dump_json().encode())
 
@@ -133,21 +133,50 @@ class RobotReports:
             found = {**dict(report), **found, "age_ms": max(report.age_ms, found.get("age_ms", 0.0))}
         return telemetry.Telemetry.model_validate({**found, "time": time}) if found else None
 
-    def state(self) -> telemetry.GatewayState:
-        supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.events.metrics, self.events.clock()
-        settings = self.settings
-        lease, buttons = supervisor.lease, supervisor.buttons
-        answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
-        p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
-        return telemetry.GatewayState(
-            mode=supervisor.mode,
-            time=wall_clock(),
-            uptime_s=(now_ns - self._started_ns) / 1e9,
+    def config(self) -> telemetry.ConfigReport:
+        """Return what seldom changes, with its checksum."""
+        settings, calibrating = self.settings, self.supervisor.calibrating
+        plain = telemetry.ConfigReport(
             version=__version__,
             protocol=settings.protocol,
             simulated=self.simulated,
+            spi=telemetry.SpiConfig(
+                device="simulated controller" if self.simulated else settings.device, framing=settings.framing
+            ),
+            watchdog=telemetry.WatchdogConfig(
+                timeout_ms=settings.watchdog.timeout_ms, landing_ms=settings.watchdog.landing_ms
+            ),
+            buttons=telemetry.ButtonsConfig(required=settings.buttons.required),
+            calibration=telemetry.CalibrationReport(
+                revision=calibrating.in_force.revision, fault=calibrating.fault, kept=self.calibration_kept
+            ),
+            telemetry=telemetry.TelemetryReport(frames=settings.telemetry.frames),
+            certificate=self.certificate,
+            missing_endpoints=self.missing_endpoints,
+            revocations=self.revocations,
+            limits=self._limits,
+            wire=self._wire,
             physics=self.physics,
-            legs=tuple(_leg(leg, now_ns) for leg in supervisor.legs),
+        )
+        if plain != self._plain:
+            checksum = f"{zlib.crc32(plain.model_dump_json().encode()):08x}"
+            self._plain, self._config = plain, plain.model_copy(update={"config": checksum})
+        return self._config
+
+    def state(self, config: telemetry.ConfigReport) -> StateReport:
+        """Return what changes all the time, to be read with `config`."""
+        supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.events.metrics, self.events.clock()
+        lease, buttons, lag = supervisor.lease, supervisor.buttons, metrics.loop_lag
+        answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
+        p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
+        sources = tuple(dict.fromkeys(leg.source for leg in supervisor.legs if leg.source is not None))
+        return StateReport(
+            config=config.config,
+            mode=supervisor.mode,
+            time=wall_clock(),
+            uptime_s=(now_ns - self._started_ns) / 1e9,
+            legs=_legs(tuple(supervisor.legs), sources, now_ns),
+            sources=sources,
             commands=telemetry.CommandCounts(
                 accepted=metrics.accepted,
                 rejected=metrics.rejected.total(),
@@ -155,15 +184,8 @@ class RobotReports:
                 overflows=metrics.overflows,
                 lost=metrics.lost,
             ),
-            spi=telemetry.SpiReport(
-                device="simulated controller" if self.simulated else settings.device,
-                framing=settings.framing,
-                frames=bus.frames,
-                errors=bus.errors,
-            ),
-            watchdog=telemetry.WatchdogReport(
-                timeout_ms=settings.watchdog.timeout_ms,
-                landing_ms=settings.watchdog.landing_ms,
+            spi=telemetry.SpiCounts(frames=bus.frames, errors=bus.errors),
+            watchdog=telemetry.WatchdogCounts(
                 expirations=supervisor.watchdog.expirations,
                 stop_latency_us=telemetry.StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
@@ -172,9 +194,7 @@ class RobotReports:
             estop_since=self.estop_since,
             estop_fault=self.estop_fault,
             incident=self.events.recorder.incident,
-            loop_lag_us=telemetry.LoopLag(
-                p50=metrics.loop_lag.at_most_us(0.5), p99=metrics.loop_lag.at_most_us(0.99), max=metrics.loop_lag.max_us
-            ),
+            loop_lag_us=telemetry.LoopLag(p50=lag.at_most_us(0.5), p99=lag.at_most_us(0.99), max=lag.max_us),
             lease=telemetry.LeaseReport(
                 holder=lease.holder,
                 verified=lease.verified,
@@ -182,24 +202,11 @@ class RobotReports:
                 expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
                 asked_by=lease.asked_by,
             ),
-            buttons=telemetry.ButtonsReport(
-                required=settings.buttons.required, alive=buttons.alive, names=buttons.names
-            ),
-            calibration=telemetry.CalibrationReport(
-                revision=supervisor.calibrating.in_force.revision,
-                fault=supervisor.calibrating.fault,
-                kept=self.calibration_kept,
-            ),
-            telemetry=telemetry.TelemetryReport(frames=settings.telemetry.frames),
-            certificate=self.certificate,
-            missing_endpoints=self.missing_endpoints,
-            revocations=self.revocations,
-            limits=self._limits,
-            wire=self._wire,
+            buttons=telemetry.ButtonsAlive(alive=buttons.alive, names=buttons.names),
             controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
             battery=None if self.newest is None else telemetry.Battery.model_validate(self.newest.values._asdict()),
             power=self.power(),
-        )
+        ).fitted()
 
 
 def limits_of(settings: Settings) -> telemetry.LimitsReport:
@@ -233,22 +240,20 @@ def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:
     return found
 
 
-def _leg(leg: Leg, now_ns: int) -> telemetry.LegReport:
-    first, second, third = map(_servo, leg.servos)
-    return telemetry.LegReport(
-        leg=leg.number,
-        watchdog=leg.watchdog,
-        age_ms=None if leg.commanded_ns is None else (now_ns - leg.commanded_ns) / 1e6,
-        servos=(first, second, third),
-        source=leg.source,
+def _legs(legs: Sequence[Leg], sources: Sequence[str], now_ns: int) -> LegsReport:
+    angles = [[_deg(servo.angle_cdeg) for servo in leg.servos] for leg in legs]
+    targets = [[_deg((servo.waiting or servo).angle_cdeg) for servo in leg.servos] for leg in legs]
+    commanded = [leg.commanded_ns for leg in legs]
+    return LegsReport.model_validate(
+        {
+            "watchdog": [leg.watchdog for leg in legs],
+            "age_ms": [None if ns is None else round((now_ns - ns) / 1e6, 1) for ns in commanded],
+            "angles_deg": angles,
+            "targets_deg": None if targets == angles else targets,
+            "source": [None if leg.source is None else sources.index(leg.source) for leg in legs],
+        }
     )
 
 
-def _servo(servo: Servo) -> telemetry.ServoReport:
-    target_cdeg = servo.angle_cdeg if servo.waiting is None else servo.waiting.angle_cdeg
-    return telemetry.ServoReport(
-        id=servo.servo_id,
-        running=servo.running,
-        angle_deg=None if servo.angle_cdeg is None else servo.angle_cdeg / 100,
-        target_deg=None if target_cdeg is None else target_cdeg / 100,
-    )
+def _deg(angle_cdeg: int | None) -> float | None:
+    return None if angle_cdeg is None else angle_cdeg / 100

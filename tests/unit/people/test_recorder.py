@@ -183,7 +183,7 @@ async def test_without_a_ring_it_drives_all_the_same_and_says_so_once(
     await asyncio.sleep(1)
     event = robot.events()[-1]
     assert (event.kind, event.incident) == (Kind.WATCHDOG_EXPIRED, None), "no incident that nobody can look at"
-    assert robot.conductor.reports.state().incident is None
+    assert robot.state().incident is None
     (said,) = (entry.message for entry in caplog.records if "black box" in entry.message)
     assert said == f"the black box is off: {folder}: {why}"
 

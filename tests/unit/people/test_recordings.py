@@ -19,8 +19,7 @@ from gateway.people.recorder.record import MOST_WAITING, REPORTS, Recording, Rep
 from gateway.people.ros2.messages import Message
 from schemas import keys
 from schemas.robot import SERVO_IDS
-from schemas.state import Payloads
-from schemas.telemetry import Kind
+from schemas.telemetry import ConfigReport, Kind
 from tests.support.full_disk import disk_that_takes
 from tests.support.mcap_file import checked
 from tests.support.measuring import MEASURED
@@ -59,7 +58,7 @@ def reports(count: int) -> Iterator[tuple[str, dict[str, Any], int]]:
         for key, name in NAMES.items()
     }
     wires[keys.SIM_BODY] = [BODY]
-    wires[keys.CONFIG] = [json.loads(Payloads().of(state())[1].model_dump_json())]
+    wires[keys.CONFIG] = [json.loads(ConfigReport.model_validate(dict(state())).model_dump_json())]
     wires[keys.TELEMETRY] = [MEASURED.model_dump(mode="json")]
     for number in range(count):
         others = {

@@ -234,7 +234,7 @@ async def test_the_story_of_a_silent_leg(folder: Path) -> None:
     await asyncio.sleep(1)
     await silence(robot)
     ((incident,), _) = incidents(folder)
-    assert robot.events(Kind.WATCHDOG_EXPIRED)[0].incident == robot.conductor.reports.state().incident == incident.name
+    assert robot.events(Kind.WATCHDOG_EXPIRED)[0].incident == robot.state().incident == incident.name
     lines = told(folder)
     assert (
         lines[0]

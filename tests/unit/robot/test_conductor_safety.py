@@ -33,7 +33,7 @@ async def test_silence_brings_the_stop_at_the_timeout_and_its_repeats_after_it()
     assert [at_ms - last_ms for at_ms, _ in stops[::6]] == pytest.approx([250, 270, 290, 310], abs=0.01)
     (event,) = robot.events(Kind.WATCHDOG_EXPIRED)
     assert event.detail == "no command for leg 3 in 250 ms; it is stopped"
-    state = robot.conductor.reports.state()
+    state = robot.state()
     assert state.legs[2].watchdog == "expired"
     assert state.watchdog.expirations == 1
     assert state.watchdog.stop_latency_us.max is not None
@@ -124,7 +124,7 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     robot.put(LEG_3, leg("start", 90, 90, 90, source="anna"))
     waiting = robot.get(LEG_3, leg("set", 91, 91, 91, source="anna"))
     assert not waiting, "its leg's rate slot has not come"
-    accepted = robot.conductor.reports.state().commands.accepted
+    accepted = robot.state().commands.accepted
     robot.controller.transfers.clear()
     robot.put(LEG_3, verb=Verb.LOST, size=50)
     assert [frame for _, frame in robot.frames][:1] == [stop_leg(3)]
@@ -133,7 +133,7 @@ async def test_an_overflows_stop_is_nobodys_command_and_what_waited_is_rejected_
     assert not robot.events(Kind.SOURCE_CHANGED)
     robot.put(LEG_3, verb=Verb.LOST, size=50)
     assert len(robot.events(Kind.OVERFLOW)) == 1, "nothing ran any more"
-    state = robot.conductor.reports.state()
+    state = robot.state()
     assert state.legs[2].source is None
     assert state.commands.accepted == accepted
     assert (state.commands.overflows, state.commands.lost) == (2, 100)

@@ -49,7 +49,7 @@ async def test_any_stop_shuts_down_at_once_and_is_repeated(stop: str) -> None:
     assert not robot.elkapod.energised
     await asyncio.sleep(0.15)
     assert [what for _, what in robot.said] == ["shutdown"] * 4
-    assert all(not each.running for leg in robot.conductor.reports.state().legs for each in leg.servos)
+    assert all(not each.running for leg in robot.state().legs for each in leg.servos)
     assert angles(robot, 3) == [{80.0}] * 3, "should the shutdown be lost, they hold where they are"
 
 
@@ -64,7 +64,7 @@ async def test_a_silent_controller_is_a_fault_and_nothing_runs_when_it_is_back(f
     assert ("heartbeat" if fault == "silent" else "well-formed answer") in event.detail
     assert robot.mode == Mode.BUS_FAULT
     assert not robot.elkapod.energised
-    assert robot.conductor.reports.state().controller.alive is False
+    assert robot.state().controller.alive is False
     assert robot.ask(keys.LEGS_COMMAND, START).reason == "bus_fault"
     assert robot.ask(keys.ESTOP, {}).accepted
     setattr(robot.elkapod, fault, None if fault == "garbage" else False)
@@ -110,7 +110,7 @@ async def test_a_controller_that_restarts_is_shut_down_and_moves_only_after_a_ne
     ]
     assert {what for _, what in robot.said} == {"shutdown"}
     assert robot.mode == (Mode.ESTOPPED if doing == "estopped" else Mode.IDLE)
-    assert not any(each.running for leg in robot.conductor.reports.state().legs for each in leg.servos)
+    assert not any(each.running for leg in robot.state().legs for each in leg.servos)
     if doing != "estopped":
         assert robot.ask(keys.LEGS_COMMAND, all_legs("set", 81)).reason == "servo_stopped"
         assert robot.ask(keys.LEGS_COMMAND, START).accepted

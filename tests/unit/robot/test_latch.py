@@ -47,8 +47,8 @@ async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_res
     for source in ("anna", "bert"):
         robot.controller.transfers.clear()
         robot.put(keys.ESTOP, {"source": source}, verb=verb)
-    since = robot.conductor.reports.state().estop_since
+    since = robot.state().estop_since
     assert since is not None
     robot.put(keys.RESET, {"estop": 2})
     assert told == [(1, True, 6, "anna"), (2, True, 6, "bert"), (2, False, 6, "bert")]
-    assert robot.conductor.reports.state().estop_since is None
+    assert robot.state().estop_since is None

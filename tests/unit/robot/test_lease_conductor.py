@@ -35,7 +35,7 @@ async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> No
     (event,) = robot.events(Kind.LEASE_ACQUIRED)
     assert (event.source, event.key, event.detail) == ("anna", keys.LEASE, "anna has acquired the lease")
     await asyncio.sleep(0.1)
-    lease = robot.conductor.reports.state().lease
+    lease = robot.state().lease
     assert (lease.holder, lease.verified, lease.asked_by) == ("anna", False, None)
     assert lease.held_s == pytest.approx(0.1, abs=1e-6)
     assert lease.expires_in_ms == pytest.approx(900, abs=0.001)
@@ -77,7 +77,7 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
     (event,) = robot.events(Kind.COMMAND_REJECTED)
     assert (event.key, event.reason) == (key, reason)
     assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
-    assert robot.conductor.reports.state().buttons.alive == 1
+    assert robot.state().buttons.alive == 1
 
 
 async def test_no_report_has_the_token() -> None:
@@ -89,7 +89,7 @@ async def test_no_report_has_the_token() -> None:
     robot.ask(LEG_3, {str(anna.lease): 1})
     robot.lease("take", "bert")
     robot.ask(LEG_3, with_token(SET, anna))
-    state = robot.conductor.reports.state()
+    state = robot.state()
     out = "".join(report.model_dump_json() for report in (*(each for _, each in robot.reports), state))
     assert anna.lease is not None
     assert anna.lease not in out
@@ -117,12 +117,12 @@ async def test_where_names_are_wanted_others_do_not_count(names: tuple[str, ...]
     ack = robot.button("register", "kitchen/phone")
     alive = robot.button("alive", button=ack.button, count=1)
     assert (alive.accepted, alive.alive, alive.detail is None) == (True, int(counts), counts)
-    assert robot.conductor.reports.state().buttons.names == ("kitchen/phone",)
+    assert robot.state().buttons.names == ("kitchen/phone",)
     assert robot.ask(LEG_3, START).accepted is counts
     again = robot.button("alive", button=ack.button, count=1)
     assert (again.accepted, again.reason) == (False, Reason.STALE)
     assert robot.button("leave", button=ack.button).accepted
-    assert robot.conductor.reports.state().buttons.alive == 0
+    assert robot.state().buttons.alive == 0
 
 
 async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they_are() -> None:

@@ -25,7 +25,7 @@ from gateway.robot.zenoh_io import questions
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.receiver import STUCK_BEATS, ReceiverThread
 from schemas import keys
-from schemas.state import Payloads, StateReport
+from schemas.state import StateReport
 from schemas.telemetry import Mode
 from tests.support.interleaved import (
     PATIENCE_S,
@@ -178,7 +178,7 @@ def test_whoever_owns_the_state_serves_an_emergency_stop_before_the_next_command
     (noted,) = gateway.noted
     assert gateway.kinds[noted:].count(False) <= 1, "the frame that was under way"
     (state,) = map(StateReport.model_validate_json, gateway.answers)
-    assert state.config == Payloads().of(gateway.conductor.reports.state())[1].config
+    assert state.config == gateway.conductor.reports.config().config
 
 
 @pytest.mark.parametrize("order", range(ORDERS))

@@ -70,7 +70,7 @@ async def test_a_servo_is_fed_while_it_runs_or_waits_to_be_started_and_at_no_oth
     assert [ack.accepted for ack in answers] == [True]
     assert running(robot) == sorted(LEG_3_SERVOS)
     assert robot.line.fed() == LEG_3_SERVOS
-    report = robot.conductor.reports.state().power
+    report = robot.state().power
     assert report is not None
     assert (report.interface, report.alive, report.supplied, report.confirmed) == ("sim", True, (31, 32, 33), True)
     assert report.age_ms == pytest.approx((robot.now_ns() - (robot.line.status.answered_ns or 0)) / 1e6)
@@ -142,7 +142,7 @@ async def test_an_emergency_stop_takes_all_supply_and_its_answer_waits_for_the_b
     robot.put(keys.RESET, {"estop": 1})
     await asyncio.sleep(UP_S)
     assert robot.line.fed() == frozenset(), "a start is needed"
-    assert robot.conductor.reports.state().mode is Mode.IDLE
+    assert robot.state().mode is Mode.IDLE
     robot.put(LEG_3, START)
     await asyncio.sleep(0.6)
     assert Kind.POWER_RESTORED in [event.kind for event in robot.events()]
@@ -227,7 +227,7 @@ async def test_the_off_button_is_an_emergency_stop(how: str) -> None:
     else:
         robot.line.hear_from_another(CanFrame(0x66))
     await asyncio.sleep(0.05)
-    state = robot.conductor.reports.state()
+    state = robot.state()
     assert (state.mode, state.estop, state.estop_source) == (Mode.ESTOPPED, 1, "the power board's off button")
     assert Kind.OFF_BUTTON in [event.kind for event in robot.events()]
     assert robot.line.fed() == frozenset()

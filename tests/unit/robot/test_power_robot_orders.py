@@ -153,7 +153,7 @@ def do(judge: Judge, what: str, number: int) -> None:
     if what.split(maxsplit=1)[0] in ("start", "set", "stop"):
         command(judge, what, number)
     elif what == "reset":
-        robot.put(keys.RESET, {"estop": robot.conductor.reports.state().estop})
+        robot.put(keys.RESET, {"estop": robot.state().estop})
     elif what in ("estop", "estop and reset", "cut early"):
         if what == "cut early":
             supply = robot.conductor.supply
@@ -162,7 +162,7 @@ def do(judge: Judge, what: str, number: int) -> None:
         robot.put(keys.ESTOP)
         judge.nothing_stopped_is_fed()
         if what == "estop and reset":
-            robot.put(keys.RESET, {"estop": robot.conductor.reports.state().estop})
+            robot.put(keys.RESET, {"estop": robot.state().estop})
     elif what == "ask estop":
         judge.off_is_off(keys.ESTOP, b"", SERVO_IDS)
     elif what == "ask stop":
@@ -274,7 +274,7 @@ async def an_emergency_stop_ends_it(judge: Judge) -> None:
     fail(robot, fails=False)
     await asyncio.sleep(0.5)  # a reset is rejected while the bus is at fault
     robot.put(keys.ESTOP)
-    robot.put(keys.RESET, {"estop": robot.conductor.reports.state().estop})
+    robot.put(keys.RESET, {"estop": robot.state().estop})
     await asyncio.sleep(0.5)
     answers = robot.get(keys.ESTOP)
     assert line.fed() == frozenset()

@@ -132,7 +132,7 @@ async def test_a_stop_is_a_stop_in_whatever_form(key: str, form: Form, verb: Ver
     assert stopped(robot) in (expected, set(SERVO_IDS) if key == keys.LEGS_COMMAND else expected)
     (rejection,) = robot.events(Kind.COMMAND_REJECTED)
     assert (rejection.reason, rejection.key, rejection.source, rejection.legs) == (form.reason, key, source, ())
-    assert robot.conductor.reports.state().commands.rejected == 1
+    assert robot.state().commands.rejected == 1
     first = len(robot.frames)
     await asyncio.sleep(0.1)
     assert len(robot.frames) > first, "it is repeated like any Stop"

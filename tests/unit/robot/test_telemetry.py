@@ -17,11 +17,11 @@ from gateway.robot.runtime.prometheus import LOOPBACK, Numbers, may_ask, powered
 from gateway.robot.spi.bus import Bus
 from schemas import keys
 from schemas.robot import LEGS
-from schemas.telemetry import Kind, PowerReport, ServoTelemetry, Supply, Telemetry
+from schemas.telemetry import ConfigReport, Kind, PowerReport, ServoTelemetry, Supply, Telemetry
 from tests.support.measured import MEASURED
 from tests.support.metrics_page import described, documented
 from tests.support.published import WALL
-from tests.support.robot import Robot, started
+from tests.support.robot import LEG_3, START, Robot, leg, started
 from tests.unit.people.test_recorder import contents, recorded
 
 pytestmark = pytest.mark.virtual_time
@@ -60,10 +60,34 @@ async def test_where_nothing_was_measured_nothing_is_published_or_answered() -> 
         robot = started(wire=wire)
         assert published(robot) == []
         assert asked(robot) == []
-        assert robot.conductor.reports.state().battery is None
+        assert robot.state().battery is None
     robot.conductor.close()
     robot.conductor.measured(MEASURED, robot.now_ns())
     assert published(robot) == [], "an answer that comes after the end changes nothing"
+
+
+# ---- the state
+
+
+async def test_a_state_has_targets_besides_angles_and_only_another_setting_makes_another_configuration() -> None:
+    robot = started(limits={"servos": {"31": {"max_speed_deg_s": 10}}})
+    assert robot.states[-1].legs[2].age_ms is None
+    robot.put(LEG_3, START)
+    await asyncio.sleep(0.1)
+    robot.put(LEG_3, leg("set", 95, 91, 92, source="anna"))
+    await asyncio.sleep(0.1)
+    robot.conductor.reports.publish()
+    found = robot.states[-1].legs[2]
+    first, *others = found.servos
+    assert found.source == "anna"
+    assert found.age_ms == pytest.approx(100, abs=0.1)
+    assert 90 < (first.angle_deg or 0) < 95 == first.target_deg
+    assert [(each.angle_deg, each.target_deg) for each in others] == [(91, 91), (92, 92)]
+    assert not robot.states[-1].legs[0].running
+    robot.conductor.reports.missing_endpoints = ("tcp/192.0.2.1:7447",)
+    robot.conductor.reports.publish()
+    before, after = [report for _, report in robot.reports if isinstance(report, ConfigReport)]
+    assert before.config != after.config == robot.states[-1].config
 
 
 # ---- the metrics page
