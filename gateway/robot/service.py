@@ -53,9 +53,8 @@ from gateway.robot.zenoh_io.outbox import ZenohOutbox
 from gateway.robot.zenoh_io.proofs import Proofs
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.robot.zenoh_io.rings import put_depth
-from gateway.robot.zenoh_io.session import receive_each_session_alone, service_config
+from gateway.robot.zenoh_io.session import Upkeep, receive_each_session_alone, service_config
 from gateway.robot.zenoh_io.unknown_keys import UnknownKeys
-from gateway.robot.zenoh_io.upkeep import Upkeep
 from schemas.keys import CALIBRATION, CONFIG, STATE, TELEMETRY
 from schemas.telemetry import CertificateReport
 

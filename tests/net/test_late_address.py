@@ -23,7 +23,7 @@ def test_what_is_there_is_listened_on_and_the_rest_as_soon_as_it_comes(tmp_path:
         "telemetry": {"metrics": f"{late}:{page}"},
     }
     with Network() as network, Gateway(tmp_path, settings, prefix=network.robot) as gateway:
-        gateway.child.wait_for_output(f"does not listen on {there} yet, and keeps trying: Cannot assign requested")
+        gateway.child.wait_for_output(f"does not listen on {there} yet: Cannot assign requested")
         with Child([*network.robot, *COMMAND, "status", "--follow", "--connect", here], os.environ) as inside:
             inside.wait_for_output(f"Does not listen on tcp/{late}:{page}, {there} yet: the address is not there.")
             assert network.another_address(0) == late

@@ -20,8 +20,7 @@ from gateway.host import effective
 from gateway.host.directories import state_to_read
 from gateway.onboard.check.table import LET_READ, RESTART, SERVICE, CheckedRobot, Result, failure, first, warning, well
 from gateway.robot.zenoh_io import exposure
-from gateway.robot.zenoh_io.session import service_config
-from gateway.robot.zenoh_io.upkeep import bind_fault, is_late
+from gateway.robot.zenoh_io.session import bind_fault, is_late, service_config
 from gateway.zenoh_config import CA, TLS, certificate_files, get, listen_endpoints
 
 DENIED: Final = os.strerror(errno.EACCES)

@@ -1,15 +1,45 @@
-"""The service's Zenoh configuration, made from its settings."""
+"""The service's Zenoh session: its configuration, its opening, and what Zenoh does not report of it.
 
+An address may not exist yet: a phone's hotspot, DHCP, a name server, an address family of the kernel. The gateway
+listens on the addresses that exist. Zenoh tries the others once a second, in the same session (measured with 1.10.2: it
+listens within a second after the address appears). A port that is taken is a fault and ends the start.
+
+A background thread looks for missing addresses, unreached routers and expiring certificates, and reports to the log,
+systemd and the state. No finding stops the service.
+"""
+
+import datetime as dt
+import errno
+import logging
 import os
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Final
 
 import zenoh
 
+from gateway import certs
+from gateway.endpoints import host_and_port
+from gateway.errors import GatewayError, ZenohError
+from gateway.host.realtime import PAGE_PRIORITY, prefer_thread
 from gateway.host.settings_table import DEFAULT_LISTEN, ZenohSettings
 from gateway.limits import ACCEPT_PENDING, ACCEPT_TIMEOUT_MS, MAX_MESSAGE_SIZE, MAX_SESSIONS
 from gateway.robot.zenoh_io import exposure
-from gateway.zenoh_config import get, insert, load_config, scouting_and_shared_memory_off
+from gateway.zenoh_config import (
+    connect_endpoints,
+    first_expiry,
+    get,
+    insert,
+    listen_endpoints,
+    load_config,
+    open_session,
+    scouting_and_shared_memory_off,
+    why_not_opened,
+)
 
 UNREAD_US: Final = 20_000
 """How long a reply may wait for a client that does not read, before Zenoh closes that client's link.
@@ -34,6 +64,30 @@ RUNTIME: Final = f"(rx:(worker_threads:{MAX_SESSIONS}))"
 threads serve all sessions. A session that floods occupies one for 20 000 messages and more, and on a wildcard each
 message goes into 26 rings; an emergency stop waited for that."""
 _RUNTIME_VARIABLE: Final = "ZENOH_RUNTIME"
+
+PERIOD_S: Final = 1.0
+GRACE_LOOKS: Final = 3
+"""Looks, one a second, before a router counts as not reached. Zenoh retries at least once a second."""
+CLOCK_S: Final = 3600.0
+"""Period if only certificates can change. The clock may be set after the start."""
+_LINKS: Final = {
+    "tcp": socket.SOCK_STREAM,
+    "tls": socket.SOCK_STREAM,
+    "ws": socket.SOCK_STREAM,
+    "quic": socket.SOCK_DGRAM,
+    "udp": socket.SOCK_DGRAM,
+}
+_LAST_PORT: Final = 65_535
+_LATE: Final = frozenset({errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT})
+_RETRY: Final = (
+    "exit_on_failure=false;retry_period_init_ms=1000;retry_period_max_ms=1000;retry_period_increase_factor=1"
+)
+"""Zenoh's settings for one endpoint, after its #."""
+_OTHERS_MS: Final = 1000
+"""How long Zenoh tries the other endpoints. With 0 it would retry no endpoint, not even the late ones."""
+_ALL, _ALL_IPV4 = "[::]", "0.0.0.0"  # noqa: S104 (as the configuration has it)
+
+logger = logging.getLogger(__name__)
 
 
 def receive_each_session_alone() -> None:
@@ -61,3 +115,152 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
         config.insert_json5(key, str(min(most, get(config, key) or most)))
     exposure.check(config, allow_insecure=settings.allow_insecure)
     return config
+
+
+class Upkeep:
+    """Opens one session. Its thread checks from `start` until `close`."""
+
+    def __init__(
+        self,
+        config: zenoh.Config,
+        show: Callable[[str, tuple[str, ...]], None],
+        wall_clock: Callable[[], dt.datetime],
+    ) -> None:
+        """`show` is called at each change, with a sentence for `systemctl status` and the missing endpoints."""
+        self._config = config
+        self._show = show
+        self._wall_clock = wall_clock
+        self._missing: dict[str, OSError] = {}
+        """The endpoints on which the gateway does not listen yet, and why."""
+        self._pages: dict[str, Callable[[], None]] = {}
+        self._dials = connect_endpoints(config)
+        self.first_expiry = first_expiry(config)
+        """The first expiry of the certificates loaded at the start. A renewed one is used from the next start on."""
+        self._closed = threading.Event()
+
+    def serve(self, address: str, page: Callable[[], None]) -> None:
+        """Call `page`, which listens on `address` (`host:port`), now or once the address exists."""
+        endpoint = f"tcp/{address}"
+        fault = bind_fault(endpoint)
+        if fault is None or not is_late(fault):
+            page()
+        else:
+            self._missing[endpoint], self._pages[endpoint] = fault, page
+
+    def open(self) -> zenoh.Session:
+        """Return a session that listens on the existing addresses now and on the others later. Blocks.
+
+        Raises ZenohError if a port is taken or Zenoh does not open.
+        """
+        endpoints = listen_endpoints(self._config)
+        faults = {each: fault for each in endpoints if (fault := bind_fault(each)) is not None}
+        if not any(map(is_late, faults.values())):
+            return open_session(self._config)
+        tried = []
+        for each in endpoints:
+            fault = faults.get(each)
+            if fault is None:
+                tried.append(each)
+            elif not is_late(fault):  # Zenoh's own message would not name the endpoint
+                raise ZenohError(why_not_opened(str(fault), [each]))
+            elif _ALL in each and fault.errno == errno.EAFNOSUPPORT:  # all IPv4 addresses are all that exist
+                tried.append(each.replace(_ALL, _ALL_IPV4))
+            else:
+                self._missing[each] = fault
+                tried.append(f"{each}{';' if '#' in each else '#'}{_RETRY}")
+        insert(self._config, "listen/endpoints", list(dict.fromkeys(tried)), "zenoh.listen")
+        insert(self._config, "listen/timeout_ms", _OTHERS_MS, "zenoh.listen")
+        try:
+            return open_session(self._config)
+        finally:
+            insert(self._config, "listen/endpoints", endpoints, "zenoh.listen")
+
+    def start(self, session: zenoh.Session) -> None:
+        """Start the thread."""
+        self._thread = threading.Thread(target=self._run, args=(session,), name="upkeep", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread. Blocks, so do not call it on the loop's thread."""
+        self._closed.set()
+        self._thread.join()
+
+    def _run(self, session: zenoh.Session) -> None:
+        prefer_thread(PAGE_PRIORITY)
+        shown: list[str] = []
+        with suppress(zenoh.ZError):  # the session was closed
+            for look in count():
+                self._missing = {each: why for each, why in self._missing.items() if not self._listens_on(each)}
+                found = [f"does not listen on {each} yet: {why.strerror}" for each, why in self._missing.items()]
+                if self._dials and look >= GRACE_LOOKS:
+                    found += self._unreached(session)
+                found += self._expiring()
+                for each in found:
+                    if each not in shown:
+                        logger.warning("%s", each)
+                if found != shown:
+                    shown = found
+                    self._show("; ".join(["takes commands", *found]), tuple(self._missing))
+                if self._closed.wait(PERIOD_S if self._dials or self._missing else CLOCK_S):
+                    return
+
+    def _listens_on(self, endpoint: str) -> bool:
+        """Return whether the gateway listens on a missing endpoint by now. Waits for name servers."""
+        fault, page = bind_fault(endpoint), self._pages.get(endpoint)
+        if page is not None and fault is None:
+            try:
+                page()
+            except GatewayError as error:
+                logger.warning("%s", error)
+                return False
+        elif page is not None or fault is None or fault.errno != errno.EADDRINUSE:  # in use by Zenoh
+            return False
+        logger.info("listens on %s, too", endpoint)
+        return True
+
+    def _unreached(self, session: zenoh.Session) -> Iterator[str]:
+        ports = _ports(self._dials) - _ports(listen_endpoints(self._config))
+        if not any(_ports([str(link.dst)]) & ports for link in session.info.links()):
+            yield f"{', '.join(self._dials)} is not reached, so nobody behind it can command or watch this robot"
+
+    def _expiring(self) -> Iterator[str]:
+        """Yield which certificate expires soon. The sentence changes once a day."""
+        first, now = self.first_expiry, self._wall_clock()
+        soon = None if first is None else certs.expires_soon(first.file.name, first.end, now)
+        if first is not None and soon is not None:
+            result = "then nobody can connect" if now < first.end else "nobody can connect (is this clock right?)"
+            yield f"{soon}: {result}; `sudo hexapod-gateway check` shows how to renew it, then restart the service"
+
+
+def _ports(endpoints: list[str]) -> set[str]:
+    return {port for _, port in map(host_and_port, endpoints) if port.isdecimal()}
+
+
+def bind_fault(endpoint: str) -> OSError | None:
+    """Return why no program could listen on an endpoint now; None if one could, or if the endpoint has no port."""
+    kind, (host, port) = _LINKS.get(endpoint.partition("/")[0]), host_and_port(endpoint)
+    if kind is None or not port.isdecimal():
+        return None
+    if int(port) > _LAST_PORT:  # getaddrinfo would take the lower 16 bits
+        return OSError(errno.EINVAL, f"ports end at {_LAST_PORT}")
+    first = None
+    try:
+        found = socket.getaddrinfo(host, int(port), type=kind)
+    except OSError as error:  # also a name that no server knows
+        return error
+    for family, _, _, _, address in found:
+        try:
+            with socket.socket(family, kind) as probe:
+                if kind is socket.SOCK_STREAM:  # as Zenoh does: a recently closed connection is no obstacle
+                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind(address)
+        except OSError as error:
+            first = first or error
+        else:
+            return None
+    return first
+
+
+def is_late(fault: OSError) -> bool:
+    """Return whether the fault may end without a change of the settings: the name or address does not exist yet."""
+    return isinstance(fault, socket.gaierror) or fault.errno in _LATE
