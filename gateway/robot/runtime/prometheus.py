@@ -8,7 +8,8 @@ reconnecting started a thousand threads in a second.
 import asyncio
 import logging
 import socket
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from enum import StrEnum
 from functools import partial
 from http.client import parse_headers
 from io import BytesIO
@@ -50,10 +51,8 @@ MAX_REQUEST_BYTES: Final = 8192
 """Prometheus sends about 300 bytes, a browser 1000."""
 NO_DESCRIPTOR_S: Final = 0.5
 """Pause after an accept that failed because the process has no file descriptor left."""
-CONTROLLER_CHANGES: Final = (Kind.CONTROLLER_SILENT, Kind.CONTROLLER_RESTARTED, Kind.CONTROLLER_RETURNED)
-POWER_CHANGES: Final = tuple(kind for kind in Kind if kind.startswith(("power_", "servo_")) or kind == Kind.OFF_BUTTON)
 
-T = TypeVar("T")
+T = TypeVar("T", bound=StrEnum)
 
 logger = logging.getLogger(__name__)
 
@@ -66,18 +65,16 @@ class Numbers(Collector):
 
     def collect(self) -> Iterator[Metric]:
         conductor = self._conductor
-        metrics, bus, recorder, reports = conductor.metrics, conductor.bus, conductor.recorder, conductor.reports
-        supervisor, settings, certificate = conductor.supervisor, conductor.settings, reports.certificate
-        lease, buttons, events = supervisor.lease, supervisor.buttons, metrics.events
+        metrics, bus, reports, settings = conductor.metrics, conductor.bus, conductor.reports, conductor.settings
+        supervisor, certificate, events = conductor.supervisor, reports.certificate, metrics.events
+        lease, buttons, calibrating = supervisor.lease, supervisor.buttons, supervisor.calibrating
+        holder = lease.holder  # read once: this thread does not own the state
+        driving = None if holder is None else {"holder": holder, "verified": str(lease.verified).lower()}
+        expiry = None if certificate is None else {certificate.file: certificate.expires.timestamp()}
         yield InfoMetricFamily("hexapod_build", "What runs", {"version": __version__, "protocol": settings.protocol})
         yield _gauge("sessions", "Zenoh sessions that are open", metrics.sessions)
-        yield _counter("incidents", "Incidents that the black box has begun", recorder.incidents)
-        yield _gauge(
-            "certificate_expiry_timestamp_seconds",
-            "When the first of the certificates in use expires",
-            None if certificate is None else {certificate.file: certificate.expires.timestamp()},
-            "file",
-        )
+        yield _counter("incidents", "Incidents that the black box has begun", conductor.recorder.incidents)
+        yield _gauge("certificate_expiry_timestamp_seconds", "First expiry of a certificate in use", expiry, "file")
         yield _counter("commands_accepted", "Commands accepted", metrics.accepted)
         yield _counter("commands_coalesced", "Accepted commands that a newer one replaced", metrics.coalesced)
         yield _counter("overflows", "Times that messages of one key were lost before they were read", metrics.overflows)
@@ -86,32 +83,19 @@ class Numbers(Collector):
         yield _counter("frames_written", "Frames written to SPI", _counts(metrics.frames, Cause), "cause")
         yield _counter("spi_errors", "SPI transfers and openings that failed", bus.errors)
         yield _counter("watchdog_expirations", "Legs stopped for silence", supervisor.watchdog.expirations)
-        unread = "Log lines not written, since stdout or stderr was not read"
-        yield _counter("log_lines_dropped", unread, logs.dropped())
-        holder = InfoMetricFamily("hexapod_lease", "The holder of the lease, or the client that it is handed over to")
-        name = lease.holder  # read once: this thread does not own the state
-        if name is not None:
-            holder.add_metric([], {"holder": name, "verified": str(lease.verified).lower()})
-        yield holder
-        for of, what in (("lease", "the lease"), ("button", "stop buttons")):
-            kinds = _counts(events, (kind for kind in Kind if kind.startswith(f"{of}_")))
-            yield _counter(f"{of}_changes", f"What happened to {what}", kinds, "kind")
+        yield _counter("log_lines_dropped", "Log lines not written, since their reader was too slow", logs.dropped())
+        yield InfoMetricFamily("hexapod_lease", "The holder of the lease, or the client it is handed over to", driving)
+        yield _counter("lease_changes", "What happened to the lease", _counts(events, Kind, "lease_"), "kind")
+        yield _counter("button_changes", "What happened to stop buttons", _counts(events, Kind, "button_"), "kind")
         yield _gauge("buttons_alive", "Stop buttons that check in", buttons.alive)
-        required = settings.buttons.required
-        yield _gauge("buttons_required", "Stop buttons that must be alive for anything to move", required)
-        calibrating = supervisor.calibrating
+        yield _gauge("buttons_required", "Stop buttons that must be alive to move", settings.buttons.required)
         yield _gauge("calibration_revision", "The calibration in force", calibrating.in_force.revision)
-        unreadable = "1: the calibration cannot be read, and nothing starts"
-        yield _gauge("calibration_fault", unreadable, calibrating.fault is not None)
-        modes = {mode: mode is supervisor.mode for mode in Mode}
-        yield _gauge("mode", "1 for the mode the gateway is in", modes, "mode")
-        for title, help_text, latency in (
-            ("watchdog_stop_latency", "Watchdog's deadline to its Stop written", metrics.watchdog_stops),
-            ("emergency_stop_latency", "Emergency stop received to its sixth Stop written", metrics.emergency_stops),
-            ("loop_lag", "How late the loop's timers run", metrics.loop_lag),
-            ("spi_transfer", "Time of one SPI transfer", bus.transfer_latency),
-        ):
-            yield _histogram(title, help_text, latency)
+        yield _gauge("calibration_fault", "1: it cannot be read, and nothing starts", calibrating.fault is not None)
+        yield _gauge("mode", "1 for the gateway's mode", {mode: mode is supervisor.mode for mode in Mode}, "mode")
+        yield _histogram("watchdog_stop_latency", "Watchdog's deadline to its Stop written", metrics.watchdog_stops)
+        yield _histogram("emergency_stop_latency", "Request to its sixth Stop written", metrics.emergency_stops)
+        yield _histogram("loop_lag", "How late the loop's timers run", metrics.loop_lag)
+        yield _histogram("spi_transfer", "Time of one SPI transfer", bus.transfer_latency)
         if settings.wire.capabilities.measures:
             yield from _measured(conductor)
         power = reports.power()
@@ -132,8 +116,7 @@ def _measured(conductor: Conductor) -> Iterator[Metric]:
     yield _gauge("controller_answer_age_seconds", "Since the controller's last well-formed answer", age_s)
     feet = values and {str(leg): force for leg, force in zip(LEGS, values.feet, strict=True)}
     yield _gauge("foot_force", "The force on a foot, in the robot's own unit", feet, "leg")
-    changes = _counts(events, CONTROLLER_CHANGES)
-    yield _counter("controller_changes", "What happened to the controller", changes, "kind")
+    yield _counter("controller_changes", "What happened to it", _counts(events, Kind, "controller_"), "kind")
     yield _counter("falls", "Times that all legs were stopped since the body tilted too far", events[Kind.FALLEN])
 
 
@@ -150,12 +133,12 @@ def powered(power: PowerReport, measured: Telemetry | None, events: Mapping[Kind
     yield _gauge("servo_current_amperes", "What this servo draws", drawn, "servo")
     supply_v = None if measured is None or measured.supply is None else measured.supply.voltage_v
     yield _gauge("supply_volts", "The voltage of the servos' supply", supply_v)
-    changes = _counts(events, POWER_CHANGES)
+    changes = _counts(events, Kind, ("power_", "servo_", "off_button"))
     yield _counter("power_changes", "What the power board reported, and what happened to it", changes, "kind")
 
 
-def _counts(counter: Mapping[T, int], of: Iterable[T]) -> Mapping[T, int]:
-    return {each: counter[each] for each in of}
+def _counts(counter: Mapping[T, int], of: type[T], begins: str | tuple[str, ...] = "") -> Mapping[T, int]:
+    return {each: counter[each] for each in of if each.startswith(begins)}
 
 
 def _family(
@@ -201,11 +184,9 @@ def serve(address: str, conductor: Conductor) -> None:
     machine = socket.gethostname().lower()
     ours = {*LOOPBACK, host.strip("[]").lower(), machine, f"{machine.partition('.')[0]}.local"}
     try:
-        family, kind, _, _, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-        listening = socket.socket(family, kind)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(where)
-        listening.listen(WAITING)
+        family, _, _, _, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+        both = family == socket.AF_INET6
+        listening = socket.create_server(where, family=family, backlog=WAITING, dualstack_ipv6=both)
     except OSError as error:
         raise ConfigError(f"telemetry.metrics: {address} cannot be opened: {error.strerror or error}") from error
     listening.setblocking(False)

@@ -65,27 +65,25 @@ def warnings(config: zenoh.Config) -> Iterator[str]:
 
 
 def _open_to_anyone(config: zenoh.Config) -> str:
-    return ", ".join(endpoint for endpoint in listen_endpoints(config) if is_open_to_anyone(endpoint, config))
-
-
-def is_open_to_anyone(endpoint: str, config: zenoh.Config) -> bool:
-    """Return whether `endpoint` can be reached from another machine without a certificate or password."""
-    if is_local(endpoint) or _demands_certificate(endpoint, config):
-        return False
-    ip = ip_of(endpoint)
-    # Multicast groups have no sessions, so Zenoh demands no password there. A name may be a group's.
-    return not _demands_password(config) or (endpoint.startswith("udp/") and (ip is None or ip.is_multicast))
+    """Return the endpoints that another machine reaches without a certificate or password."""
+    certificates = get(config, f"{TLS}/enable_mtls") is True and get(config, CA)
+    exposed = [
+        each
+        for each in listen_endpoints(config)
+        if not is_local(each) and not (certificates and _is_tls(each, "mtls", "root_ca"))
+    ]
+    if exposed and _demands_password(config):
+        # Multicast groups have no sessions, so Zenoh demands no password there. A name may be a group's.
+        exposed = [
+            each for each in exposed if each.startswith("udp/") and ((ip := ip_of(each)) is None or ip.is_multicast)
+        ]
+    return ", ".join(exposed)
 
 
 def _is_tls(endpoint: str, *overrides: str) -> bool:
     """Return whether it is TLS without these settings after its "#", which would override the file's."""
     settings = endpoint.partition("#")[2]
     return endpoint.partition("/")[0] in _TLS_LINKS and not any(each in settings for each in overrides)
-
-
-def _demands_certificate(endpoint: str, config: zenoh.Config) -> bool:
-    demands = get(config, f"{TLS}/enable_mtls") is True and get(config, CA)
-    return bool(demands) and _is_tls(endpoint, "mtls", "root_ca")
 
 
 def _demands_password(config: zenoh.Config) -> bool:
