@@ -6,6 +6,7 @@ Zenoh itself would resolve them from the working directory: `/` for a service, a
 
 import datetime as dt
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -125,21 +126,16 @@ def get(config: zenoh.Config, key: str) -> Any:
         return None
 
 
-def listen_endpoints(config: zenoh.Config) -> list[str]:
-    """Return the endpoints that this configuration listens on, in its mode."""
-    return _endpoints(config, "listen")
-
-
-def connect_endpoints(config: zenoh.Config) -> list[str]:
-    """Return the endpoints that this configuration dials, in its mode."""
-    return _endpoints(config, "connect")
-
-
-def _endpoints(config: zenoh.Config, direction: str) -> list[str]:
+def _endpoints(direction: str, config: zenoh.Config) -> list[str]:
+    """Return the endpoints that this configuration listens on or dials, in its mode."""
     found = get(config, f"{direction}/endpoints")
     if isinstance(found, dict):  # endpoints by mode
         found = found.get(get(config, "mode") or "peer", [])
     return [found] if isinstance(found, str) else list(map(str, found or []))
+
+
+listen_endpoints: Final = partial(_endpoints, "listen")
+connect_endpoints: Final = partial(_endpoints, "connect")
 
 
 def one_line(error: BaseException) -> str:

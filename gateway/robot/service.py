@@ -39,7 +39,7 @@ from gateway.robot.host.systemd import SystemdNotifier
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.estop_keeper import EstopKeeper
-from gateway.robot.runtime.event_publisher import wall_clock
+from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations, list_common_names, revocation_state
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot

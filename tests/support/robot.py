@@ -23,7 +23,7 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.disk import StateFolder
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.event_publisher import wall_clock
+from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules

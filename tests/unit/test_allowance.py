@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.allowance import MOST_SOURCES, NS_PER_S, Allowance, AllowanceBySource
-from gateway.robot.runtime.event_publisher import EVENTS_A_SECOND, EVENTS_AT_ONCE
+from gateway.robot.runtime.report import EVENTS_A_SECOND, EVENTS_AT_ONCE
 
 MS = 1_000_000
 

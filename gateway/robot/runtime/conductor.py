@@ -36,9 +36,8 @@ from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, V
 from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
-from gateway.robot.runtime.event_publisher import EventPublisher, wall_clock
 from gateway.robot.runtime.executor import Executor, Outcome
-from gateway.robot.runtime.report import Measurement, RobotReports
+from gateway.robot.runtime.report import EventPublisher, Measurement, RobotReports, wall_clock
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire

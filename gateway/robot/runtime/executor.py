@@ -24,7 +24,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.rejections import echo_of
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.runtime.event_publisher import EventPublisher
+from gateway.robot.runtime.report import EventPublisher
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.spi import Wire
 from gateway.text import legs_named

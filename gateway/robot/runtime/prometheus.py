@@ -184,9 +184,11 @@ def serve(address: str, conductor: Conductor) -> None:
     machine = socket.gethostname().lower()
     ours = {*LOOPBACK, host.strip("[]").lower(), machine, f"{machine.partition('.')[0]}.local"}
     try:
-        family, _, _, _, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
-        both = family == socket.AF_INET6
-        listening = socket.create_server(where, family=family, backlog=WAITING, dualstack_ipv6=both)
+        family, kind, _, _, where = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_STREAM)[0]
+        listening = socket.socket(family, kind)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(where)
+        listening.listen(WAITING)
     except OSError as error:
         raise ConfigError(f"telemetry.metrics: {address} cannot be opened: {error.strerror or error}") from error
     listening.setblocking(False)

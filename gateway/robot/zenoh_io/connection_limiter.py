@@ -73,9 +73,8 @@ class ConnectionLimiter:
 
     def _check_links(self) -> None:
         links = self._session.info.links()
-        present = dict.fromkeys(str(link.zid) for link in links)
-        known = [zid for zid in self._sessions if zid in present]
-        self._sessions = [*dict.fromkeys([*known, *present])]
+        present = [str(link.zid) for link in links]
+        self._sessions = [zid for zid in dict.fromkeys([*self._sessions, *present]) if zid in present]
         self._count(len(self._sessions))
         shut_out = [link for link in links if link.auth_identifier in self._revoked]
         named = [link for link in links if link.auth_identifier and link.auth_identifier not in self._revoked]

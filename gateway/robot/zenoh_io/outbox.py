@@ -28,9 +28,7 @@ class ZenohOutbox:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._matching: dict[str, zenoh.MatchingListener[Handler[zenoh.MatchingStatus]]] = {}
         self._listened_to: dict[str, bool] = {}
-        self.dropped = 0
-        """Reports that were dropped because too many waited."""
-        self._dropped_logged = 0
+        self._dropped = 0
         self._worker = Worker("outbox")
 
     def open(self, session: zenoh.Session) -> None:
@@ -65,7 +63,7 @@ class ZenohOutbox:
         if self._worker.waiting < MAX_REPORTS_WAITING:
             self._worker.do(partial(self._send, key, report))
         else:
-            self.dropped += 1
+            self._dropped += 1
 
     def close(self) -> None:
         """Publish the queued reports and end the thread. Blocks, so do not call it on the loop's thread."""
@@ -76,6 +74,6 @@ class ZenohOutbox:
             self._publishers[key].put(report.model_dump_json())
         except Exception as error:
             logger.warning("nothing could be published on %s: %s", key, error)
-        if self.dropped > self._dropped_logged and not self._worker.waiting:
-            logger.warning("%d reports were not published: too many waited", self.dropped - self._dropped_logged)
-            self._dropped_logged = self.dropped
+        if self._dropped and not self._worker.waiting:
+            logger.warning("%d reports were not published: too many waited", self._dropped)
+            self._dropped = 0

@@ -46,23 +46,20 @@ class UnknownKeys:
                 if sample is None:
                     break
                 key = str(sample.key_expr)
-                if is_strange(key):
-                    source = None if sample.source_info is None else str(sample.source_info.source_id.zid)
-                    if key != SIM_BODY or source is None or source != self._physics:
-                        found = key, source
+                # Keys that end in /cmd are the inbox's; a wildcard may match other keys.
+                if key in OURS or "*" in key or (key.startswith(f"{ROOT}/") and key.endswith("/cmd")):
+                    continue
+                source = None if sample.source_info is None else str(sample.source_info.source_id.zid)
+                if key != SIM_BODY or source is None or source != self._physics:
+                    found = key, source
         if found is None:
             return None
         if found[0] == SIM_BODY:
             return *found, "another program publishes it, not this gateway's physics; viewers ignore it"
-        return *found, f"nothing reads this key; the nearest is {nearest(found[0])}"
-
-
-def is_strange(key: str) -> bool:
-    """Return whether nothing reads this key. Keys that end in /cmd are the inbox's; a wildcard may match other keys."""
-    return key not in OURS and "*" not in key and not (key.startswith(f"{ROOT}/") and key.endswith("/cmd"))
+        return *found, f"nothing reads this key; the nearest is {_nearest(found[0])}"
 
 
 @lru_cache(maxsize=16)
-def nearest(key: str) -> str:
+def _nearest(key: str) -> str:
     """Return the command key that is most similar to `key`. Takes 0.5 ms."""
     return difflib.get_close_matches(key[:MAX_COMPARED].lower(), COMMAND_KEYS, n=1, cutoff=0)[0]
