@@ -75,7 +75,7 @@ class Calibrations(RequestAnswers):
     def publish(self) -> None:
         """Publish and record the calibration in force."""
         self._conductor.recorder.calibration(self._calibrating.in_force)
-        self._conductor.events.outbox.publish(keys.CALIBRATION, report_of(self._calibrating.in_force))
+        self._conductor.reports.outbox.publish(keys.CALIBRATION, report_of(self._calibrating.in_force))
 
     def answer(self, reply: Reply) -> None:
         """Answer a `get` with the calibration in force."""

@@ -37,7 +37,7 @@ from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
 from gateway.robot.runtime.executor import Executor, Outcome
-from gateway.robot.runtime.report import EventPublisher, Measurement, RobotReports, wall_clock
+from gateway.robot.runtime.report import RobotReports, wall_clock
 from gateway.robot.runtime.supply import RobotSupply, off_button
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
@@ -81,13 +81,12 @@ class Conductor:
 
     def __post_init__(self) -> None:
         settings, supervisor, bus, supply = self.settings, self.supervisor, self.bus, self.supply
-        self.events = EventPublisher(self.outbox, self.recorder, self.clock)
-        self.metrics = self.events.metrics
-        self.executor = Executor(bus, supervisor, supply, self.events, publish_frames=settings.telemetry.frames)
+        self.reports = RobotReports(settings, supervisor, bus, supply, self.outbox, self.recorder, self.clock)
+        self.metrics = self.reports.metrics
+        self.executor = Executor(bus, supervisor, supply, self.reports, publish_frames=settings.telemetry.frames)
         if supply is not None:
             supply.on_news = self.power_changed
         self._instant_ns = self.clock()
-        self.reports = RobotReports(settings, supervisor, bus, self.events, supply)
         self.messages: Messages = NoMessages()
         """Where received messages come from."""
         self.numbers = count(1)
@@ -197,7 +196,7 @@ class Conductor:
             self.bus_failed(silent)
         meddled = self.bus.put_right()
         if meddled is not None:
-            self.events.announce(Announce(Kind.BUS_MEDDLED, meddled))
+            self.reports.announce(Announce(Kind.BUS_MEDDLED, meddled))
             self._meddled(meddled)
             return  # the check for `stop-servos` follows once the device is open again
         self._check_stop_servos()
@@ -212,7 +211,7 @@ class Conductor:
         """Take the measurements of one well-formed answer of the controller, received at `now_ns`."""
         if self.closed:
             return
-        self.reports.newest = Measurement(values, now_ns)
+        self.reports.newest = values, now_ns
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
             self.supply.after_step(self.supervisor)  # the frame may contain the angle of a servo that is to be powered
@@ -227,7 +226,7 @@ class Conductor:
         event, announcements = self.supply.take_news()
         self._step(event)
         for each in announcements:
-            self.events.announce(each)
+            self.reports.announce(each)
         if any(each.kind is Kind.OFF_BUTTON for each in announcements):
             self._emergency_stop(off_button(self.clock()), self.clock())
         self.reports.publish()
@@ -284,18 +283,18 @@ class Conductor:
             command = Command(stops, key=key, number=next(self.numbers), lost=True)
             self._step(command, instant_ns)
             legs = legs_of(command.servo_ids)
-            self.events.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
+            self.reports.announce(Announce(Kind.OVERFLOW, DETAIL, None, key, legs, Reason.OVERFLOW))
 
     def _emergency_stop(self, received: Received, instant_ns: int) -> None:
         # The payload is read after the Stops: even a malformed one means that somebody wants the robot to stop.
-        self.events.estop = received
+        self.reports.estop = received
         if self.supervisor.mode is Mode.BUS_FAULT:
             self._reopen()
         stop_frames = self._step(EmergencyStop(received.source, received.key), instant_ns).stop_frames(Cause.ESTOP)
         latency_ns = max(0, self.clock() - received.received_ns)
         request = Request(
             key=received.key,
-            source=self.events.estop_source,
+            source=self.reports.estop_source,
             verb=received.verb,
             received_ns=received.received_ns,
             reply=received.reply,

@@ -103,7 +103,7 @@ class EstopKeeper:
         conductor, found = self._conductor, self._found.result() if read_in_time else _unknown(late)
         with conductor.owner:
             if not conductor.supervisor.latch.number:  # else the source and the time are those of a newer one
-                conductor.events.estop = found.source
+                conductor.reports.estop = found.source
                 conductor.reports.estop_since = found.time
             self._unknown = found.fault
             self._written = None if found.fault else found
@@ -129,7 +129,7 @@ class EstopKeeper:
             detail = f"emergency stop {found.number}{since}{by} is still engaged; {_LOOK}"
         else:
             return
-        self._conductor.events.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
+        self._conductor.reports.announce(Announce(Kind.ESTOP_KEPT, detail, key=ESTOP))
 
     # ---- what changes
 
@@ -141,7 +141,7 @@ class EstopKeeper:
             self._wanted = KeptEstop(latch.number)
             self._show()
         else:
-            self._wanted = KeptEstop(latch.number, True, self._conductor.events.estop_source, reports.estop_since)
+            self._wanted = KeptEstop(latch.number, True, self._conductor.reports.estop_source, reports.estop_since)
         at_once = self._wanted.engaged != (before or self._written or KeptEstop(0)).engaged
         if self._wanted != self._written and (at_once or self._idle.is_set()):
             self._idle.clear()
@@ -195,7 +195,7 @@ class EstopKeeper:
             what = "the emergency stop" if engaged else "the end of the emergency stop"
             then = "may forget it" if engaged else "engages it again"
             detail = f"{what} is not kept, so a restart {then}: {fault}"
-            self._conductor.events.announce(Announce(Kind.ESTOP_NOT_KEPT, detail, key=ESTOP))
+            self._conductor.reports.announce(Announce(Kind.ESTOP_NOT_KEPT, detail, key=ESTOP))
         self._conductor.reports.publish()
 
     def _show(self) -> None:

@@ -24,7 +24,7 @@ from gateway.robot.core.events import (
 )
 from gateway.robot.core.rejections import echo_of
 from gateway.robot.core.supervisor import Supervisor
-from gateway.robot.runtime.report import EventPublisher
+from gateway.robot.runtime.report import RobotReports
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.spi import Wire
 from gateway.text import legs_named
@@ -74,7 +74,7 @@ class Executor:
     bus: Wire
     supervisor: Supervisor
     supply: RobotSupply | None
-    events: EventPublisher
+    reports: RobotReports
     publish_frames: bool
 
     # ---- the answers
@@ -100,12 +100,12 @@ class Executor:
 
     def reject(self, request: Request, reason: Reason, detail: str, received: Request | None = None) -> None:
         """Reject a message before the supervisor decides. `received` is its command, if it could be read."""
-        self.events.recorder.step(received, (), ((request, reason, detail),))
+        self.reports.recorder.step(received, (), ((request, reason, detail),))
         self._end(request, reason, detail)
 
     def _end(self, request: Request, verdict: Verdict, detail: str) -> None:
         """Count and answer an ended request, and publish a rejection."""
-        metrics = self.events.metrics
+        metrics = self.reports.metrics
         if type(verdict) is not Reason:
             if isinstance(request, Command) and request.lost:
                 return  # no client sent it
@@ -124,7 +124,7 @@ class Executor:
         ack = Ack(accepted=False, reason=verdict, detail=detail, written=written or None, stopped=stops)
         self.answer(request, ack, request.stopped)
         legs = legs_of(request.servo_ids)
-        self.events.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs, verdict))
+        self.reports.announce(Announce(Kind.COMMAND_REJECTED, detail, request.source, request.key, legs, verdict))
 
     # ---- the effects
 
@@ -137,23 +137,23 @@ class Executor:
         supply = self.supply
         cuts = [] if supply is None else supply.before_step(self.supervisor)
         outcome = self._write(effects)
-        self.events.recorder.step(command, outcome.written, outcome.results)
+        self.reports.recorder.step(command, outcome.written, outcome.results)
         for result in outcome.results:
             self._end(*result)
         if outcome.meddled is not None:
-            self.events.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
+            self.reports.announce(Announce(Kind.BUS_MEDDLED, outcome.meddled))
         for effect in effects:
             if type(effect) is Announce and (outcome.fault is None or effect.kind not in _RECOVERED):
-                self.events.announce(effect)
+                self.reports.announce(effect)
         if self.publish_frames:
-            self.events.frames(outcome.written)
+            self.reports.frames(outcome.written)
         if supply is not None:
             if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
                 supply.reset()
             if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
                 supply.after_step(self.supervisor)
         for each in cuts:
-            self.events.announce(each)
+            self.reports.announce(each)
         return outcome
 
     def _write(self, effects: Sequence[Effect]) -> Outcome:
@@ -177,11 +177,11 @@ class Executor:
             for sent in report.sent:
                 transmit = batch[sent.place]
                 outcome.written += [(transmit, sent)]
-                self.events.metrics.frames[transmit.cause] += 1
+                self.reports.metrics.frames[transmit.cause] += 1
                 for command in transmit.commands:
                     command.written += (transmit.frame.leg,)
                 if transmit.deadline_ns is not None and sent.received:
-                    self.events.metrics.watchdog_stops.record(self.bus.ended_ns - transmit.deadline_ns)
+                    self.reports.metrics.watchdog_stops.record(self.bus.ended_ns - transmit.deadline_ns)
             if report.rejection is not None:
                 logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled

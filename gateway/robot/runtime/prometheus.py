@@ -106,7 +106,7 @@ class Numbers(Collector):
 def _measured(conductor: Conductor) -> Iterator[Metric]:
     """Yield the robot's measurements and its controller's health; without values before the first measurement."""
     events, bus, newest = conductor.metrics.events, conductor.bus, conductor.reports.newest
-    values, answered_ns = newest and newest.values, bus.answered_ns
+    values, answered_ns = newest and newest[0], bus.answered_ns
     yield _gauge("battery_volts", "The battery's voltage", values and values.voltage_v)
     yield _gauge("battery_percent", "The battery's charge, as the robot reports it", values and values.percent)
     yield _gauge("temperature_celsius", "The temperature that the controller measures", values and values.temperature_c)

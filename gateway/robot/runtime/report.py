@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from pydantic import BaseModel
 
@@ -89,18 +89,54 @@ class Metrics:
 
 
 @dataclass
-class EventPublisher:
-    """Publishes events. For the owner of the state; `clock` returns the monotonic time in ns."""
+class RobotReports:
+    """Publishes the events and reports of one run. For the owner of the state."""
 
+    settings: Settings
+    supervisor: Supervisor
+    bus: Wire
+    supply: RobotSupply | None
     outbox: Outbox
     recorder: Recorder
     clock: Callable[[], int]
-    metrics: Metrics = field(default_factory=Metrics)
-    estop: Received | str | None = None
-    """The latest emergency stop: its request, whose payload is parsed after its Stops, or its source."""
+    """Returns the monotonic time in ns."""
 
     def __post_init__(self) -> None:
-        self._limits = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
+        self.metrics = Metrics()
+        self.estop: Received | str | None = None
+        """The latest emergency stop: its request, whose payload is parsed after its Stops, or its source."""
+        self._allowances = {kind: AllowanceBySource(EVENTS_A_SECOND, EVENTS_AT_ONCE) for kind in LIMITED}
+        self._started_ns = self.clock()
+        limits, wire = self.settings.limits, self.settings.wire
+        each = {str(servo): asdict(limits.servos.get(str(servo), ServoLimits())) for servo in SERVO_IDS}
+        self._limits = telemetry.LimitsReport.model_validate(
+            {"leg_rate_hz": limits.leg_rate_hz, "max_age_ms": limits.max_age_ms, "servos": each}
+        )
+        can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
+        self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.has_uart, **can._asdict())
+        self.certificate: telemetry.CertificateReport | None = None
+        """The certificate in use that expires first, or None."""
+        self.missing_endpoints: tuple[str, ...] = ()
+        """The endpoints on which the gateway does not listen yet. Any thread may set it."""
+        self.newest: tuple[Measured, int] | None = None
+        """The controller's newest measurements, and when they were received (ns). They stay when it falls silent: their
+        age shows that. Any thread may read them."""
+        self.estop_since: datetime | None = None
+        """When the emergency stop was engaged; None: it is not engaged."""
+        self.estop_fault: str | None = None
+        """Why the emergency stop may not outlast a restart, or counts as engaged."""
+        self.revocations: telemetry.RevocationsReport | None = None
+        self.simulated = False
+        """Whether the controller is simulated."""
+        self.physics: str | None = None
+        """The Zenoh id of the process that simulates the robot's body, if there is one."""
+        self.calibration_kept = False
+        """Whether the next boot finds the calibration."""
+        self._plain: telemetry.ConfigReport | None = None
+        """The newest configuration without its checksum, which takes as long as all the rest."""
+        self._published: telemetry.ConfigReport | None = None
+        self.published_mode: Mode | None = None
+        """The mode last published; None until the start is announced."""
 
     @property
     def estop_source(self) -> str | None:
@@ -114,7 +150,7 @@ class EventPublisher:
         kind = what.kind
         self.metrics.events[kind] += 1
         source = self.estop_source if kind is Kind.ESTOP_ENGAGED else what.source
-        limit = self._limits.get(kind)
+        limit = self._allowances.get(kind)
         left_out = 0 if limit is None else limit.admit(source, self.clock())
         if left_out is None:
             return
@@ -138,56 +174,9 @@ class EventPublisher:
             )
             self.outbox.publish(keys.FRAME, record)
 
-
-class Measurement(NamedTuple):
-    """Measured values, and when they were received, in ns of the monotonic clock."""
-
-    values: Measured
-    ns: int
-
-
-@dataclass
-class RobotReports:
-    """Makes and publishes the reports of one run. For the owner of the state."""
-
-    settings: Settings
-    supervisor: Supervisor
-    bus: Wire
-    events: EventPublisher
-    supply: RobotSupply | None
-
-    def __post_init__(self) -> None:
-        self._started_ns = self.events.clock()
-        self._limits = limits_of(self.settings)
-        wire = self.settings.wire
-        can = wire.capabilities._replace(whole_robot=self.settings.starts_whole)
-        self._wire = telemetry.WireReport(name=wire.name, supply_starts=wire.has_uart, **can._asdict())
-        self.certificate: telemetry.CertificateReport | None = None
-        """The certificate in use that expires first, or None."""
-        self.missing_endpoints: tuple[str, ...] = ()
-        """The endpoints on which the gateway does not listen yet. Any thread may set it."""
-        self.newest: Measurement | None = None
-        """The controller's newest. They stay when it falls silent: their age shows that. Any thread may read it."""
-        self.estop_since: datetime | None = None
-        """When the emergency stop was engaged; None: it is not engaged."""
-        self.estop_fault: str | None = None
-        """Why the emergency stop may not outlast a restart, or counts as engaged."""
-        self.revocations: telemetry.RevocationsReport | None = None
-        self.simulated = False
-        """Whether the controller is simulated."""
-        self.physics: str | None = None
-        """The Zenoh id of the process that simulates the robot's body, if there is one."""
-        self.calibration_kept = False
-        """Whether the next boot finds the calibration."""
-        self._plain: telemetry.ConfigReport | None = None
-        """The newest configuration without its checksum, which takes as long as all the rest."""
-        self._published: telemetry.ConfigReport | None = None
-        self.published_mode: Mode | None = None
-        """The mode last published; None until the start is announced."""
-
     def announce_start(self) -> None:
         """Publish that commands are accepted from now on."""
-        self.events.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
+        self.announce(Announce(Kind.STARTED, f"hexapod-gateway {__version__} takes commands"))
         self.published_mode = Mode.STARTING
         self.publish_mode()
 
@@ -196,7 +185,7 @@ class RobotReports:
         mode = self.supervisor.mode
         if mode is not self.published_mode is not None:
             self.published_mode = mode
-            self.events.recorder.mode(mode)
+            self.recorder.mode(mode)
             logger.info("mode %s", mode, extra={"mode": mode})
             self.publish()
 
@@ -205,13 +194,13 @@ class RobotReports:
         config = self.config()
         if config != self._published:
             self._published = config
-            self.events.outbox.publish(keys.CONFIG, config)
-        self.events.outbox.publish(keys.STATE, self.state(config))
+            self.outbox.publish(keys.CONFIG, config)
+        self.outbox.publish(keys.STATE, self.state(config))
 
     def publish_telemetry(self) -> None:
         report = self.measured()
         if report is not None:
-            self.events.outbox.publish(keys.TELEMETRY, report)
+            self.outbox.publish(keys.TELEMETRY, report)
 
     def answer(self, key: str, reply: Reply) -> None:
         """Answer a `get` on the key of the state, the configuration or telemetry.
@@ -227,15 +216,16 @@ class RobotReports:
 
     def power(self) -> telemetry.PowerReport | None:
         """Return the power board's report, or None without a board. For any thread."""
-        return None if self.supply is None else self.supply.report(self.events.clock())
+        return None if self.supply is None else self.supply.report(self.clock())
 
     def measured(self) -> telemetry.Telemetry | None:
         """Return the measurements of the robot and its power board, or None without any. For any thread."""
-        now_ns, time = self.events.clock(), wall_clock()
+        now_ns, time = self.clock(), wall_clock()
         found = {} if self.supply is None else board_values(self.supply.line.status, now_ns)
         newest = self.newest
         if newest is not None:
-            report = report_of(newest.values, time, max(0, now_ns - newest.ns) / 1e6)
+            values, measured_ns = newest
+            report = report_of(values, time, max(0, now_ns - measured_ns) / 1e6)
             found = {**dict(report), **found, "age_ms": max(report.age_ms, found.get("age_ms", 0.0))}
         return telemetry.Telemetry.model_validate({**found, "time": time}) if found else None
 
@@ -271,7 +261,7 @@ class RobotReports:
 
     def state(self, config: telemetry.ConfigReport) -> StateReport:
         """Return what changes all the time, to be read with `config`."""
-        supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.events.metrics, self.events.clock()
+        supervisor, bus, metrics, now_ns = self.supervisor, self.bus, self.metrics, self.clock()
         lease, buttons, lag = supervisor.lease, supervisor.buttons, metrics.loop_lag
         answered_ms = None if bus.answered_ns is None else max(0, now_ns - bus.answered_ns) / 1e6
         p50_us, p99_us = metrics.watchdog_stops.p50_p99_us()
@@ -296,10 +286,10 @@ class RobotReports:
                 stop_latency_us=telemetry.StopLatency(p50=p50_us, p99=p99_us, max=metrics.watchdog_stops.max_us),
             ),
             estop=supervisor.latch.number,
-            estop_source=self.events.estop_source,
+            estop_source=self.estop_source,
             estop_since=self.estop_since,
             estop_fault=self.estop_fault,
-            incident=self.events.recorder.incident,
+            incident=self.recorder.incident,
             loop_lag_us=telemetry.LoopLag(p50=lag.at_most_us(0.5), p99=lag.at_most_us(0.99), max=lag.max_us),
             lease=telemetry.LeaseReport(
                 holder=lease.holder,
@@ -310,17 +300,9 @@ class RobotReports:
             ),
             buttons=telemetry.ButtonsAlive(alive=buttons.alive, names=buttons.names),
             controller=telemetry.ControllerReport(alive=bus.controller_alive, age_ms=answered_ms),
-            battery=None if self.newest is None else telemetry.Battery.model_validate(self.newest.values._asdict()),
+            battery=None if self.newest is None else telemetry.Battery.model_validate(self.newest[0]._asdict()),
             power=self.power(),
         ).fitted()
-
-
-def limits_of(settings: Settings) -> telemetry.LimitsReport:
-    """Return the settings' limits as the state reports them."""
-    limits = settings.limits
-    each = {name: limits.servos.get(name, ServoLimits()) for name in map(str, SERVO_IDS)}
-    servos = {name: telemetry.ServoLimitsReport(**asdict(of_servo)) for name, of_servo in each.items()}
-    return telemetry.LimitsReport(leg_rate_hz=limits.leg_rate_hz, max_age_ms=limits.max_age_ms, servos=servos)
 
 
 def board_values(status: Status, now_ns: int) -> Mapping[str, Any]:

@@ -162,7 +162,7 @@ class Revocations(RequestAnswers):
         names = ", ".join(sorted(found.common_names - self._kept.common_names)) or "nobody else"
         self._kept = self._kept._replace(known=found)  # so that no older list is accepted before the service ends
         detail = f"list {found.number} shuts out {names}: all legs stop, and the service starts anew"
-        self._conductor.events.announce(Announce(Kind.REVOKED, detail, key=self.key))
+        self._conductor.reports.announce(Announce(Kind.REVOKED, detail, key=self.key))
         reply(self.accepted(number=found.number))
         with suppress(RuntimeError):  # the loop is closed: the service has ended
             self._conductor.loop.call_soon_threadsafe(self._begin_again)

@@ -395,7 +395,7 @@ async def test_an_incident_shows_tilt_battery_and_feet_around_it(folder: Path) -
     await asyncio.sleep(1)
     measured(ON_ITS_SIDE._replace(feet=(0.0,) * 6), robot.now_ns())
     await asyncio.sleep(0.2)
-    robot.conductor.events.announce(
+    robot.conductor.reports.announce(
         Announce(Kind.FALLEN, "the body tilts by 82°, beyond 45°; all six legs are stopped")
     )
     await asyncio.sleep(1)

@@ -41,7 +41,7 @@ async def test_it_is_told_behind_the_stops_of_each_emergency_stop_and_at_its_res
 
     def note() -> None:
         latch = robot.conductor.supervisor.latch
-        told.append((latch.number, latch.since_ns is not None, len(robot.frames), robot.conductor.events.estop_source))
+        told.append((latch.number, latch.since_ns is not None, len(robot.frames), robot.conductor.reports.estop_source))
 
     robot.conductor.on_latch = note
     for source in ("anna", "bert"):
