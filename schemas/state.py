@@ -29,9 +29,6 @@ MOST_BUTTONS: Final = 16
 _CUTS: Final = ((400, 64), (200, 64), (100, 64), (48, 64), (24, 64), (16, 32), (12, 16), (8, 8), (4, 4), (1, 1))
 """Most characters of a text, and of a sender's name. The first pair that fits is used; the last always fits."""
 
-_IN_BOTH: Final = ("spi", "watchdog", "buttons")
-"""Parts that have settings and counters."""
-
 T = TypeVar("T", str, str | None)
 
 Angle = float | None
@@ -88,7 +85,8 @@ def _fits(report: StateReport) -> bool:
 
 def joined(state: StateReport, config: ConfigReport) -> GatewayState:
     """Return the state and its configuration as one report, for programs."""
-    both = {name: {**dict(getattr(config, name)), **dict(getattr(state, name))} for name in _IN_BOTH}
+    parts = "spi", "watchdog", "buttons"  # they have settings and counters
+    both = {name: {**dict(getattr(config, name)), **dict(getattr(state, name))} for name in parts}
     return GatewayState.model_validate({**dict(config), **dict(state), **both, "legs": tuple(_legs(state))})
 
 

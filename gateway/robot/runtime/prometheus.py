@@ -16,6 +16,7 @@ from io import BytesIO
 from itertools import accumulate
 from threading import Thread
 from typing import Any, Final, TypeVar
+from urllib.parse import urlsplit
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.metrics_core import (
@@ -257,9 +258,4 @@ def may_ask(host: str | None, origin: str | None, ours: Collection[str]) -> bool
     names resolves to this machine (DNS rebinding), `host` does: a page cannot choose the Host header that its browser
     sends (`robot.local:9464`, `[::1]:9464`). The port is not compared, since a tunnel changes it.
     """
-    name = (host or "").lower()
-    if name.startswith("["):
-        name = name[1:].partition("]")[0]
-    elif name.count(":") == 1:
-        name = name.partition(":")[0]
-    return name in ours and (origin is None or origin == f"http://{host}")
+    return urlsplit(f"//{host or ''}").hostname in ours and (origin is None or origin == f"http://{host}")

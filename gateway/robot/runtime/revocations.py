@@ -133,10 +133,8 @@ class Revocations(RequestAnswers):
     def answer(self, reply: Reply) -> None:
         """Answer with the list in force: its number (0: there is none) and its PEM text."""
         known = self._kept.known
-        if known is None:
-            reply(self.accepted(number=0))
-        else:
-            reply(self.accepted(number=known.number, revoked=known.pem.decode()))
+        found = {"number": 0} if known is None else {"number": known.number, "revoked": known.pem.decode()}
+        reply(self.accepted(**found))
 
     def change(self, found: "RevocationList", reply: Reply) -> None:
         """Write the list if it is newer, then restart; reject an older one. The list in force is accepted again."""
