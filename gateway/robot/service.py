@@ -50,7 +50,6 @@ from gateway.robot.wires import SimulatedParts
 from gateway.robot.zenoh_io.connection_limiter import ConnectionLimiter
 from gateway.robot.zenoh_io.inbox import Inbox
 from gateway.robot.zenoh_io.outbox import ZenohOutbox
-from gateway.robot.zenoh_io.proofs import Proofs
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from gateway.robot.zenoh_io.rings import put_depth
 from gateway.robot.zenoh_io.session import Upkeep, receive_each_session_alone, service_config
@@ -298,8 +297,8 @@ class _Service:
     def inbox_of(self, session: zenoh.Session) -> Inbox:
         """Return what receives all messages of this session."""
         conductor, settings = self.conductor, self.settings
-        lease = LeaseAnswers(conductor, Proofs(self.checker, wall_clock))
-        button = ButtonAnswers(conductor, Proofs(self.checker, wall_clock, watching=True))
+        lease = LeaseAnswers(conductor, self.checker)
+        button = ButtonAnswers(conductor, self.checker)
         answers: dict[str, Callable[[Reply], None]] = {
             key: partial(conductor.reports.answer, key)
             for key in (STATE, CONFIG, *((TELEMETRY,) if settings.measures else ()))

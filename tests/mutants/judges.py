@@ -91,7 +91,6 @@ JUDGES: Final = {
     "gateway/robot/runtime/supply.py": _robot("power_parts power_conductor conductor supply"),
     "gateway/robot/core/body_limits.py": _robot("body_limits"),
     "gateway/nonces.py": _people("lease_checker"),
-    "gateway/robot/zenoh_io/proofs.py": _people("lease_checker"),
     "gateway/model/angle_limits.py": (*_CALIBRATION, *_robot("supervisor_speed")),
     "gateway/robot/core/calibrating.py": _CALIBRATION,
     "gateway/model/calibration.py": (*_CALIBRATION, *_robot("calibration_conductor")),

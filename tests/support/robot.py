@@ -23,14 +23,12 @@ from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.disk import StateFolder
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch, Wire
 from gateway.robot.spi.bus import Bus
-from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
@@ -85,9 +83,8 @@ class Robot:
         self.conductor.reports.simulated = True
         self.conductor.messages = self
         fresh = (f"{number:032x}" for number in itertools.count(1))
-        proofs = Proofs(None, wall_clock, lambda: next(fresh))
-        self.leases = LeaseAnswers(self.conductor, proofs)
-        self.buttons = ButtonAnswers(self.conductor, proofs)
+        self.leases = LeaseAnswers(self.conductor, None, fresh=lambda: next(fresh))
+        self.buttons = ButtonAnswers(self.conductor, None, fresh=lambda: next(fresh))
         self.calibrations = Calibrations(self.conductor, state)
         self._beat()
 

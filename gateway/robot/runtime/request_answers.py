@@ -1,22 +1,28 @@
 """Requests on the keys that take `get` only. Each key has a `RequestAnswers` and a receiver thread.
 
-The receiver thread parses one request after another and checks its proof, without owning the robot's state. Then an
-owner of the state decides and answers.
+The receiver thread parses one request after another and checks its proof, without owning the robot's state: a check
+takes 0.3 ms, and no command and no Stop waits for it. Then an owner of the state decides and answers.
 """
 
+import datetime as dt
+import secrets
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import partial
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import zenoh
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from gateway import certs
+from gateway.allowance import Allowance
+from gateway.nonces import Nonces
 from gateway.robot.core.events import ButtonRequest, LeaseRequest, RequestAnswer
 from gateway.robot.core.intake import is_json
 from gateway.robot.core.message import Reply
 from gateway.robot.core.rejections import BAD_ENCODING, Rejection, explain, too_large
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.zenoh_io.proofs import Proofs
+from gateway.robot.runtime.report import wall_clock
 from gateway.robot.zenoh_io.receiver import OwnersTask
 from schemas import keys
 from schemas.button import BUTTON_REQUEST, Alive, ButtonAck, Leave, Register
@@ -24,8 +30,15 @@ from schemas.command import MAX_PAYLOAD_BYTES
 from schemas.lease import LEASE_REQUEST, Challenge, Claim, LeaseAck, Release, Renew
 from schemas.telemetry import Reason
 
+if TYPE_CHECKING:
+    from gateway.certs.proof import ProofChecker
+
 PAUSE_S: Final = 0.05
 """The pause between two requests that may write a file: 20 a second, each of which may take a millisecond."""
+CHECKS_PER_S: Final = 20
+"""Proofs. They hold the interpreter's lock for 6 ms a second. A person or program needs one check for each lease."""
+NONCE_NS: Final = 5_000_000_000
+"""docs/interface.md, Behaviour *Lease*. A laptop signs within milliseconds; a slow network adds a second."""
 _BY_WILDCARD: Final = Rejection(Reason.INVALID, "a wildcard does not ask this key; name the key")
 
 
@@ -85,10 +98,23 @@ class _ProvedAnswers(RequestAnswers):
     schema: ClassVar[TypeAdapter[Any]]
     denied: ClassVar[Reason]
     """Why a request without a valid proof is rejected."""
+    watches: ClassVar[bool]
+    """Whether its proofs are of buttons, not of drivers."""
 
-    def __init__(self, conductor: Conductor, proofs: Proofs) -> None:
+    def __init__(
+        self,
+        conductor: Conductor,
+        checker: "ProofChecker | None",
+        wall_clock: Callable[[], dt.datetime] = wall_clock,
+        fresh: Callable[[], str] = lambda: secrets.token_hex(16),
+    ) -> None:
+        """Without a `checker`, names are accepted unproved. `fresh` returns 128 random bits as hex."""
         super().__init__(conductor)
-        self._proofs = proofs
+        self._checker = checker
+        self._wall_clock = wall_clock
+        self._fresh = fresh
+        self._nonces = Nonces(NONCE_NS)
+        self._checks = Allowance(CHECKS_PER_S, CHECKS_PER_S)
 
     def read(self, payload: bytes, now_ns: int, reply: Reply, source: str | None = None, /) -> OwnersTask:
         try:
@@ -97,12 +123,25 @@ class _ProvedAnswers(RequestAnswers):
             unread = explain(error)
             return partial(self.reject, source, unread.reason, unread.detail, reply)
         if isinstance(request, Challenge):
-            return partial(reply, self.accepted(nonce=self._proofs.challenge(now_ns)))
-        if isinstance(request, Claim | Register):
-            denied = self._proofs.why_denied(request.proof, request.do, request.source, now_ns)
+            nonce = None if self._checker is None else self._nonces.issue(self._fresh(), now_ns)
+            return partial(reply, self.accepted(nonce=nonce))
+        if isinstance(request, Claim | Register) and self._checker is not None:
+            denied = self._why_denied(self._checker, request, now_ns)
             if denied is not None:
                 return partial(self.reject, request.source, self.denied, denied, reply)
         return partial(self.ask, self._event(request, now_ns), reply)
+
+    def _why_denied(self, checker: "ProofChecker", request: Claim | Register, now_ns: int) -> str | None:
+        """Return why the proof does not show that `source` makes this request; None if it does."""
+        proof = request.proof
+        if proof is None:
+            return f"proof is missing: this gateway needs a proof that {request.do} comes from source"
+        if not self._nonces.spend(proof.nonce, now_ns):
+            return "proof.nonce is none of this gateway's, is older than 5 s, or has been used; get another (challenge)"
+        if not self._checks.take(now_ns):
+            return "too many proofs have come within a second; try again"
+        purpose = certs.proof.WATCHING if self.watches else certs.proof.DRIVING
+        return checker.fault(proof, request.do, request.source, self._wall_clock(), purpose)
 
     @abstractmethod
     def _event(self, request: Any, now_ns: int) -> Any:
@@ -129,12 +168,13 @@ class LeaseAnswers(_ProvedAnswers):
     ack = LeaseAck
     schema = LEASE_REQUEST
     denied = Reason.LEASE_DENIED
+    watches = False
 
     def _event(self, request: Claim | Renew | Release, now_ns: int) -> LeaseRequest:  # noqa: ARG002
         match request:
             case Claim():
-                fresh = self._proofs.fresh()
-                return LeaseRequest(request.do, request.source, self._proofs.wanted, fresh_token=fresh)
+                proved = self._checker is not None
+                return LeaseRequest(request.do, request.source, proved, fresh_token=self._fresh())
             case Renew():
                 return LeaseRequest("renew", token=request.lease)
             case Release():
@@ -151,6 +191,7 @@ class ButtonAnswers(_ProvedAnswers):
     ack = ButtonAck
     schema = BUTTON_REQUEST
     denied = Reason.BUTTON_DENIED
+    watches = True
 
     def _event(self, request: Register | Alive | Leave, now_ns: int) -> ButtonRequest:
         match request:
@@ -161,7 +202,8 @@ class ButtonAnswers(_ProvedAnswers):
             case Leave():
                 return ButtonRequest("leave", now_ns, token=request.button)
         # It counts if `buttons.names` has its person (`anna` of `anna/phone`) or its certificate's role.
-        holder, names = self._proofs.holder(request.proof), self._conductor.settings.buttons.names
+        proof, names = request.proof, self._conductor.settings.buttons.names
+        holder = None if self._checker is None or proof is None else certs.proof.holder(proof)
         named = {request.source.partition("/")[0]} if holder is None else {holder.name, holder.role}
         return ButtonRequest(
             "register",
@@ -170,7 +212,7 @@ class ButtonAnswers(_ProvedAnswers):
             None if holder is None else f"{holder.common_name} {holder.name}",
             not names or not named.isdisjoint(names),
             sent_ms=request.sent_ms,
-            fresh_token=self._proofs.fresh(),
+            fresh_token=self._fresh(),
         )
 
     def _granted(self, answer: RequestAnswer) -> dict[str, object]:

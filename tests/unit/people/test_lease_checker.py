@@ -20,9 +20,8 @@ from gateway.nonces import Nonces
 from gateway.people.client.requests import Identity
 from gateway.robot.core.message import Reply
 from gateway.robot.runtime.conductor import Conductor
-from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
+from gateway.robot.runtime.request_answers import CHECKS_PER_S, NONCE_NS, ButtonAnswers, LeaseAnswers
 from gateway.robot.settings import Settings
-from gateway.robot.zenoh_io.proofs import CHECKS_PER_S, NONCE_NS, Proofs
 from schemas.lease import Proof, signed_text
 from schemas.telemetry import Reason
 from tests.support.certs_folder import with_one_bit_changed
@@ -192,7 +191,7 @@ class Desk:
     """Wants proofs, in a time of the test's; keeps what it would ask the conductor, and what it rejects."""
 
     def __init__(self, answers: LeaseAnswers | ButtonAnswers | None = None) -> None:
-        self._answers = cast(Any, answers or LeaseAnswers(cast(Conductor, None), Proofs(CHECKER, lambda: NOW)))
+        self._answers = cast(Any, answers or LeaseAnswers(cast(Conductor, None), CHECKER, lambda: NOW))
         self._answers.ask, self._answers.reject = self.ask, self.reject
         self.now_ns = 1_000_000_000_000
         self.requests: list[Any] = []
@@ -225,7 +224,7 @@ class Desk:
 )
 def test_whoever_registers_a_button_proves_it_with_a_fresh_nonce(names: tuple[str, ...], counts: bool) -> None:
     conductor = SimpleNamespace(settings=Settings.of({"buttons": {"names": names}}))
-    desk = Desk(ButtonAnswers(cast(Conductor, conductor), Proofs(CHECKER, lambda: NOW, watching=True)))
+    desk = Desk(ButtonAnswers(cast(Conductor, conductor), CHECKER, lambda: NOW))
     made = proof(nonce=desk.nonce(), watching="anna/phone")
     for each in (None, proof(do="register", nonce=desk.nonce()), made, made):
         desk.claim("register", each, "anna/phone")

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from gateway.robot.zenoh_io.proofs import Proofs
 from schemas import keys
 from schemas.button import ButtonAck
 from schemas.lease import LeaseAck
@@ -129,4 +128,3 @@ async def test_without_a_ca_a_challenge_has_no_nonce_and_names_are_taken_as_they
     robot, _ = await watched()
     ack = robot.button("challenge")
     assert (ack.accepted, ack.nonce) == (True, None)
-    assert not Proofs(None, lambda: pytest.fail("no clock is asked")).wanted
