@@ -222,7 +222,7 @@ class _Service:
             logger.warning("%s is on %s, which a boot empties: %s", found, forgotten, lost)
         self.calibrations = Calibrations(self.conductor, state)
         self.revocations = Revocations(self.conductor, self.shut_out, self.end.begin_again)
-        self.upkeep = Upkeep(self.config, self.show, wall_clock)
+        self.upkeep = Upkeep(self.config, self.show)
         if (first := self.upkeep.first_expiry) is not None:
             reports.certificate = CertificateReport(file=first.file.name, expires=first.end)
 

@@ -39,12 +39,7 @@ logger = logging.getLogger(__name__)
 class ConnectionLimiter:
     """Counts the visitors each time a link opens or closes, on a thread of its own."""
 
-    def __init__(
-        self,
-        session: zenoh.Session,
-        count: Callable[[int], None],
-        revoked: Collection[str] = frozenset(),
-    ) -> None:
+    def __init__(self, session: zenoh.Session, count: Callable[[int], None], revoked: Collection[str]) -> None:
         """`count` is called with the number of sessions after each change. `revoked` are common names to shut out."""
         self._revoked = revoked
         self._session = session

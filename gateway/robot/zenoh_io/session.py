@@ -120,16 +120,10 @@ def service_config(settings: ZenohSettings) -> zenoh.Config:
 class Upkeep:
     """Opens one session. Its thread checks from `start` until `close`."""
 
-    def __init__(
-        self,
-        config: zenoh.Config,
-        show: Callable[[str, tuple[str, ...]], None],
-        wall_clock: Callable[[], dt.datetime],
-    ) -> None:
+    def __init__(self, config: zenoh.Config, show: Callable[[str, tuple[str, ...]], None]) -> None:
         """`show` is called at each change, with a sentence for `systemctl status` and the missing endpoints."""
         self._config = config
         self._show = show
-        self._wall_clock = wall_clock
         self._missing: dict[str, OSError] = {}
         """The endpoints on which the gateway does not listen yet, and why."""
         self._pages: dict[str, Callable[[], None]] = {}
@@ -225,7 +219,7 @@ class Upkeep:
 
     def _expiring(self) -> Iterator[str]:
         """Yield which certificate expires soon. The sentence changes once a day."""
-        first, now = self.first_expiry, self._wall_clock()
+        first, now = self.first_expiry, dt.datetime.now(dt.UTC)
         soon = None if first is None else certs.expires_soon(first.file.name, first.end, now)
         if first is not None and soon is not None:
             result = "then nobody can connect" if now < first.end else "nobody can connect (is this clock right?)"
