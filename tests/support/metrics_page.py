@@ -1,12 +1,10 @@
 """The metrics page, and its list in docs/recordings.md: the name, kind and labels of each metric."""
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from prometheus_client.parser import text_string_to_metric_families
-from prometheus_client.samples import Sample
 
 Described = set[tuple[str, str, frozenset[str]]]
 _DOCS: Final = Path(__file__).parents[2] / "docs" / "recordings.md"
@@ -23,9 +21,9 @@ def documented(robot: str = "") -> Described:
 
 def described(page: str) -> Described:
     """What a page has."""
-    return {_described(family.name, family.type, family.samples) for family in text_string_to_metric_families(page)}
-
-
-def _described(name: str, kind: str, samples: Iterable[Sample]) -> tuple[str, str, frozenset[str]]:
-    labels = frozenset(label for sample in samples for label in sample.labels) - {"le"}
-    return f"{name}_total" if kind == "counter" else name, "info" if name.endswith("_info") else kind, labels
+    found = set()
+    for each in text_string_to_metric_families(page):
+        labels = frozenset(label for sample in each.samples for label in sample.labels) - {"le"}
+        name = f"{each.name}_total" if each.type == "counter" else each.name
+        found.add((name, "info" if name.endswith("_info") else each.type, labels))
+    return found
