@@ -57,28 +57,24 @@ def load_config(path: Path) -> zenoh.Config:
     return config
 
 
-def load_client_config(path: Path) -> zenoh.Config:
-    """Return a laptop's configuration (`--zenoh-config`). Raises ConfigError as `load_config` does, and for the
-    gateway's own file or an expired certificate: `zenoh.open` would only report that it cannot connect."""
-    config = load_config(path)
-    if config.get_json(f"{TLS}/listen_private_key") != "null":
-        raise ConfigError(f"{path} is the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made")
-    first = first_expiry(config)
-    if first is not None and first.end <= dt.datetime.now(dt.UTC):
-        raise ConfigError(
-            f"{first.file} expired on {first.end:%Y-%m-%d}: is this clock right? Then {certs.renewal('NAME')}"
-        )
-    return config
-
-
 def client_config(endpoint: str | None, file: Path | None = None) -> zenoh.Config:
-    """Return a client's configuration: the file's, with `endpoint` in place of its endpoints.
+    """Return a client's configuration: the file's (`--zenoh-config`), with `endpoint` in place of its endpoints.
 
-    Without both, it reaches this machine's gateway. Raises ConfigError.
+    Without both, it reaches this machine's gateway. Raises ConfigError as `load_config` does, and for the gateway's own
+    file or an expired certificate: `zenoh.open` would only report that it cannot connect.
     """
-    if endpoint is None and file is None:
-        endpoint = DEFAULT_ENDPOINT
-    config = load_client_config(file) if file is not None else zenoh.Config()
+    if file is None:
+        config = zenoh.Config()
+        endpoint = DEFAULT_ENDPOINT if endpoint is None else endpoint
+    else:
+        config = load_config(file)
+        if config.get_json(f"{TLS}/listen_private_key") != "null":
+            own = "the gateway's own: give the NAME.json5 that `hexapod-gateway certs issue` made"
+            raise ConfigError(f"{file} is {own}")
+        first = first_expiry(config)
+        if first is not None and first.end <= dt.datetime.now(dt.UTC):
+            clock = f"is this clock right? Then {certs.renewal('NAME')}"
+            raise ConfigError(f"{first.file} expired on {first.end:%Y-%m-%d}: {clock}")
     config.insert_json5("mode", '"client"')
     if endpoint is not None:
         endpoint = endpoint if "/" in endpoint else f"tcp/{endpoint}"

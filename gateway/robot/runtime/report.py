@@ -225,8 +225,8 @@ class RobotReports:
         newest = self.newest
         if newest is not None:
             values, measured_ns = newest
-            report = report_of(values, time, max(0, now_ns - measured_ns) / 1e6)
-            found = {**dict(report), **found, "age_ms": max(report.age_ms, found.get("age_ms", 0.0))}
+            age_ms = max(found.get("age_ms", 0.0), (now_ns - measured_ns) / 1e6)
+            found = {**dict(report_of(values, time, age_ms)), **found, "age_ms": age_ms}
         return telemetry.Telemetry.model_validate({**found, "time": time}) if found else None
 
     def config(self) -> telemetry.ConfigReport:

@@ -27,7 +27,7 @@ from gateway.errors import ConfigError
 from gateway.host.settings_table import ZenohSettings
 from gateway.robot.runtime import revocations
 from gateway.robot.settings import Settings
-from gateway.zenoh_config import get, load_client_config, load_config
+from gateway.zenoh_config import client_config, get, load_config
 from schemas.revocation import RevocationAck
 from tests.support.certs_folder import (
     DAY,
@@ -112,7 +112,7 @@ def test_a_further_robot_has_a_folder_that_is_installed_like_the_first_ones(fold
     assert load_config(folder / "robot-2" / "gateway.json5")
     certs.folder.issue(folder, "anna", "operator")
     dialled = {
-        name: json.loads(load_client_config(folder / name).get_json("connect/endpoints"))
+        name: json.loads(client_config(None, folder / name).get_json("connect/endpoints"))
         for name in ("anna.json5", "anna.robot-2.json5")
     }
     assert dialled == {
@@ -439,14 +439,14 @@ def test_zenoh_files_with_faults(folder: Path, monkeypatch: pytest.MonkeyPatch) 
         certs.folder.issue(folder, "old", "operator", days=1)
     config = folder / "alice.json5"
     good = config.read_text()
-    assert load_client_config(config)
-    assert "cannot read" in fault(lambda: load_client_config(folder / "missing.json5"))
-    assert "gateway's own" in fault(lambda: load_client_config(folder / "gateway.json5"))
-    assert f"expired on {NOW - 9 * DAY:%Y-%m-%d}" in fault(lambda: load_client_config(folder / "old.json5"))
+    assert client_config(None, config)
+    assert "cannot read" in fault(lambda: client_config(None, folder / "missing.json5"))
+    assert "gateway's own" in fault(lambda: client_config(None, folder / "gateway.json5"))
+    assert f"expired on {NOW - 9 * DAY:%Y-%m-%d}" in fault(lambda: client_config(None, folder / "old.json5"))
     for good_part, bad_part, sentence in (
         ("scouting", "scooting", "scooting"),
         ('"alice.key"', '"nowhere.key"', "nowhere.key"),
         ('"alice.pem"', '"alice.key"', "holds no certificate"),
     ):
         config.write_text(good.replace(good_part, bad_part))
-        assert sentence in fault(lambda: load_client_config(config))
+        assert sentence in fault(lambda: client_config(None, config))
