@@ -85,12 +85,7 @@ class Robot:
         for name in ("anna", "bert"):
             certs.folder.issue(self.folder, name, "operator")
         self.own.mkdir()
-        for name in (
-            "ca.pem",
-            "gateway.pem",
-            "gateway.key",
-            "gateway.json5",
-        ):  # what docs/certificates.md names, and no list
+        for name in ("ca.pem", "gateway.pem", "gateway.key", "gateway.json5"):  # docs/certificates.md; and no list
             shutil.copy(self.folder / name, self.own)
 
     def start(self, **environment: str) -> Gateway:

@@ -38,7 +38,6 @@ def rejected(*listen: str, **settings: Any) -> bool:
     ("listen", "settings", "expected"),
     [
         (["tls/0.0.0.0:7447"], MTLS, False),
-        (["tcp/0.0.0.0:7447"], MTLS, True),
         (["tls/0.0.0.0:7447", "tcp/127.0.0.1:7448"], MTLS, False),
         (["tls/0.0.0.0:7447"], {**MTLS, "transport/link/tls/enable_mtls": False}, True),
         (["tls/0.0.0.0:7447#enable_mtls=false"], MTLS, True),
