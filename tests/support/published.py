@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from datetime import UTC, datetime, timedelta
 
-from schemas.robot import LEGS
+from schemas.robot import JOINTS, LEGS
 from schemas.telemetry import (
     CommandCounts,
     Event,
@@ -27,16 +27,10 @@ def state(
     uptime_s: float = 10.0,
     mode: Mode = Mode.IDLE,
     *,
-    counts: tuple[int, int, int] = (0, 0, 0),
-    age_ms: float | None = None,
     running: Collection[int] = (),
     started_s: float = 0.0,
 ) -> GatewayState:
-    """A state of the gateway that was started at `started_s`, as far as `WALL` goes.
-
-    `running`: these legs. Only leg 3 ever heard anything.
-    """
-    accepted, rejected, coalesced = counts
+    """A state of the gateway that was started at `started_s`, as far as `WALL` goes. `running`: these legs."""
     return GatewayState(
         mode=mode,
         time=WALL + timedelta(seconds=started_s + uptime_s),
@@ -44,25 +38,18 @@ def state(
         version="0.1.0",
         protocol="1.0.0",
         simulated=True,
-        legs=tuple(
-            LegReport(
-                leg=leg,
-                watchdog=WatchdogState.IDLE,
-                age_ms=age_ms if leg == 3 else None,
-                servos=(
-                    servo(10 * leg + 1, leg in running),
-                    servo(10 * leg + 2, leg in running),
-                    servo(10 * leg + 3, leg in running),
-                ),
-            )
-            for leg in LEGS
-        ),
-        commands=CommandCounts(accepted=accepted, rejected=rejected, coalesced=coalesced),
+        legs=tuple(leg(number, number in running) for number in LEGS),
+        commands=CommandCounts(accepted=0, rejected=0, coalesced=0),
         spi=SpiReport(device="simulated controller", framing="plain", frames=0, errors=0),
         watchdog=WatchdogReport(
             timeout_ms=250, expirations=0, stop_latency_us=StopLatency(p50=None, p99=None, max=None)
         ),
     )
+
+
+def leg(number: int, running: bool) -> LegReport:
+    first, second, third = (servo(10 * number + joint, running) for joint in JOINTS)
+    return LegReport(leg=number, watchdog=WatchdogState.IDLE, age_ms=None, servos=(first, second, third))
 
 
 def servo(servo_id: int, running: bool) -> ServoReport:
