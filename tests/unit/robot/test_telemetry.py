@@ -130,6 +130,7 @@ async def test_the_page_of_a_robot_that_measures_is_the_list_in_the_docs(monkeyp
     assert found["hexapod_controller_alive"] == 0
     assert found["hexapod_controller_answer_age_seconds"] == pytest.approx(0.5)
     assert found["hexapod_controller_changes_total controller_silent"] == found["hexapod_falls_total"] == 0
+    assert sum("controller_changes" in name for name in found) == 3
 
 
 BOARD = PowerReport(interface="slcan", alive=True, supplied=(11, 63), confirmed=False, age_ms=40.0)
