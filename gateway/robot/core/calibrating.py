@@ -32,6 +32,7 @@ from schemas.telemetry import Kind, Reason
 
 ACCEPT_DEFAULT: Final = "calibrate accept-default"
 """The command for a calibration that cannot be trusted."""
+_UNTRUSTED: Final = f"{{}}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
 
 
 class Calibrating(Interlock[Calibrate | CalibrationSaved]):
@@ -60,7 +61,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
         if self.fault is not None:
-            return Reason.SERVO_STOPPED, self._untrusted()
+            return Reason.SERVO_STOPPED, _UNTRUSTED.format(self.fault)
         for servo_id, _ in request.moves:
             if self.saving is not None and self.saving[1].of(servo_id) != self.in_force.of(servo_id):
                 return Reason.SERVO_STOPPED, f"servo {servo_id} is being calibrated; start it once the change is saved"
@@ -98,15 +99,10 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         if change.revision not in (None, revision):
             return Reason.STALE, f"revision {change.revision} is changed, and {revision} is in force; look at it first"
         if self.fault is not None and not change.accept_default:
-            return Reason.SERVO_STOPPED, self._untrusted()
+            return Reason.SERVO_STOPPED, _UNTRUSTED.format(self.fault)
         if self.fault is None and change.accept_default:
             return Reason.INVALID, "accept_default is for a calibration that cannot be read; this one can"
         return None
-
-    def _untrusted(self) -> str:
-        return (
-            f"{self.fault}; nothing is started until `{ACCEPT_DEFAULT}` takes the default calibration as this robot's"
-        )
 
     def _kept(self, event: CalibrationSaved) -> list[Effect]:  # mutants accepted (Forget): only time is lost
         """Put the saved change in force, or reject it and keep the old calibration if the disk failed."""

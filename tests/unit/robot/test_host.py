@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import signal
 import socket
 import sys
 from collections.abc import Iterator
@@ -81,17 +82,16 @@ def test_what_is_told_and_a_manager_that_does_not_read_holds_nobody_up(tmp_path:
     assert told == [b"READY=1\nSTATUS=takes commands", b"STOPPING=1", b"WATCHDOG=1"]
 
 
-def test_without_a_manager_nothing_happens() -> None:
-    with notifier(WATCHDOG_USEC="2000000") as made:
-        made.ready("x")
-        made.alive()
-        assert made.ping_period_s is None
-
-
-@pytest.mark.parametrize(("timeout_us", "period_s"), [("2000000", 2 / PINGS_PER_TIMEOUT), ("0", None)])
-def test_how_often_it_wants_to_hear(timeout_us: str, period_s: float | None) -> None:
-    with notifier(NOTIFY_SOCKET="/nowhere", WATCHDOG_USEC=timeout_us) as made:
+@pytest.mark.parametrize(
+    ("path", "timeout_us", "period_s"),
+    [("/nowhere", "2000000", 2 / PINGS_PER_TIMEOUT), ("/nowhere", "0", None), ("", "2000000", None)],
+)
+def test_how_often_it_wants_to_hear(path: str, timeout_us: str, period_s: float | None) -> None:
+    with notifier(NOTIFY_SOCKET=path, WATCHDOG_USEC=timeout_us) as made:
         assert made.ping_period_s == period_s
+        if period_s is None:
+            made.alive()
+    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0), "without systemd's watchdog nothing ends the process"
 
 
 # ---- What is written to a disk is written aside, and the owner of the state learns of it
