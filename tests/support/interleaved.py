@@ -41,17 +41,14 @@ class Stage:
         self._choose = choose
         self._actors: dict[int, _Actor] = {}
         self._parked = threading.Semaphore(0)
-        self._unstaged: set[int] = set()
+        self._tests = threading.get_ident()
         self.over = False
         self.failures: list[BaseException] = []
 
-    def start(self, name: str, act: Callable[[], None], *, prepare: Callable[[], None] = lambda: None) -> None:
-        """One more thread. It prepares at once, and all by itself, before it comes to its first point."""
+    def start(self, name: str, act: Callable[[], None]) -> None:
+        """One more thread."""
 
         def run() -> None:
-            self._unstaged.add(threading.get_ident())
-            prepare()
-            self._unstaged.remove(threading.get_ident())
             self.point()
             try:
                 act()
@@ -63,8 +60,8 @@ class Stage:
         threading.Thread(target=run, name=name, daemon=True).start()
 
     def point(self, waits_for: str = "", ready: Callable[[], bool] = lambda: True) -> None:
-        """Called by a thread: it goes on when it is chosen, and `ready`."""
-        if self.over or threading.get_ident() in self._unstaged:
+        """Called by a thread: it goes on when it is chosen, and `ready`. The test's own goes on at once."""
+        if self.over or threading.get_ident() == self._tests:
             return
         actor = self._actors.setdefault(threading.get_ident(), _Actor(threading.current_thread().name))
         actor.ready, actor.waits_for = ready, waits_for

@@ -88,16 +88,6 @@ class Gateway:
         self.answers: list[bytes] = []
         self.noted: list[int] = []
         """How many frames had been written when an emergency stop's own thread received it."""
-
-    def now_ns(self) -> int:
-        self._looks += 1  # no two instants are the same by accident
-        return round(self.loop.now_s * 1e9) + self._looks
-
-    def publish(self, key: str, report: object) -> None:
-        """Nobody listens."""
-
-    def begin(self) -> None:
-        """On the loop's thread, as the service does it."""
         loop = cast(asyncio.AbstractEventLoop, self.loop)
         # No runs of Stops at rest: nobody beats here, so to wait a second for one is to stand still.
         supervisor = Supervisor(replace(rules(self.settings), rest_runs=0, start_wait_ns=0))
@@ -127,9 +117,16 @@ class Gateway:
             self.conductor.messages = self.inbox
         self.rings.puts[keys.ESTOP].on_receive = lambda: self.noted.append(len(self.controller.transfers))
 
+    def now_ns(self) -> int:
+        self._looks += 1  # no two instants are the same by accident
+        return round(self.loop.now_s * 1e9) + self._looks
+
+    def publish(self, key: str, report: object) -> None:
+        """Nobody listens."""
+
     def play(self, *then: Callable[[], None]) -> None:
         """The whole of it, until nothing is left to happen."""
-        self.stage.start("loop", self.loop.run, prepare=self.begin)
+        self.stage.start("loop", self.loop.run)
         for each in then:
             self.stage.start(each.__name__, each)
         self.stage.run(1 + len(RECEIVERS) + len(then))
