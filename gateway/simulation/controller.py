@@ -147,8 +147,6 @@ class SimulatedController(SpiDevice):
 
     # ---- the device
 
-    most_transfers = 64
-
     def transfer(self, batch: Batch) -> None:
         for data, _ in batch:  # without pauses
             self.take(data)

@@ -44,11 +44,9 @@ class Bench(SpiDevice):
         framing: Framing = Framing.LENGTH_PREFIXED,
         *,
         frame_gap_us: float = 50,
-        most_transfers: int = 32,
         synchronised: bool = True,
     ) -> None:
         self.now_ns = 7_000 * MS
-        self.most_transfers = most_transfers
         self.batches: list[Batch] = []
         """What was written, or failed."""
         self.calls: list[str] = []

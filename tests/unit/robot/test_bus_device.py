@@ -1,14 +1,12 @@
 """The bus and its device: opened, guarded, counted, closed, and the batches that it is given."""
 
 import itertools
-from collections.abc import Sequence
-from math import ceil
 
 import pytest
 
 from gateway.errors import SpiError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import Frame, OneServo, Op, ServoOp
+from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
 from gateway.robot.spi.bus import LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
@@ -17,14 +15,14 @@ from tests.support.bus_scenes import MOVES, STOPS, Bench, wire_ns
 from tests.support.transfers import on_wire
 
 PREFIXED = Framing.LENGTH_PREFIXED
-SERVO_STOPS = [OneServo(10 * leg + joint, ServoOp(Op.STOP)) for leg in LEGS for joint in (1, 2)]
+SERVO_STOPS = [OneServo(10 * leg + joint, ServoOp(Op.STOP)) for leg in LEGS for joint in (1, 2, 3)]
 
 
 # ---- what leaves together
 
 
 def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length() -> None:
-    bench = Bench(most_transfers=PREAMBLE_ZEROS + 2 * len(STOPS))
+    bench = Bench()
     bench.bus.write(STOPS, preamble=True)
     (batch,) = bench.batches
     assert batch[:PREAMBLE_ZEROS] == ((ZERO, ZERO_PAUSE_US),) * PREAMBLE_ZEROS
@@ -37,7 +35,7 @@ def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length() -> 
 def test_what_moves_is_split_so_that_no_call_takes_more_than_a_millisecond(framing: Framing, frame_gap_us: int) -> None:
     bench = Bench(framing, frame_gap_us=max(frame_gap_us, framing.least_gap_us))
     report = bench.bus.write([*MOVES, *MOVES])
-    assert bench.frames == [move.to_bytes() for move in [*MOVES, *MOVES]]
+    assert bench.frames == [move.data for move in [*MOVES, *MOVES]]
     assert [sent.place for sent in report.sent] == list(range(12))
     a_frame = 2 if bench.bus.announces else 1
     for batch in bench.batches:
@@ -47,13 +45,9 @@ def test_what_moves_is_split_so_that_no_call_takes_more_than_a_millisecond(frami
         assert max(bench.sizes) == (12 if bench.bus.announces else 10), "six legs are one call"
 
 
-@pytest.mark.parametrize(
-    ("most", "takes_lists", "sizes"),
-    [(32, True, [8, 8]), (5, True, [5, 5, 5, 1]), (32, False, [1] * 16)],
-    ids=["two calls", "a device that takes less", "one by one"],
-)
-def test_zeros_of_a_stream_are_written_in_parts(most: int, takes_lists: bool, sizes: list[int]) -> None:
-    bench = Bench(most_transfers=most)
+@pytest.mark.parametrize(("takes_lists", "sizes"), [(True, [8, 8]), (False, [1] * 16)], ids=["two calls", "one by one"])
+def test_zeros_of_a_stream_are_written_in_parts(takes_lists: bool, sizes: list[int]) -> None:
+    bench = Bench()
     bench.takes_lists = takes_lists
     bench.bus.write(STOPS[:1])
     bench.forget()
@@ -67,19 +61,13 @@ def test_a_preamble_takes_16_pauses_and_150_us_for_each_zero(frame_gap_us: int, 
     assert Bench(frame_gap_us=frame_gap_us).bus.preamble_ns == preamble_ms * 1_000_000
 
 
-@pytest.mark.parametrize("most", range(1, 33))
-@pytest.mark.parametrize("preamble", [False, True])
-def test_a_device_that_takes_less_gets_the_same_in_more_calls(most: int, preamble: bool) -> None:
-    each: tuple[Sequence[Frame], ...] = (STOPS, MOVES, SERVO_STOPS)
-    for framing, frames in itertools.product(Framing, each):
-        bench = Bench(framing, most_transfers=most)
-        a_frame = 2 if bench.bus.announces else 1
-        assert bench.bus.write(frames, preamble=preamble).fault is None
-        zeros = [ZERO] * PREAMBLE_ZEROS if preamble and bench.bus.announces else []
-        assert bench.written == [*zeros, *on_wire(framing, *frames)]
-        assert max(bench.sizes) <= max(a_frame, most), "an announcement and its body stay together"
-        if frames is not MOVES and not zeros:
-            assert len(bench.batches) == ceil(len(frames) / max(1, most // a_frame)), "Stops take no more than needed"
+@pytest.mark.parametrize("framing", Framing)
+def test_what_is_too_long_for_one_call_leaves_in_more(framing: Framing) -> None:
+    bench = Bench(framing)
+    a_frame = 2 if bench.bus.announces else 1
+    assert bench.bus.write(SERVO_STOPS, preamble=True).fault is None
+    assert bench.written == [*[ZERO] * PREAMBLE_ZEROS * (a_frame - 1), *on_wire(framing, *SERVO_STOPS)]
+    assert [size for size in bench.sizes if size != 8] == {1: [18], 2: [32, 4]}[a_frame]
 
 
 def test_a_frames_time_is_the_end_of_its_call() -> None:
@@ -88,7 +76,7 @@ def test_a_frames_time_is_the_end_of_its_call() -> None:
     begun_ns = bench.now_ns
     report = bench.bus.write(STOPS[:2], preamble=True)
     assert [(sent.ns, sent.call_ns, sent.data) for sent in report.sent] == [
-        (bench.now_ns, bench.now_ns - begun_ns, stop.to_bytes()) for stop in STOPS[:2]
+        (bench.now_ns, bench.now_ns - begun_ns, stop.data) for stop in STOPS[:2]
     ]
 
 
