@@ -123,9 +123,7 @@ def _mapped(frame: Frame, cdeg_of: Callable[[int, int], int]) -> Frame:
         op if op.op is OP_STOP else (STARTS if op.op is OP_START else SETS)[cdeg_of(servo_id, op.angle_cdeg)]
         for servo_id, op in frame.servos
     ]
-    return (
-        OneServo(frame.servo_id, ops[0]) if isinstance(frame, OneServo) else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
-    )
+    return OneServo(frame.servos[0][0], ops[0]) if len(ops) == 1 else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
 
 
 def changed_servos(before: RobotCalibration, after: RobotCalibration) -> list[int]:

@@ -94,80 +94,50 @@ SETS: Final = _Moves(OP_SET)
 
 
 @dataclass(slots=True, init=False, unsafe_hash=True)
-class OneServo:  # mutants accepted (FalseWithTrue, LeaveOut): they follow from the other fields
-    """ONE SERVO: one operation for one servo."""
+class Frame:  # mutants accepted (FalseWithTrue, LeaveOut): the rest follows from the servos
+    """Operations for servos of one leg: OneServo or OneLeg."""
 
-    servo_id: Final[int]
-    command: Final[ServoOp]
+    servos: tuple[tuple[int, ServoOp], ...]
+    """The (servo id, operation) pairs of the frame, in its order."""
+    leg: int = field(compare=False, repr=False)
     is_stop: bool = field(compare=False, repr=False)
     """Whether the frame only de-energises."""
     data: bytes = field(compare=False, repr=False)
-    """The bytes of `to_bytes` without a call: the bus needs them for each setpoint."""
+
+
+class OneServo(Frame):
+    """ONE SERVO: one operation for one servo."""
+
+    __slots__ = ()
 
     def __init__(self, servo_id: int, command: ServoOp) -> None:
         if servo_id not in _SERVO_ID_SET:
             raise FrameError(f"the servo id is {servo_id}; {_SERVO_ID_RULE}")
-        self.servo_id = servo_id
-        self.command = command
+        self.servos = ((servo_id, command),)
+        self.leg = servo_id // 10
         self.is_stop = command.op is OP_STOP
         self.data = _ONE_SERVO + _IDS[servo_id] + command.data
 
-    @property
-    def leg(self) -> int:
-        """The servo's leg, 1 to 6."""
-        return self.servo_id // 10
 
-    @property
-    def servos(self) -> tuple[tuple[int, ServoOp], ...]:
-        """The (servo id, operation) pairs of the frame, in its order."""
-        return ((self.servo_id, self.command),)
-
-    def to_bytes(self) -> bytes:
-        """Return the 6 bytes of the frame."""
-        return self.data
-
-
-@dataclass(slots=True, init=False, unsafe_hash=True)
-class OneLeg:  # mutants accepted (FalseWithTrue, LeaveOut): they follow from the other fields
+class OneLeg(Frame):
     """ONE LEG: one operation for each of a leg's joints 1, 2 and 3."""
 
-    leg: Final[int]
-    commands: Final[tuple[ServoOp, ServoOp, ServoOp]]
-    is_stop: bool = field(compare=False, repr=False)
-    """Whether the frame only de-energises."""
-    data: bytes = field(compare=False, repr=False)
+    __slots__ = ()
 
     def __init__(self, leg: int, commands: tuple[ServoOp, ServoOp, ServoOp]) -> None:
         if leg not in LEGS:
             raise FrameError(f"the leg is {leg}; it is 1 to 6")
         first, second, third = commands
+        self.servos = ((10 * leg + 1, first), (10 * leg + 2, second), (10 * leg + 3, third))
         self.leg = leg
-        self.commands = commands
         self.is_stop = first.op is second.op is third.op is OP_STOP
         one, two, three = _IDS_OF_LEG[leg]
         self.data = _ONE_LEG + one + first.data + two + second.data + three + third.data
 
-    @property
-    def servos(self) -> tuple[tuple[int, ServoOp], ...]:
-        """The (servo id, operation) pairs of the frame, in its order."""
-        return tuple(zip(servo_ids_of(self.leg), self.commands, strict=True))
-
-    def to_bytes(self) -> bytes:
-        """Return the 14 bytes of the frame."""
-        return self.data
-
-
-Frame = OneLeg | OneServo
-
-
-def leg_of(servo_id: int) -> int:
-    """Return the leg (1 to 6) of a servo."""
-    return servo_id // 10
-
 
 def legs_of(servo_ids: Iterable[int]) -> tuple[int, ...]:
     """Return the legs of these servos, ascending."""
-    return tuple(sorted({leg_of(servo_id) for servo_id in servo_ids}))
+    return tuple(sorted({servo_id // 10 for servo_id in servo_ids}))
 
 
 def servo_ids_of(leg: int) -> tuple[int, int, int]:

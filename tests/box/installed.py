@@ -21,7 +21,7 @@ PYTHON = (
 )
 """Runs the text that follows with what is installed."""
 DROP_IN = f"/run/systemd/system/{NAME}.service.d"
-STOPS = {stop_leg(leg).to_bytes() for leg in LEGS}
+STOPS = {stop_leg(leg).data for leg in LEGS}
 
 
 class InstalledGateway(Closing):

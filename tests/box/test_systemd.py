@@ -82,7 +82,7 @@ def test_what_the_black_box_shows(robot: InstalledGateway) -> None:
     robot.unit.systemctl("start")
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
     moved = max(place for place, each in enumerate(robot.bed.transfers) if has_started(each.data))
-    robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=moved)
+    robot.bed.wait_for_data(stop_leg(3).data, since=moved)
 
     robot.configure("watchdog.timeout_ms = 10_000\n")  # else the watchdog is first each time
     restart_and_move(robot)
@@ -170,7 +170,7 @@ def test_a_stuck_journal_holds_no_stop(robot: InstalledGateway) -> None:
     moved = len(robot.bed.transfers)
     assert "accepted" in robot.gateway(*MOVE_LEG_3)
     opening = robot.bed.transfers[-1].opening
-    stop_3 = robot.bed.wait_for_data(stop_leg(3).to_bytes(), since=moved)
+    stop_3 = robot.bed.wait_for_data(stop_leg(3).data, since=moved)
     assert stop_3.opening == opening, "from the service itself"
     before = len(robot.bed.transfers)
     robot.unit.systemctl("stop")

@@ -59,7 +59,7 @@ def hold(page: Opened, watcher: Client, *legs: int) -> Heard[FrameRecord]:
 def wait_for(written: Heard[FrameRecord], leg: int, op: Op, *angles: float) -> None:
     """Wait for exactly this frame."""
     one, two, three = (ServoOp(op, round(deg * 100)) for deg in angles)
-    wanted = OneLeg(leg, (one, two, three)).to_bytes().hex()
+    wanted = OneLeg(leg, (one, two, three)).data.hex()
     written.wait(lambda record: record.bytes == wanted)
 
 

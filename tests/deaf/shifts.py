@@ -47,7 +47,7 @@ def commands(avoid_cdeg: Avoid) -> frozenset[tuple[int, int, int]]:
     moves = (ServoOp(op, cdeg) for op in (Op.START, Op.SET) for cdeg in range(180_01) if not low <= cdeg < high)
     found = set()
     for command in (ServoOp(Op.STOP), *moves):
-        op, whole_deg, hundredths = OneServo(11, command).to_bytes()[3:]
+        op, whole_deg, hundredths = OneServo(11, command).data[3:]
         found.add((op, whole_deg, hundredths))
     return frozenset(found)
 

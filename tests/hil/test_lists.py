@@ -51,9 +51,7 @@ def test_check_move_shows_that_a_driver_ignores_cs_change_and_what_to_do(
         left = Replay(wire.framing, selects=True)
         left.play(spi_testbed.transfers)
         assert left.controller.energised == frozenset(), "its last Stop is alone in its call"
-        assert OneServo(61, ServoOp(Op.STOP)).to_bytes() in [
-            each.data for each in spi_testbed.transfers if each.delivered
-        ]
+        assert OneServo(61, ServoOp(Op.STOP)).data in [each.data for each in spi_testbed.transfers if each.delivered]
 
 
 def test_of_two_writers_none_comes_into_the_other_s_batch(spi_testbed: SpiTestbed) -> None:

@@ -14,13 +14,13 @@ from tests.support.controllers import Controller
 from tests.support.gateway_process import Gateway
 from tests.support.transfers import on_wire, preamble_of
 
-STOPS = [stop_leg(leg).to_bytes().hex() for leg in LEGS]
+STOPS = [stop_leg(leg).data.hex() for leg in LEGS]
 """Stops for all six legs, as every start, end and emergency stop writes them."""
 START_3 = "0e011f015a0020012d0021017800"  # leg 3 at 90, 45, 120
 QUIET: dict[str, Any] = {"timeout_ms": 10_000}
 """A watchdog that adds nothing to what a test of something else expects."""
 STOP_FRAMES = frozenset(
-    [stop_leg(leg).to_bytes() for leg in LEGS] + [OneServo(servo_id, STOP).to_bytes() for servo_id in SERVO_IDS]
+    [stop_leg(leg).data for leg in LEGS] + [OneServo(servo_id, STOP).data for servo_id in SERVO_IDS]
 )
 EACH_FRAMING = pytest.mark.parametrize("wire", Framing, indirect=True)
 """For what a framing may change: when Stops are written, byte for byte. The rest is the same behind `Framing`."""

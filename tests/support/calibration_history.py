@@ -148,7 +148,7 @@ class CalibrationHistory:
     def _read(self, frame: Frame) -> Frame:
         ops = [self._meant(servo_id, op) for servo_id, op in frame.servos]
         return (
-            OneServo(frame.servo_id, ops[0])
+            OneServo(frame.servos[0][0], ops[0])
             if isinstance(frame, OneServo)
             else OneLeg(frame.leg, (ops[0], ops[1], ops[2]))
         )

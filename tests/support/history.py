@@ -6,7 +6,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple, Self, TypeVar
 
 from gateway.allowance import NS_PER_S
-from gateway.model.frames import Op, leg_of
+from gateway.model.frames import Op
 from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from schemas.telemetry import Kind, Mode, Reason
@@ -266,8 +266,8 @@ def change_hands(
     effects: Iterable[events.Effect],
 ) -> None:
     """An accepted command for another source's running legs changes their source, which is announced once each."""
-    named = {leg_of(servo_id): legs[leg_of(servo_id)] for servo_id, _ in targets}
-    moved = {leg_of(servo_id) for servo_id, op in targets if op.op is not Op.STOP}
+    named = {servo_id // 10: legs[servo_id // 10] for servo_id, _ in targets}
+    moved = {servo_id // 10 for servo_id, op in targets if op.op is not Op.STOP}
     changed = {number: leg for number, leg in named.items() if leg.source != command.source}
     changes = announced(effects, {Kind.SOURCE_CHANGED})
     expected = [

@@ -7,7 +7,7 @@ else does. It shares no state and no rules with `gateway/robot/core`, only the v
 
 from collections.abc import Sequence
 
-from gateway.model.frames import STOP, Op, leg_of, stop_leg
+from gateway.model.frames import STOP, Op, stop_leg
 from gateway.robot.core.events import (
     BodyMeasured,
     BusFailed,
@@ -249,7 +249,7 @@ class Oracle(RobotHistory):
         if not event.alive:
             return [] if self.landing is not None else self._down(now_ns, now_ns)
         waited = [number for number in self.legs if self.legs[number].unfed_ns is not None]
-        unfed = sorted({leg_of(servo_id) for servo_id in self.alive & (event.lost | self.power.refused)})
+        unfed = sorted({servo_id // 10 for servo_id in self.alive & (event.lost | self.power.refused)})
         stopped = list(self.legs) if unfed and (self.rules.whole_robot or self.rules.starts_whole) else unfed
         self._stopped_unasked(stopped, now_ns)
         for number in waited:
@@ -300,7 +300,7 @@ class Oracle(RobotHistory):
         if transmit.frame.is_stop:
             return
         demand(self.landing is not None, "nothing moves unasked but a landing")
-        self.legs[leg_of(transmit.frame.servos[0][0])].moved(now_ns, self.rules.period_ns)
+        self.legs[transmit.frame.leg].moved(now_ns, self.rules.period_ns)
         if self.landing is not None:
             self.landing.judge(transmit, self.servos, now_ns, self.rules, self.calibration.gap)
 
@@ -339,7 +339,7 @@ class Oracle(RobotHistory):
         for servo_id, op in targets:
             servo = self.servos[servo_id]
             if op.op is not Op.STOP:
-                self.legs[leg_of(servo_id)].commanded_ns = now_ns
+                self.legs[servo_id // 10].commanded_ns = now_ns
             if servo.want is not None:
                 self.pending[servo.want.number] = True
             if op.op is Op.STOP:
@@ -350,7 +350,7 @@ class Oracle(RobotHistory):
                 still_starts = op.op is Op.START or servo.starts
                 servo.want = Want(Op.START if still_starts else Op.SET, op.angle_cdeg, command.number)
                 servo.bound_cdeg = None
-                servo.commanded_by(command.source, self.legs[leg_of(servo_id)].moved_ns, self.rules)
+                servo.commanded_by(command.source, self.legs[servo_id // 10].moved_ns, self.rules)
         return frozenset(servo_id for servo_id, op in targets if op.op is Op.STOP)
 
     def _must_be_rejected(
@@ -387,7 +387,7 @@ class Oracle(RobotHistory):
 
     def _moved(self, transmit: Transmit, stops: frozenset[int], now_ns: int) -> None:
         """A frame that a command caused: each servo is sent its target, or its present operation again."""
-        leg_number = leg_of(transmit.frame.servos[0][0])
+        leg_number = transmit.frame.leg
         leg = self.legs[leg_number]
         if not transmit.frame.is_stop:
             demand(
@@ -471,7 +471,7 @@ class Oracle(RobotHistory):
                 deadline_ns = (leg.commanded_ns or 0) + self.rules.timeout_ns
                 demand(now_ns < deadline_ns, "a leg without a command within the timeout is off")
                 latest.append(deadline_ns)
-            waits = [servo for each, servo in self.servos.items() if leg_of(each) == number and each not in held]
+            waits = [servo for each, servo in self.servos.items() if each // 10 == number and each not in held]
             under_way = any(servo.want is not None or servo.bound_cdeg is not None for servo in waits)
             if under_way and not self.rules.start_pause_ns:
                 together = self.legs.values() if self.rules.starts_whole and not self.energised else (leg,)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Final
 
 from gateway import cli
-from gateway.model.frames import STOP, OneServo, Op, ServoOp
+from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.robot import service
 from gateway.robot.core.events import Effect, EmergencyStop, Event, Transmit
 from gateway.robot.core.leg import Rules
@@ -51,9 +51,9 @@ def _unlatched(robot: Supervisor, event: Event, effects: list[Effect]) -> list[E
 
 def _another_angle(_robot: Supervisor, _event: Event, effects: list[Effect]) -> list[Effect]:
     def wrong(each: Effect) -> Effect:
-        if isinstance(each, Transmit) and isinstance(each.frame, OneServo) and each.frame.command != STOP:
-            command = each.frame.command
-            return replace(each, frame=OneServo(each.frame.servo_id, ServoOp(command.op, command.angle_cdeg + 1000)))
+        if isinstance(each, Transmit) and isinstance(each.frame, OneServo) and not each.frame.is_stop:
+            ((servo_id, command),) = each.frame.servos
+            return replace(each, frame=OneServo(servo_id, ServoOp(command.op, command.angle_cdeg + 1000)))
         return each
 
     return [wrong(each) for each in effects]

@@ -4,7 +4,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Self
 
 from gateway.model.calibration import RobotCalibration
-from gateway.model.frames import STOP, Frame, OneServo, Op, leg_of, servo_ids_of, stop_leg
+from gateway.model.frames import STOP, Frame, OneServo, Op, servo_ids_of, stop_leg
 from gateway.robot.core.events import (
     BodyMeasured,
     Command,
@@ -287,7 +287,7 @@ class RobotHistory:
                 return Reason.SERVO_STOPPED
             if op.op is Op.SET and not servo.on and not servo.starts:
                 return Reason.SERVO_STOPPED
-        starts = {leg_of(servo_id) for _, servo_id, op in moves if op.op is Op.START}
+        starts = {servo_id // 10 for _, servo_id, op in moves if op.op is Op.START}
         partly = 0 < len(moves) == len(command.targets) < len(self.servos)
         if self.rules.starts_whole and partly and not self.alive:
             return Reason.WHOLE_ROBOT
@@ -325,7 +325,7 @@ class RobotHistory:
 
     def named(self, transmit: Transmit, command: int) -> None:
         """A frame names the commands that it carries out, so that the answer of one that fails later names its leg."""
-        held = self.held(leg_of(transmit.frame.servos[0][0]))
+        held = self.held(transmit.frame.leg)
         says = [servo_id for servo_id, _ in transmit.frame.servos if servo_id not in held or transmit.frame.is_stop]
         wants = {want.number for servo_id in says if (want := self.servos[servo_id].want)}
         named = {each.number for each in transmit.commands}
@@ -439,7 +439,7 @@ class RobotHistory:
 
     def hold_starts(self, command: Command, now_ns: int) -> None:
         """An accepted command: a leg that does not run waits for what may come behind its start."""
-        for number in {leg_of(servo_id) for servo_id, op in command.targets if op.op is Op.START}:
+        for number in {servo_id // 10 for servo_id, op in command.targets if op.op is Op.START}:
             if not self.runs(number) and self.backlog.starts(command, number, armed=self.armed(number)):
                 self.legs[number].held_until_ns = now_ns + self.rules.start_wait_ns
 

@@ -55,7 +55,7 @@ def said(effect: events.Effect) -> str:
         case events.Transmit(frame=frame):
             ops = (op for _, op in frame.servos)
             words = ["stop" if op.op is Op.STOP else f"{op.op.name.lower()} {op.angle_cdeg / 100:g}" for op in ops]
-            number = frame.servo_id if isinstance(frame, OneServo) else frame.leg
+            number = frame.servos[0][0] if isinstance(frame, OneServo) else frame.leg
             return f"{effect.cause} {number} {words[0] if len(set(words)) == 1 else ' | '.join(words)}"
         case events.Completed():
             return f"completed {effect.request.number}{' coalesced' if is_coalesced(effect.request) else ''}"

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from gateway.allowance import NS_PER_S
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.frames import STOP, Op, ServoOp, leg_of
+from gateway.model.frames import STOP, Op, ServoOp
 from gateway.robot.core.events import PowerSeen
 from gateway.robot.core.leg import Rules
 from schemas.calibration import CalibrationCommand, ServoChange
@@ -53,7 +53,7 @@ class Configuration:
     @property
     def legs(self) -> list[int]:
         """Those that its commands name; the robot has no others."""
-        return sorted({leg_of(servo_id) for _, targets in self.commands for servo_id, _ in targets})
+        return sorted({servo_id // 10 for _, targets in self.commands for servo_id, _ in targets})
 
 
 LOW, HIGH = 10_00, 20_00

@@ -6,7 +6,7 @@ from gateway.model.framing import Framing
 
 def on_wire(framing: Framing, *frames: Frame | bytes) -> list[bytes]:
     """The transfers that carry these frames, in order: where the framing wants it, each behind its length."""
-    written = [frame if isinstance(frame, bytes) else frame.to_bytes() for frame in frames]
+    written = [frame if isinstance(frame, bytes) else frame.data for frame in frames]
     announced = framing is Framing.LENGTH_PREFIXED
     return [data for frame in written for data in ((bytes((len(frame),)), frame) if announced else (frame,))]
 

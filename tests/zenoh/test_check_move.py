@@ -89,7 +89,7 @@ def test_one_servo_is_started_moved_and_stopped(
     heard = frames(client)
     end = move(*answers)
     assert end.returncode == 0, str(end)
-    assert until_stopped(heard, expected[0].servo_id) == expected
+    assert until_stopped(heard, expected[0].servos[0][0]) == expected
     assert "will go to " in end.stderr
     assert "is stopped." in end.stderr
     assert ("try a servo of leg 6" in end.stdout) is leg_1
@@ -132,7 +132,7 @@ def test_what_somebody_else_stops_meanwhile_is_not_started_again(gateway: Gatewa
         assert client.stop().accepted
         assert child.wait() == 1, str(child)
     assert "a set was rejected: servo_stopped: " in child.stderr
-    assert [frame.command.op for frame in servo_frames(heard)].count(Op.START) == 1
+    assert [op.op for frame in servo_frames(heard) for _, op in frame.servos].count(Op.START) == 1
     assert client.state().lease.holder is None
 
 

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from gateway.client import Client, leg_payload, servo_payload
-from gateway.model.frames import OneLeg, OneServo, decode, stop_leg
+from gateway.model.frames import Frame, decode, stop_leg
 from schemas import keys
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Ack, Cause, FrameRecord, Kind, Mode
@@ -29,7 +29,7 @@ def client(gateway: Gateway) -> Iterator[Client]:
         yield connected
 
 
-def frame_of(record: FrameRecord) -> OneLeg | OneServo:
+def frame_of(record: FrameRecord) -> Frame:
     return decode(bytes.fromhex(record.bytes))
 
 

@@ -111,7 +111,7 @@ def command(bench: Bench) -> Figures:
     if bench.frames_published:
         stopped = bench.wait(lambda: bench.caused(Cause.COMMAND, stops=True), EVIDENCE_S)
         moves = [frame for _, frame in bench.frames if not frame.is_stop]
-        demand(_as_commanded(bench, moves), f"these frames moved it: {[each.to_bytes().hex() for each in moves]}")
+        demand(_as_commanded(bench, moves), f"these frames moved it: {[each.data.hex() for each in moves]}")
         demand(stopped, "no Stop was written")
     bench.demand_no_motion("after the Stop")
     return {"start_to_answer_ms": start_ms}

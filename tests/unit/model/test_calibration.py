@@ -45,7 +45,7 @@ def test_what_is_accepted_has_a_legal_wire_angle_and_reads_back_as_the_user_said
     if any(op is not STOP and calibration.why_not(servo_id, op.angle_cdeg) for servo_id, op in frame.servos):
         return
     wire = calibration.frame(frame)  # a frame that is not legal cannot be made: FrameError
-    assert calibration.user_frame(decode(wire.to_bytes())) == frame
+    assert calibration.user_frame(decode(wire.data)) == frame
     assert [op.op for _, op in wire.servos] == [op.op for _, op in frame.servos]
 
 

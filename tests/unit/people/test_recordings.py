@@ -140,7 +140,7 @@ def test_a_table_has_the_commanded_angles_and_a_gap_where_a_servo_is_off(path: P
     recording = Recording(load())
     recording.open_table(path.with_suffix(".csv"))
     start = {"bytes": "060220015a00"}  # servo 32, Start, 90 degrees
-    for number, report in enumerate((start, {"bytes": stop_leg(3).to_bytes().hex()})):
+    for number, report in enumerate((start, {"bytes": stop_leg(3).data.hex()})):
         recording.add(keys.FRAME, report, START_NS + number)
     recording.close()
     with path.with_suffix(".csv").open(newline="") as file:

@@ -39,7 +39,7 @@ from tests.unit.people.test_recordings import drawn_in, positions
 pytestmark = pytest.mark.virtual_time
 
 ALL_LEGS = tuple((servo_id, ServoOp(Op.SET, 180_00)) for servo_id in SERVO_IDS)
-FRAME = stop_leg(3).to_bytes()
+FRAME = stop_leg(3).data
 WRITTEN: list[tuple[int, Callable[..., bytes], Callable[..., rec.Content], tuple[Any, ...]]] = [
     (form.START, form.fields, rec.Start, (5, {"version": "1", "simulated": True})),
     (form.END, form.fields, rec.Noted, ("end", "done")),

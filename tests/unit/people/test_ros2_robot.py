@@ -9,7 +9,7 @@ import pytest
 from gateway.geometry import load
 from gateway.geometry.kinematics import Quaternion, Vector, plus, rotated, times
 from gateway.model.calibration import RobotCalibration, ServoMapping, report_of
-from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
+from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.people.recorder.drawing import encode
 from gateway.people.recorder.messages import RecordedMessage
 from gateway.people.recorder.story import frames_in
@@ -121,9 +121,9 @@ OTHER = RobotCalibration(2, {31: ServoMapping(-20_00)})
 USERS = OneLeg(3, (ServoOp(Op.SET, 90_00), ServoOp(Op.SET, 45_00), ServoOp(Op.START, 120_00)))
 
 
-def frame(calibration: RobotCalibration, users: OneLeg | OneServo = USERS) -> RecordedMessage:
+def frame(calibration: RobotCalibration, users: Frame = USERS) -> RecordedMessage:
     """As it was written with this calibration in force."""
-    return RecordedMessage(FRAME, {"bytes": calibration.frame(users).to_bytes().hex(), "cause": "command"}, 0)
+    return RecordedMessage(FRAME, {"bytes": calibration.frame(users).data.hex(), "cause": "command"}, 0)
 
 
 def state(revision: int | None) -> RecordedMessage:
@@ -135,7 +135,7 @@ def told(calibration: RobotCalibration) -> RecordedMessage:
     return RecordedMessage(CALIBRATION, report_of(calibration).model_dump(mode="json"), 0)
 
 
-def read(*messages: RecordedMessage) -> list[OneLeg | OneServo]:
+def read(*messages: RecordedMessage) -> list[Frame]:
     return [found for _, found in frames_in(messages)]
 
 
@@ -168,7 +168,7 @@ def test_where_the_calibration_in_force_is_unknown_it_is_known_to_be(message: Re
 
 def test_bytes_that_no_user_meant_stay_as_they_are() -> None:
     low = OneServo(31, ServoOp(Op.SET, 0))  # its user would have said -7.5
-    assert read(told(MIRRORED), RecordedMessage(FRAME, {"bytes": low.to_bytes().hex()}, 0)) == [low]
+    assert read(told(MIRRORED), RecordedMessage(FRAME, {"bytes": low.data.hex()}, 0)) == [low]
     assert read(told(MIRRORED), RecordedMessage(FRAME, {"bytes": "00"}, 0)) == []
 
 

@@ -186,8 +186,8 @@ def test_a_stream_has_the_preamble_once_in_a_second() -> None:
 
 # ---- what a controller may still await after calls that failed, and the shortest way back
 
-LEG_STOPS = tuple(stop.to_bytes() for stop in STOPS)
-ALL_STOPS = (*LEG_STOPS, *(OneServo(servo_id, STOP).to_bytes() for servo_id in SERVO_IDS))
+LEG_STOPS = tuple(stop.data for stop in STOPS)
+ALL_STOPS = (*LEG_STOPS, *(OneServo(servo_id, STOP).data for servo_id in SERVO_IDS))
 
 
 def transfers_of(stop: bytes) -> tuple[bytes, ...]:

@@ -167,7 +167,7 @@ async def test_the_landing_pose_of_the_calibration_goes_before_that_of_the_setti
     robot.put(LEG_3, START)
     await asyncio.sleep(2)
     landed = [frame for _, frame in robot.frames if isinstance(frame, OneLeg) and not frame.is_stop][-1]
-    assert [op.angle_cdeg for op in landed.commands if op.op is not Op.STOP][:2] == [120_00, 40_00]
+    assert [op.angle_cdeg for _, op in landed.servos if op.op is not Op.STOP][:2] == [120_00, 40_00]
 
 
 # ---- what a CalibrationCommand may contain

@@ -218,7 +218,7 @@ async def test_the_end_says_whether_all_six_stops_were_written_and_does_not_wait
 async def test_in_a_published_controllers_framing_the_preamble_comes_first_and_after_each_fault() -> None:
     robot = started(spi={"framing": "length-prefixed"})
     first = [data for _, data in robot.controller.transfers][:18]
-    assert first == [*preamble_of(Framing.LENGTH_PREFIXED), b"\x0e", stop_leg(1).to_bytes()]
+    assert first == [*preamble_of(Framing.LENGTH_PREFIXED), b"\x0e", stop_leg(1).data]
     await asyncio.sleep(1)
     robot.put(LEG_3, START)
     assert robot.controller.energised == {31, 32, 33}

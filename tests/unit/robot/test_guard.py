@@ -13,8 +13,8 @@ from tests.support.transfers import on_wire
 from tests.unit.model.test_frames import ILLEGAL, bytes_near_a_frame, frames
 
 PREFIXED = Framing.LENGTH_PREFIXED
-STOP_1 = stop_leg(1).to_bytes()
-START_11 = OneServo(11, ServoOp(Op.START, 90_00)).to_bytes()
+STOP_1 = stop_leg(1).data
+START_11 = OneServo(11, ServoOp(Op.START, 90_00)).data
 ZERO = b"\0"
 
 
@@ -34,7 +34,7 @@ def is_written_so(data: bytes, avoid_from_cdeg: int = 0, avoid_to_cdeg: int = 0)
     except FrameError:
         return False
     moves = [servo.angle_cdeg for _, servo in frame.servos if servo.op is not Op.STOP]
-    return frame.to_bytes() == data and not any(avoid_from_cdeg <= angle < avoid_to_cdeg for angle in moves)
+    return frame.data == data and not any(avoid_from_cdeg <= angle < avoid_to_cdeg for angle in moves)
 
 
 def legal(framing: Framing, data: list[bytes]) -> bool:
@@ -54,7 +54,7 @@ def legal(framing: Framing, data: list[bytes]) -> bool:
 
 
 parts = st.one_of(
-    frames.map(lambda frame: [frame.to_bytes()]),
+    frames.map(lambda frame: [frame.data]),
     frames.map(lambda frame: on_wire(PREFIXED, frame)),
     bytes_near_a_frame.map(lambda data: [data]),
     bytes_near_a_frame.map(lambda data: [bytes((min(len(data), 255),)), data]),
@@ -91,7 +91,7 @@ def test_no_illegal_vector_passes_also_behind_a_legal_frame(framing: Framing, ve
 def test_the_reason_is_the_first_servo_within_the_interval_which_has_its_beginning_and_not_its_end() -> None:
     frame = OneLeg(6, (ServoOp(Op.SET, 4_00), ServoOp(Op.SET, 1_00), STOP))
     with pytest.raises(IllegalTransferError, match="moves servo 62 to 1 degrees"):
-        check([(frame.to_bytes(), 0)], range(1_00, 4_00), announces=False)
+        check([(frame.data, 0)], range(1_00, 4_00), announces=False)
 
 
 # ---- the guard accepts just what reading the frame and writing it again accepts

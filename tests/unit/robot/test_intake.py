@@ -95,7 +95,7 @@ def check_intake(key: CommandKey, payload: bytes, answer: object) -> None:
         return
     _check_targets(key, sent, answer.targets)
     for frame in _frames_of(answer.targets):
-        assert frames.decode(frame.to_bytes()) == frame
+        assert frames.decode(frame.data) == frame
 
 
 def _with_every_name_once(pairs: list[tuple[str, object]]) -> dict[str, object]:

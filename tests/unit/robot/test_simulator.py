@@ -87,7 +87,7 @@ class ReferenceController:
     st.lists(
         st.tuples(
             st.sampled_from([0, 1, MS, 400 * MS, 1000 * MS - 1, 1000 * MS, 3000 * MS]),
-            frames.map(lambda frame: frame.to_bytes())
+            frames.map(lambda frame: frame.data)
             | bytes_near_a_frame
             | st.sampled_from([b"\6", b"\x0e", b"\x5a", bytes(16), bytes(70)]),
         ),

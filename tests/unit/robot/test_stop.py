@@ -27,7 +27,7 @@ class Device(SpiDevice):
 
     def __init__(self, mistake: Exception, leg: int | None) -> None:
         self._mistake = mistake
-        self._failing = None if leg is None else stop_leg(leg).to_bytes()
+        self._failing = None if leg is None else stop_leg(leg).data
         self.recovers = False
         """Whether its second opening ends the fault."""
         self.openings = 0
@@ -57,7 +57,7 @@ def test_whatever_one_legs_stop_meets_the_others_get_theirs(mistake: Exception, 
         stopped, fault = stop_once(bus, opened=True)
         assert stopped == set(LEGS) - {leg}
         assert fault is mistake
-        expected = [stop_leg(other).to_bytes() for other in LEGS if other != leg]
+        expected = [stop_leg(other).data for other in LEGS if other != leg]
         assert sorted(set(device.seen)) == expected
 
 
@@ -83,7 +83,7 @@ def test_a_repetition_resynchronises_the_controller_first() -> None:
         device.seen.clear()
         stop_once(bus, opened=True)
         assert device.seen[:PREAMBLE_ZEROS] == [ZERO] * PREAMBLE_ZEROS
-        assert device.seen[PREAMBLE_ZEROS + 1] == stop_leg(LEGS[0]).to_bytes()
+        assert device.seen[PREAMBLE_ZEROS + 1] == stop_leg(LEGS[0]).data
 
 
 # ---- stop-servos: in rounds
@@ -105,7 +105,7 @@ class Rounds(SpiDevice, Uart):
             self.write(data)
 
     def write(self, data: bytes) -> None:
-        failing = {SHUTDOWN, *(stop_leg(leg).to_bytes() for leg in self.failing)}
+        failing = {SHUTDOWN, *(stop_leg(leg).data for leg in self.failing)}
         if len(self.sleeps_ms) < self.failing_rounds and data in failing:
             raise SpiError("told to fail")
         self.log.append("stop")

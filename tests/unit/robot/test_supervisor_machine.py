@@ -193,7 +193,7 @@ class SupervisorMachine(RuleBasedStateMachine):
         fault: SpiError | None = None
         for effect in effects:
             if isinstance(effect, events.Transmit) and (fault is None or effect.frame.is_stop):
-                data = effect.frame.to_bytes()
+                data = effect.frame.data
                 assert decode(data) == effect.frame
                 try:
                     self.controller.take(data)
