@@ -27,10 +27,10 @@ BEGIN: Final = 0x7E
 END: Final = 0x0F
 MIDDLE_CDEG: Final = 90_00
 """The angle in a frame for a servo that was never commanded, while all are shut down."""
-VALUES: Final = 19
-"""The number of values in an answer."""
+VALUES: Final = slice(1, 77)
+"""The bytes of an answer's nineteen values."""
 _FRAME: Final = struct.Struct("<B18f6xB")
-_ANSWER: Final = struct.Struct(f"<B{VALUES}f2xB")
+_ANSWER: Final = struct.Struct("<B19f2xB")
 
 UART_BAUD: Final = 1_152_000
 """8 bits, no parity, two stop bits, no flow control."""
@@ -98,11 +98,6 @@ def measured(data: bytes) -> Measured:
     return Measured(
         temperature_c, voltage_v, percent, (w, x, y, z), (p, q, r), (a, b, c), (one, two, three, four, five, six)
     )
-
-
-def values_of(data: bytes) -> tuple[float, ...]:
-    """Return the values of a well-formed answer, `VALUES` of them."""
-    return _ANSWER.unpack(data)[1:-1]
 
 
 def answer(values: Measured) -> bytes:

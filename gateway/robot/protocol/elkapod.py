@@ -97,20 +97,19 @@ class Changes:
     before, and never rested while the controller was alive, are evidence: a noisy sensor's.
     """
 
-    def __init__(self, begun_ns: int) -> None:
-        self._values: tuple[float, ...] = ()
-        self._changed_ns = [begun_ns] * elkapod.VALUES
+    def __init__(self) -> None:
+        self._values: list[int] = []
+        self._changed_ns: list[int] = []
         self._changed: set[int] = set()
         self._rested: set[int] = set()
 
     def note(self, answer: bytes, now_ns: int) -> bool:
         """Take a well-formed answer. Return whether it is a measurement; False: the controller is frozen."""
         frozen = not self._changed <= self._rested and now_ns - max(self._changed_ns) >= FROZEN_NS
-        before, self._values = self._values, elkapod.values_of(answer)
+        before, self._values = self._values, memoryview(answer[elkapod.VALUES]).cast("I").tolist()
         if self._values == before:
             return not frozen
-        if not before:
-            self._changed_ns = [now_ns] * elkapod.VALUES
+        self._changed_ns = self._changed_ns or [now_ns] * len(self._values)
         for place, changed in enumerate(now != then for now, then in zip(self._values, before, strict=False)):
             if now_ns - self._changed_ns[place] >= FROZEN_NS and not (changed and frozen):
                 self._rested.add(place)
@@ -120,56 +119,25 @@ class Changes:
         return True
 
 
-class Beats:
-    """Heartbeats, and whether two in a row are missing.
+class SignsOfLife:
+    """Whether the controller is alive: it has to send both answers and heartbeats, from `begun_ns` on.
 
-    A heartbeat waits in the kernel, so a late poll still finds it; only if the whole machine was suspended it may be
+    Also whether it may have restarted: after good ones, an answer was malformed or two heartbeats are missing. A
+    heartbeat waits in the kernel, so a late poll still finds it; only if the whole machine was suspended it may be
     lost. So a poll counts for an eighth of `silent_ns` at most, and a gap below a third of `silent_ns` does not count,
     since a busy machine may delay heartbeats for this long.
     """
 
     def __init__(self, silent_ns: int, begun_ns: int) -> None:
-        self._least_ns, self._poll_ns = silent_ns // 3, silent_ns // 8
-        self._rest = b""
-        self._polled_ns = begun_ns
-        self._came_ns: deque[int] = deque(maxlen=_BEATS)
-        self._quiet_ns = 0
-        self.missing = False
-        """Whether none was received for two and a half of their periods, once the period is known."""
-
-    @property
-    def newest_ns(self) -> int | None:
-        """When the newest heartbeat was found (ns); None: none was."""
-        return self._came_ns[-1] if self._came_ns else None
-
-    def take(self, data: bytes, now_ns: int) -> None:
-        """Take the bytes that the UART has received since the last call."""
-        count, self._rest = elkapod.heartbeats(self._rest + data)
-        since_ns, self._polled_ns = now_ns - self._polled_ns, now_ns
-        self._quiet_ns += min(since_ns, self._poll_ns)
-        if len(self._came_ns) == _BEATS:
-            two_and_a_half_ns = 5 * (self._came_ns[-1] - self._came_ns[0]) // (2 * (_BEATS - 1))
-            self.missing = self._quiet_ns >= max(two_and_a_half_ns, self._least_ns)
-        if not count:
-            return
-        self._quiet_ns = 0
-        if since_ns > self._poll_ns:  # their times are not known
-            self._came_ns.clear()
-            count = 1
-        self._came_ns.extend([now_ns] * count)
-
-
-class SignsOfLife:
-    """Whether the controller is alive: it has to send both answers and heartbeats, from `begun_ns` on.
-
-    Also whether it may have restarted: after good ones, an answer was malformed or two heartbeats are missing.
-    """
-
-    def __init__(self, silent_ns: int, begun_ns: int) -> None:
         self._silent_ns = silent_ns
         self._begun_ns = begun_ns
-        self._beats = Beats(silent_ns, begun_ns)
-        self._changes = Changes(begun_ns)
+        self._rest = b""
+        self._polled_ns = begun_ns
+        self._quiet_ns = 0
+        self._beats_ns: deque[int] = deque(maxlen=_BEATS)
+        self._beat_ns: int | None = None
+        """When the last heartbeat was found; `_beats_ns`: the last few."""
+        self._changes = Changes()
         self._why = "none has come"
         self.answered_ns: int | None = None
         """When the last well-formed answer was received."""
@@ -178,9 +146,21 @@ class SignsOfLife:
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take the bytes that the UART has received since the last call."""
-        self._beats.take(data, now_ns)
-        if self._beats.missing:
-            self.restarted = "two of its heartbeats are missing"
+        count, self._rest = elkapod.heartbeats(self._rest + data)
+        since_ns, self._polled_ns = now_ns - self._polled_ns, now_ns
+        poll_ns, beats_ns = self._silent_ns // 8, self._beats_ns
+        self._quiet_ns += min(since_ns, poll_ns)
+        if len(beats_ns) == _BEATS:
+            two_and_a_half_ns = 5 * (beats_ns[-1] - beats_ns[0]) // (2 * (_BEATS - 1))
+            if self._quiet_ns >= max(two_and_a_half_ns, self._silent_ns // 3):
+                self.restarted = "two of its heartbeats are missing"
+        if not count:
+            return
+        self._quiet_ns, self._beat_ns = 0, now_ns
+        if since_ns > poll_ns:  # their times are not known
+            beats_ns.clear()
+            count = 1
+        beats_ns.extend([now_ns] * count)
 
     def answered(self, data: bytes, now_ns: int) -> Measured | None:
         """Take an answer. Return its values, or None if it is malformed or frozen."""
@@ -199,18 +179,18 @@ class SignsOfLife:
 
     def anew(self) -> "SignsOfLife":
         """Return the signs of the restarted controller, due at the times of the present ones."""
-        newest = [ns for ns in (self.answered_ns, self._beats.newest_ns) if ns is not None]
+        newest = [ns for ns in (self.answered_ns, self._beat_ns) if ns is not None]
         return SignsOfLife(self._silent_ns, min(newest, default=self._begun_ns))
 
     def alive(self, now_ns: int) -> bool:
         """Return whether answers and heartbeats were received and neither is overdue."""
-        return self.answered_ns is not None and self._beats.newest_ns is not None and self.silent(now_ns) is None
+        return self.answered_ns is not None and self._beat_ns is not None and self.silent(now_ns) is None
 
     def silent(self, now_ns: int) -> str | None:
         """Return a sentence that names what has been missing for too long, or None."""
         for sign, newest_ns, why in (
             ("well-formed answer", self.answered_ns, f" (the last one: {self._why})"),
-            ("heartbeat", self._beats.newest_ns, ""),
+            ("heartbeat", self._beat_ns, ""),
         ):
             if now_ns - (self._begun_ns if newest_ns is None else newest_ns) >= self._silent_ns:
                 return f"no {sign} of the controller for {self._silent_ns // NS_PER_MS} ms{why}"
