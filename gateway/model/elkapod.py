@@ -74,8 +74,6 @@ def frame(angles_cdeg: Sequence[int]) -> bytes:
 
     Raises ValueError unless there are eighteen of 0 to 18000: the controller does not check them.
     """
-    if len(angles_cdeg) != len(SERVO_IDS):
-        raise ValueError(f"here are {len(angles_cdeg)} angles; a frame has {len(SERVO_IDS)}")
     for servo_id, angle_cdeg in zip(SERVO_IDS, angles_cdeg, strict=True):
         if not 0 <= angle_cdeg <= MAX_ANGLE_CDEG:
             raise ValueError(
