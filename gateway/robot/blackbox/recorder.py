@@ -203,10 +203,10 @@ class Recorder:
                     accepted = request.number
         if (one := received) is not None:
             if accepted == one.number != 0 and len(decided) == 1 and self._ring is not None:
-                sent = written[0][1]
+                transmit, sent = written[0]
                 body = form.carried_out(
                     self._ring.sequence, one.received_ns, one.number, one.verb, one.key, one.source,
-                    one.sent_ms, one.targets, sent.data, sent.ns, sent.call_ns,
+                    one.sent_ms, one.targets, transmit.frame.data, sent.ns, sent.call_ns,
                 )  # fmt: skip
                 if body is not None:
                     self._ring.put(body)
@@ -215,7 +215,8 @@ class Recorder:
             self._append(form.COMMAND, one.received_ns, fields)
         for transmit, sent in written:
             late_ns = 0 if transmit.deadline_ns is None else sent.ns - transmit.deadline_ns
-            self._append(form.FRAME, sent.ns, form.frame(sent.data, transmit.cause, sent.call_ns, late_ns, accepted))
+            fields = form.frame(transmit.frame.data, transmit.cause, sent.call_ns, late_ns, accepted)
+            self._append(form.FRAME, sent.ns, fields)
         for request, verdict, _ in decided:
             number = request.number
             if not number or number != accepted:

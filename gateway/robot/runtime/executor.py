@@ -181,7 +181,7 @@ class Executor:
                 for command in transmit.commands:
                     command.written += (transmit.frame.leg,)
                 if transmit.deadline_ns is not None and sent.received:
-                    self.reports.metrics.watchdog_stops.record(self.bus.ended_ns - transmit.deadline_ns)
+                    self.reports.metrics.watchdog_stops.record(sent.ns - transmit.deadline_ns)
             if report.rejection is not None:
                 logger.warning("%s; from now on, each transfer is a separate call", report.rejection)
             outcome.meddled = report.meddled or outcome.meddled

@@ -170,7 +170,7 @@ class RobotReports:
         """Publish a step's frames, after the last was written."""
         for transmit, sent in written:
             record = telemetry.FrameRecord(
-                time=wall_clock(), monotonic_ns=sent.ns, bytes=sent.data.hex(), cause=transmit.cause
+                time=wall_clock(), monotonic_ns=sent.ns, bytes=transmit.frame.data.hex(), cause=transmit.cause
             )
             self.outbox.publish(keys.FRAME, record)
 

@@ -67,8 +67,6 @@ class Sent:
 
     place: int
     """The frame's index in the batch."""
-    data: bytes
-    """The frame in the bytes of HexapodProtocol v1.0.0, on any wire."""
     ns: int
     """When its call ended: by then its last bit had left, or a UART's message was with the kernel."""
     call_ns: int
@@ -97,8 +95,6 @@ class Wire(ABC):
     def __init__(self) -> None:
         self.frames = 0
         self.errors = 0
-        self.ended_ns = 0
-        """When the last call ended (ns, monotonic)."""
         self.transfer_latency = Latency()
 
     @abstractmethod

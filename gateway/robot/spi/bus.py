@@ -107,6 +107,7 @@ class Bus(Wire):
         self._suspect = False  # the device was reopened, and the controller may be out of sync since
         self._slow = False  # a call failed slowly, and no `write` since then passed all Stops and a preamble
         self._received: set[bytes] = set()  # Stops that the controller received since Stops began to fail
+        self._ended_ns = 0  # when the last call ended
         self._synchronised_ns = 0  # when the last preamble ended
         self._zeros = 0  # in a row, since the last other transfer
         self._failures = 0  # of calls, in a row
@@ -133,7 +134,7 @@ class Bus(Wire):
             self.errors += 1
             report.fault = SpiError("the SPI device is closed")
             return report
-        if not preamble and now_ns - self.ended_ns >= PAUSE_NS:
+        if not preamble and now_ns - self._ended_ns >= PAUSE_NS:
             report.meddled = self.put_right()
             if report.meddled is not None and not stops:
                 report.fault = SpiError(report.meddled)
@@ -174,7 +175,7 @@ class Bus(Wire):
     def _needs_preamble(self, now_ns: int, *, stops: bool, preamble: bool) -> bool:
         if preamble or self._suspect or self._awaited != NOTHING:
             return not self.just_resynchronised
-        if now_ns - self.ended_ns >= IDLE_NS:
+        if now_ns - self._ended_ns >= IDLE_NS:
             self._synchronised_ns = now_ns
         # A begun preamble is finished first. If each frame restarted it, it would never end.
         overdue = now_ns - self._synchronised_ns >= RESYNC_NS or bool(self._zeros)
@@ -205,7 +206,7 @@ class Bus(Wire):
     @property
     def resync_due(self) -> bool:
         """Whether the stream's next pause has to be used for `write_zeros`."""
-        return self.announces and self.ended_ns - self._synchronised_ns >= RESYNC_NS - RESYNC_NS // EARLY_SHARE
+        return self.announces and self._ended_ns - self._synchronised_ns >= RESYNC_NS - RESYNC_NS // EARLY_SHARE
 
     @property
     def just_resynchronised(self) -> bool:
@@ -247,7 +248,7 @@ class Bus(Wire):
             self._failed(batch, self._clock() - begun_ns, zeros_only=not frames)
             raise
         finally:
-            ended_ns = self.ended_ns = self._clock()
+            ended_ns = self._ended_ns = self._clock()
             took_ns = ended_ns - begun_ns
             self.transfer_latency.record(took_ns)
         if took_ns >= STALLED_NS:
@@ -264,10 +265,8 @@ class Bus(Wire):
                 self._synchronised_ns, self._suspect = ended_ns, False
         if not frames:
             self._zeros = zeros_before
-        for frame in frames:
-            report.sent += [Sent(first, frame.data, ended_ns, took_ns, received)]
-            first += 1
-            self.frames += 1
+        report.sent += [Sent(first + place, ended_ns, took_ns, received) for place in range(len(frames))]
+        self.frames += len(frames)
 
     def _write_singly(self, batch: Batch) -> None:
         """Write a batch in one call for each transfer, for a kernel that takes no lists, and sleep the pauses.

@@ -8,6 +8,7 @@ from gateway.errors import SpiError
 from gateway.host.settings_table import SpiSettings
 from gateway.model.frames import OneServo, Op, ServoOp
 from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.robot.spi import Sent
 from gateway.robot.spi.bus import LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError
 from schemas.robot import LEGS
@@ -75,9 +76,7 @@ def test_a_frames_time_is_the_end_of_its_call() -> None:
     bench.wire_takes_time = True
     begun_ns = bench.now_ns
     report = bench.bus.write(STOPS[:2], preamble=True)
-    assert [(sent.ns, sent.call_ns, sent.data) for sent in report.sent] == [
-        (bench.now_ns, bench.now_ns - begun_ns, stop.data) for stop in STOPS[:2]
-    ]
+    assert report.sent == [Sent(place, bench.now_ns, bench.now_ns - begun_ns, received=True) for place in (0, 1)]
 
 
 # ---- one call each
