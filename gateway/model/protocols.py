@@ -15,30 +15,25 @@ class SpiProtocol(enum.StrEnum):
     @property
     def capabilities(self) -> Capabilities:
         """The capabilities of the wire."""
-        return Capabilities() if self.framed else Capabilities(whole_robot=True, measures=True)
-
-    @property
-    def framed(self) -> bool:
-        """Whether the wire's frames need a framing (`spi.framing`). If not, a UART starts and stops the servos."""
-        return self is SpiProtocol.HEXAPOD_1_0
+        return Capabilities() if self is FRAMED else Capabilities(whole_robot=True, measures=True)
 
     @property
     def words(self) -> str:
         """A description for people."""
-        return "HexapodProtocol v1.0.0: SPI alone" if self.framed else "the Elkapod of 2025: SPI and a UART"
+        return "HexapodProtocol v1.0.0: SPI alone" if self is FRAMED else "the Elkapod of 2025: SPI and a UART"
 
     @property
     def speed_hz(self) -> int:
         """The default clock of SPI."""
-        return 2_500_000 if self.framed else 1_000_000
+        return 2_500_000 if self is FRAMED else 1_000_000
 
     @property
     def spi_mode(self) -> int:
         """Clock polarity and phase, as SPI numbers them."""
-        return 0 if self.framed else 2
+        return 0 if self is FRAMED else 2
 
 
 FRAMED: Final = SpiProtocol.HEXAPOD_1_0
-"""The wire with SPI alone, whose frames need a framing."""
+"""SPI alone, with frames that need a framing (`spi.framing`). With the other, a UART starts and stops all servos."""
 BUILT_IN: Final = {str(each): each for each in SpiProtocol}
 """The built-in wires by name."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from gateway.allowance import NS_PER_MS
 from gateway.host.descriptors import Spare
 from gateway.host.shared_page import SensedPage, ServoPage
+from gateway.model.protocols import FRAMED
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
 from gateway.robot.spi.bus import Bus
@@ -41,7 +42,7 @@ class SimulatedParts(NamedTuple):
 def wire(settings: Settings, simulated: SimulatedParts) -> Wire:
     """Return the wire to the robot's controller, not yet open. A simulated controller keeps its state when reopened."""
     protocol, spi, spare = settings.wire.built_in, settings.spi, Spare()
-    if protocol is not None and not protocol.framed:
+    if protocol is not None and protocol is not FRAMED:
         silent_ns, fed_singly = round(settings.controller.silent_ms * NS_PER_MS), bool(settings.power.interface)
         cyclic = partial(CyclicBus, silent_ns=silent_ns, fed_singly=fed_singly)
         if simulated.controller:

@@ -123,7 +123,7 @@ def spi_bus(robot: CheckedRobot) -> Iterator[Result | None]:
     transfers = 1 + (spi.framing is Framing.LENGTH_PREFIXED)
     bits, pause_ms = 8 * (ONE_LEG_LEN + transfers - 1), transfers * (spi.frame_gap_us / 1e3 + CS_CHANGE_NS / 1e6)
     what, takes_ms = "an emergency stop", len(LEGS) * (bits / spi.speed_hz * 1e3 + pause_ms)
-    if not protocol.framed:  # Stops do not go over SPI
+    if robot.settings.wire.has_uart:  # Stops do not go over SPI
         what, takes_ms = "a frame", 8 * FRAME_BYTES / spi.speed_hz * 1e3
     takes, known = f"{spi.speed_hz / 1e6:g} MHz; {what} takes {takes_ms:.1f} ms to write", protocol.speed_hz
     yield first("SPI speed",
