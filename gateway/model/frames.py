@@ -36,8 +36,6 @@ _ONE_LEG: Final = bytes((ONE_LEG_LEN, ONE_LEG_TYPE))
 _ONE_SERVO: Final = bytes((ONE_SERVO_LEN, ONE_SERVO_TYPE))
 _IDS: Final = {servo_id: bytes((servo_id,)) for servo_id in SERVO_IDS}
 _IDS_OF_LEG: Final = {leg: tuple(_IDS[10 * leg + joint] for joint in JOINTS) for leg in LEGS}
-_MAX_INT: Final = 180
-_MAX_FLOAT: Final = 99
 
 
 class FrameError(ValueError):
@@ -199,10 +197,10 @@ def _read_op(data: bytes, index: int) -> ServoOp:
         return STOP
     if op_code not in (Op.START, Op.SET):
         raise FrameError(f"{_found(data, index)}; an OP is 1 (Start), 2 (Stop) or 3 (Set)")
-    if degrees > _MAX_INT:
-        raise FrameError(f"{_found(data, index + 1)}; INT PART is 0 to {_MAX_INT} whole degrees")
-    if hundredths > _MAX_FLOAT:
-        raise FrameError(f"{_found(data, index + 2)}; FLOAT PART is 0 to {_MAX_FLOAT} hundredths of a degree")
+    if degrees > 180:
+        raise FrameError(f"{_found(data, index + 1)}; INT PART is 0 to 180 whole degrees")
+    if hundredths > 99:
+        raise FrameError(f"{_found(data, index + 2)}; FLOAT PART is 0 to 99 hundredths of a degree")
     if 100 * degrees + hundredths > MAX_ANGLE_CDEG:
         raise FrameError(f"{_found(data, index + 2)} after 180 whole degrees; the largest angle is 180.00")
     return (STARTS if op_code == OP_START else SETS)[100 * degrees + hundredths]

@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-KEPT: Final = 1000
-"""Latencies kept for the percentiles: the last thousand."""
 BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000)
 """Upper ends of the histogram's buckets, from one transfer (45 µs) to a delay that is visible on the robot."""
 
@@ -24,7 +22,7 @@ def percentile(ordered: Sequence[float], share: float) -> float:
 class Latency:
     """Latencies in microseconds: the last ones for percentiles, all of them as a histogram, and the worst."""
 
-    recent_us: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    recent_us: deque[float] = field(default_factory=lambda: deque(maxlen=1000))
     buckets: list[int] = field(default_factory=lambda: [0] * (len(BOUNDS_US) + 1))
     sum_us: float = 0.0
     max_us: float | None = None

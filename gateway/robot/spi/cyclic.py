@@ -24,7 +24,6 @@ from gateway.robot.spi.uart import Uart
 
 CYCLE_HZ: Final = 50.0
 """The rate of the robot's own driver and of the servos' PWM; a higher rate would change nothing."""
-_CYCLE_NS: Final = round(NS_PER_S / CYCLE_HZ)
 BEFORE_FRAMES_NS: Final = round((STOP_REPEATS + 0.5) * STOP_REPEAT_MS * NS_PER_MS)
 """For this long after an opening no frame is sent: it would move servos whose shutdown was lost, and the shutdown is
 repeated meanwhile."""
@@ -38,7 +37,7 @@ def run_cycles(cycle: Callable[[], None], clock: Callable[[], int] = time.monoto
         cycle()
         # A late frame is not made up for: two in a row would give the controller nothing new.
         now_ns = clock()
-        due_ns = max(due_ns + _CYCLE_NS, now_ns)
+        due_ns = max(due_ns + round(NS_PER_S / CYCLE_HZ), now_ns)
         time.sleep((due_ns - now_ns) / 1e9)
 
 

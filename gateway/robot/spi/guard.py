@@ -7,13 +7,11 @@ the controller checks neither ids nor lengths, and would corrupt its memory. So 
 import re
 from typing import Final
 
-from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op, servo_ids_of
+from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, OP_STOP, Op, servo_ids_of
 from gateway.robot.spi import Batch
 from schemas.robot import LEGS, SERVO_IDS
 
 _ANNOUNCEMENTS: Final = frozenset((bytes((ONE_SERVO_LEN,)), bytes((ONE_LEG_LEN,))))
-_ZERO: Final = b"\0"
-_STOP: Final = int(Op.STOP)
 _OPERATION: Final = rb"(?:%c\0\0|[%c%c](?:[\0-\xb3][\0-\x63]|\xb4\0))" % (Op.STOP, Op.START, Op.SET)
 """A Stop without an angle, or a Start or Set to 0.00 to 180.00 degrees, in whole degrees and hundredths."""
 _FRAME: Final = re.compile(
@@ -41,7 +39,7 @@ def check(batch: Batch, avoid_cdeg: range, *, announces: bool) -> None:
         if announces and announced_len is None:
             if data in _ANNOUNCEMENTS:
                 announced_len = data[0]
-            elif data != _ZERO:
+            elif data != b"\0":
                 raise IllegalTransferError(f"[{data.hex(' ')}] announces no frame; 06 or 0e does")
             continue
         if announced_len is not None and len(data) != announced_len:
@@ -52,7 +50,7 @@ def check(batch: Batch, avoid_cdeg: range, *, announces: bool) -> None:
         for at in range(2, len(data), 4) if avoid_cdeg else ():
             servo_id, op, whole_deg, hundredths = data[at : at + 4]
             angle_cdeg = whole_deg * 100 + hundredths
-            if op != _STOP and angle_cdeg in avoid_cdeg:
+            if op != OP_STOP and angle_cdeg in avoid_cdeg:
                 angle = f"servo {servo_id} to {angle_cdeg / 100:g} degrees"
                 raise IllegalTransferError(f"[{data.hex(' ')}] moves {angle}, which is never sent in this framing")
     if announced_len is not None:
