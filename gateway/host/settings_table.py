@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final, Literal, NamedTuple
 
-from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS
-from gateway.model.framing import Framing
+from gateway.model.frames import STOP_REPEAT_MS, STOP_REPEATS, Framing
 from gateway.model.protocols import BUILT_IN, FRAMED, SpiProtocol
 from gateway.text import key_name, visible
 from gateway.wire import GROUP, Capabilities, ServoWire

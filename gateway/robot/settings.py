@@ -16,8 +16,7 @@ from gateway.errors import ConfigError
 from gateway.host import settings_table
 from gateway.host.directories import CONFIGURATION
 from gateway.host.settings_reader import NO_SETTING, Fault, ForStops, VariableText, dotted, read, read_for_stops
-from gateway.model.frames import PROTOCOL_VERSION
-from gateway.model.framing import Framing
+from gateway.model.frames import PROTOCOL_VERSION, Framing
 from gateway.own_command import CONNECT_VARIABLE
 
 ENV_PREFIX: Final = "HEXAPOD_"

@@ -39,8 +39,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.host.shared_page import ServoPage
-from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Op
-from gateway.model.framing import Framing
+from gateway.model.frames import ONE_LEG_LEN, ONE_LEG_TYPE, ONE_SERVO_LEN, ONE_SERVO_TYPE, Framing, Op
 from gateway.model.servo import NO_LOAD_DEG_S
 from gateway.robot.spi import Batch, SpiDevice
 from schemas.robot import SERVO_IDS

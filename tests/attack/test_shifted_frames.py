@@ -1,6 +1,6 @@
 """A byte that is lost or doubled in any legal frame: does the published firmware die of it?"""
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from tests.deaf.shifts import faults, worst
 
 AVOID = Framing.LENGTH_PREFIXED.avoid_cdeg

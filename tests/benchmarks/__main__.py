@@ -28,7 +28,7 @@ from typing import Any, Final
 
 import zenoh
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.zenoh_config import client_config
 from schemas.keys import LEGS_COMMAND, leg_command
 from schemas.robot import LEGS

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from gateway.model.frames import Frame, Op, decode
-from gateway.model.framing import ZERO, Framing
+from gateway.model.frames import ZERO, Frame, Framing, Op, decode
 from gateway.robot.spi import BatchReport, Wire
 from gateway.simulation.controller import pulse_us
 from schemas.robot import SERVO_IDS

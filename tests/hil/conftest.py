@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from tests.hil.bed import SpiTestbed
 from tests.hil.wire import Wire, start
 from tests.support.gateway_process import Gateway

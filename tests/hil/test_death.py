@@ -17,8 +17,7 @@ from typing import Any
 import pytest
 
 from gateway.model.black_box import RING_FILE
-from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, decode
-from gateway.model.framing import Framing
+from gateway.model.frames import Frame, Framing, OneLeg, OneServo, Op, ServoOp, decode
 from gateway.people.recorder import ring_reader as rec
 from schemas.robot import LEGS
 from schemas.telemetry import Cause

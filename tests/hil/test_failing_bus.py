@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from gateway.client import Client, leg_payload
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from tests.hil.bed import SpiTestbed, Transfer

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from gateway.client import Client
-from gateway.model.frames import Frame, Op, ServoOp, decode
-from gateway.model.framing import Framing
+from gateway.model.frames import Frame, Framing, Op, ServoOp, decode
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import SpiTestbed, Transfer

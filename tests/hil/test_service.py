@@ -13,7 +13,7 @@ import pytest
 
 from gateway.client import leg_payload
 from gateway.errors import ConfigError
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from schemas import keys
 from schemas.telemetry import Kind, Mode, Reason
 from tests.hil.bed import DEVICE, Setting, SpiTestbed, Transfer

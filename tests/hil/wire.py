@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.frames import STOP, STOP_REPEATS, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
-from gateway.model.framing import ZERO, Framing
+from gateway.model.frames import STOP, STOP_REPEATS, ZERO, Framing, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from schemas.robot import LEGS, SERVO_IDS
 from tests.hil.bed import SpiTestbed, Transfer
 from tests.support.controllers import Controller

@@ -49,7 +49,6 @@ _CYCLIC: Final = _robot("elkapod_wire elkapod_conductor power_conductor")
 
 JUDGES: Final = {
     "gateway/model/frames.py": (*_model("frames"), *_tests("unit", "decode")),
-    "gateway/model/framing.py": _model("framing"),
     "gateway/model/elkapod.py": (*_model("elkapod_bytes"), *_robot("elkapod_wire")),
     "gateway/robot/protocol/elkapod.py": _CYCLIC,
     "gateway/robot/spi/cyclic.py": _CYCLIC,

@@ -10,8 +10,7 @@ from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp, stop_leg
-from gateway.model.framing import ZERO, Framing
+from gateway.model.frames import STOP, ZERO, Frame, Framing, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.robot.spi import Batch, BatchReport, SpiDevice
 from gateway.robot.spi.bus import CS_CHANGE_NS, Bus
 from schemas.robot import LEGS

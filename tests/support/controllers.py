@@ -3,7 +3,7 @@
 from collections import deque
 from typing import Any
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.simulation.controller import SimulatedController, SimulatedServos
 from gateway.simulation.elkapod import GARBAGE, SimulatedElkapod
 

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 from gateway.errors import SpiError
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from tests.support.controllers import Controller
 
 

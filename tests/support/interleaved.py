@@ -16,7 +16,7 @@ from typing import Any, Final
 
 import zenoh
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.robot.spi import Batch
 from tests.support.controllers import Controller
 

@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from gateway.errors import BatchRejectedError
-from gateway.model.frames import Frame, decode
-from gateway.model.framing import Framing
+from gateway.model.frames import Frame, Framing, decode
 from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor

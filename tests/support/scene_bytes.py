@@ -10,7 +10,7 @@ from pathlib import Path
 
 import async_solipsism
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from schemas import keys
 from schemas.robot import LEGS
 from tests.support.robot import MS, Robot, leg, servo

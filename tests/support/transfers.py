@@ -1,7 +1,6 @@
 """What is to be seen on the wire, written apart from the bus that brings it there."""
 
-from gateway.model.frames import Frame
-from gateway.model.framing import Framing
+from gateway.model.frames import Frame, Framing
 
 
 def on_wire(framing: Framing, *frames: Frame | bytes) -> list[bytes]:

@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 
-from gateway.model.frames import OneLeg, OneServo, Op, ServoOp, stop_leg
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing, OneLeg, OneServo, Op, ServoOp, stop_leg
 from gateway.robot.core.backlog import START_WAIT_NS
 from gateway.robot.core.leg import Rules
 from gateway.robot.service import rules

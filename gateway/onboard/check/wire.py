@@ -17,8 +17,7 @@ from typing import Final
 from gateway.host import effective
 from gateway.host.directories import state_to_read
 from gateway.model.elkapod import FRAME_BYTES
-from gateway.model.frames import ONE_LEG_LEN
-from gateway.model.framing import Framing
+from gateway.model.frames import ONE_LEG_LEN, Framing
 from gateway.onboard import computer
 from gateway.onboard.check.table import RESTART, CheckedRobot, Result, Row, failure, first, warning, well
 from gateway.own_command import command

@@ -15,7 +15,7 @@ import gateway
 from gateway import nesting
 from gateway.errors import ConfigError
 from gateway.host.settings_table import ControllerSettings, WireSettings
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.model.protocols import SpiProtocol
 from gateway.onboard.setup.machine import ETC, SERVICE, Machine
 from gateway.people.terminal import say

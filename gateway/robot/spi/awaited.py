@@ -14,8 +14,7 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Final
 
-from gateway.model.frames import ONE_LEG_LEN
-from gateway.model.framing import ZERO
+from gateway.model.frames import ONE_LEG_LEN, ZERO
 
 NOTHING: Final = frozenset({0})
 """The controller is synchronised: it awaits a length."""

@@ -25,8 +25,7 @@ from typing import Final
 
 from gateway.errors import BatchRejectedError, SpiError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import ONE_LEG_LEN, Frame
-from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.model.frames import ONE_LEG_LEN, PREAMBLE_ZEROS, ZERO, Frame, Framing
 from gateway.robot.spi import MOST_TRANSFERS, Batch, BatchReport, Sent, SpiDevice, Transfer, Wire
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, after_stall, next_on_the_way_back
 from gateway.robot.spi.guard import check

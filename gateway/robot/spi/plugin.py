@@ -14,8 +14,7 @@ from typing import Final
 from gateway.errors import ConfigError, SpiError
 from gateway.host.directories import SERVICE_RUNTIME, runtime_directory
 from gateway.host.settings_table import SpiSettings, WireSettings
-from gateway.model.frames import OP_STOP, decode
-from gateway.model.framing import Framing
+from gateway.model.frames import OP_STOP, Framing, decode
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.outside import Listener

@@ -7,8 +7,7 @@ from contextlib import closing
 from itertools import pairwise
 
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import OP_SET, OneLeg, ServoOp, stop_leg
-from gateway.model.framing import Framing
+from gateway.model.frames import OP_SET, Framing, OneLeg, ServoOp, stop_leg
 from gateway.robot.spi.bus import Bus
 from gateway.robot.spi.kernel import KernelDevice
 from tests.kernel.inside import wire

@@ -5,7 +5,7 @@ import os
 import signal
 import time
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from tests.kernel.inside import wire
 from tests.kernel.inside.batches import BATCH, STOPS, bus, program
 from tests.support.waiting import wait_until

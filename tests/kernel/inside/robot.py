@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from gateway.client import Client
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from schemas.telemetry import Event
 from tests.kernel.inside import wire
 from tests.kernel.inside.batches import SPEED_HZ

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from tests.kernel.inside import batches, failures, power, service
 
 

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.people.client.payloads import legs_payload
 from schemas import keys
 from tests.kernel.inside import wire

@@ -8,7 +8,7 @@ import pytest
 
 from gateway.host import effective
 from gateway.host.settings_reader import ForStops
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.robot.settings import Settings
 
 USED = Settings.of(

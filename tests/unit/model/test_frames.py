@@ -1,4 +1,4 @@
-"""Frames to bytes and back: the published vectors, one byte off, each field out of range, and every legal frame."""
+"""Frames to bytes and back: the published vectors, one byte off, each field out of range, every legal frame; framings."""
 
 import json
 import re
@@ -17,10 +17,12 @@ from gateway.model.frames import (
     STOP_REPEATS,
     Frame,
     FrameError,
+    Framing,
     OneLeg,
     OneServo,
     Op,
     ServoOp,
+    avoided_by,
     centidegrees,
     decode,
     legs_of,
@@ -153,3 +155,19 @@ def test_any_bytes_are_a_frame_or_an_error_that_names_the_byte(data: bytes) -> N
         if data[record + 1] == Op.STOP:
             canonical[record + 2 : record + 4] = b"\0\0"
     assert re.fullmatch(r"byte [ -~]{1,195}", why_not) if why_not else written == canonical
+
+
+# ---- the two framings
+
+
+def test_angles_of_which_the_published_firmware_can_die() -> None:
+    """One to, without, four degrees: its ids 1 to 3 with operations 1 to 3 (tests/deaf)."""
+    assert (Framing.PLAIN.avoid_cdeg, Framing.LENGTH_PREFIXED.avoid_cdeg) == (None, (100, 400))
+    assert [avoided_by(name) for name in ("plain", "length-prefixed", "of a later version")] == [None, (100, 400), None]
+
+
+def test_how_fast_each_takes_its_bytes() -> None:
+    """What is faster: test_settings.py."""
+    assert ["STM32" in framing.controller for framing in Framing] == [False, True]
+    assert [(framing.most_hz, framing.least_gap_us) for framing in Framing] == [(20_000_000, 0.0), (5_000_000, 20.0)]
+    assert [framing.too_fast(framing.most_hz, framing.least_gap_us) for framing in Framing] == ["", ""]

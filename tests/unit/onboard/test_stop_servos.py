@@ -9,7 +9,7 @@ from gateway.errors import ConfigError, SpiError
 from gateway.host import effective, realtime
 from gateway.host.settings_reader import ForStops
 from gateway.host.settings_table import ControllerSettings, PowerSettings, SpiSettings, WireSettings
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.onboard import stop
 from gateway.robot import settings as settings_file
 from gateway.robot.power import last_cut

@@ -9,8 +9,7 @@ import pytest
 
 from gateway.model.black_box import RING_FILE
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.frames import decode
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing, decode
 from gateway.people.recorder import ring_reader as rec
 from gateway.robot.blackbox import ring as rings
 from gateway.robot.settings import Settings

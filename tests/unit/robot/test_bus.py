@@ -10,8 +10,7 @@ import pytest
 
 from gateway.errors import BatchRejectedError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import STOP, Frame, OneLeg, OneServo, Op, ServoOp
-from gateway.model.framing import ZERO, Framing
+from gateway.model.frames import STOP, ZERO, Frame, Framing, OneLeg, OneServo, Op, ServoOp
 from gateway.robot.spi import Batch, SpiDevice
 from gateway.robot.spi.awaited import ANYTHING, NOTHING, after, after_failure, next_on_the_way_back
 from gateway.robot.spi.bus import Bus

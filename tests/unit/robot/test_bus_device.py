@@ -6,8 +6,7 @@ import pytest
 
 from gateway.errors import SpiError
 from gateway.host.settings_table import SpiSettings
-from gateway.model.frames import OneServo, Op, ServoOp
-from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, OneServo, Op, ServoOp
 from gateway.robot.spi import Sent
 from gateway.robot.spi.bus import LONGEST_NS, ZERO_PAUSE_US, Bus
 from gateway.robot.spi.guard import IllegalTransferError

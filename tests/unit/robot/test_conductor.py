@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from gateway.errors import SpiError
-from gateway.model.frames import OneLeg, Op, ServoOp, stop_leg
-from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, OneLeg, Op, ServoOp, stop_leg
 from gateway.people.recorder import ring_reader as rec
 from gateway.robot.core.events import Transmit
 from gateway.robot.core.message import Verb

@@ -6,8 +6,7 @@ from itertools import pairwise
 import pytest
 
 from gateway.errors import SpiError
-from gateway.model.frames import stop_leg
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing, stop_leg
 from gateway.robot.core.message import Verb
 from schemas import keys
 from schemas.robot import LEGS

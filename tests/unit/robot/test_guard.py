@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.model.frames import STOP, FrameError, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
-from gateway.model.framing import Framing
+from gateway.model.frames import STOP, FrameError, Framing, OneLeg, OneServo, Op, ServoOp, decode, stop_leg
 from gateway.robot.spi.guard import IllegalTransferError, check
 from tests.support.transfers import on_wire
 from tests.unit.model.test_frames import ILLEGAL, bytes_near_a_frame, frames

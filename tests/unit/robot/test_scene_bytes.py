@@ -2,7 +2,7 @@
 
 import pytest
 
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from tests.support.scene_bytes import path, transfers
 
 

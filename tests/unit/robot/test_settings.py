@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from gateway.errors import ConfigError
 from gateway.host.settings_reader import ForStops
 from gateway.host.settings_table import LimitSettings, ServoLimits, SpiSettings, WatchdogSettings
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.robot import settings
 from gateway.robot.settings import FramingNotSetError, Settings
 from release import settings_page

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gateway.host.shared_page import ServoPage
 from gateway.model.elkapod import START
-from gateway.model.framing import Framing
+from gateway.model.frames import Framing
 from gateway.model.power_board import CanFrame
 from gateway.robot.runtime.supply import IDLE_MA
 from gateway.simulation.board_port import HOLDS_MA, WAITS_MA, SimulatedAdapter, SimulatedDraw, frame_of

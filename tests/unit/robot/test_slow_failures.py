@@ -9,7 +9,7 @@ import statistics
 
 import pytest
 
-from gateway.model.framing import ZERO, Framing
+from gateway.model.frames import ZERO, Framing
 from schemas import keys
 from schemas.robot import LEGS
 from schemas.telemetry import Kind, Mode

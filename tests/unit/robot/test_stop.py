@@ -9,8 +9,7 @@ import pytest
 from gateway.errors import SpiError
 from gateway.host.settings_table import ControllerSettings, SpiSettings, WireSettings
 from gateway.model.elkapod import SHUTDOWN
-from gateway.model.frames import stop_leg
-from gateway.model.framing import PREAMBLE_ZEROS, ZERO, Framing
+from gateway.model.frames import PREAMBLE_ZEROS, ZERO, Framing, stop_leg
 from gateway.model.protocols import SpiProtocol
 from gateway.robot.host import stop_note
 from gateway.robot.spi import Batch, SpiDevice, stop_all

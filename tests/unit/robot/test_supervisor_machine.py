@@ -16,8 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from gateway.allowance import NS_PER_MS
 from gateway.errors import SpiError
 from gateway.model.calibration import RobotCalibration, ServoMapping
-from gateway.model.frames import STOP, Op, ServoOp, decode, servo_ids_of
-from gateway.model.framing import Framing
+from gateway.model.frames import STOP, Framing, Op, ServoOp, decode, servo_ids_of
 from gateway.robot.core import events
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor

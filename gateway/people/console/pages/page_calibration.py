@@ -22,8 +22,7 @@ from gateway.model.calibration import (
     calibration_of,
     changed_servos,
 )
-from gateway.model.frames import MAX_ANGLE_CDEG, centidegrees
-from gateway.model.framing import avoided_by
+from gateway.model.frames import MAX_ANGLE_CDEG, avoided_by, centidegrees
 from gateway.people.client.payloads import calibration_payload
 from gateway.people.commands.calibration import change_of, standing
 from gateway.people.console.link import GatewayLink
