@@ -225,13 +225,6 @@ class Framing(enum.StrEnum):
     LENGTH_PREFIXED = "length-prefixed"
 
     @property
-    def controller(self) -> str:
-        """The controllers that need this framing."""
-        if self is Framing.LENGTH_PREFIXED:
-            return "the published STM32 firmware"
-        return "a controller written to the protocol document"
-
-    @property
     def avoid_cdeg(self) -> tuple[int, int] | None:
         """Wire angles that are never sent: first <= angle < second, in hundredths of a degree; None: all are sent.
 

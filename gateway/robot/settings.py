@@ -16,7 +16,7 @@ from gateway.errors import ConfigError
 from gateway.host import settings_table
 from gateway.host.directories import CONFIGURATION
 from gateway.host.settings_reader import NO_SETTING, Fault, ForStops, VariableText, dotted, read, read_for_stops
-from gateway.model.frames import PROTOCOL_VERSION, Framing
+from gateway.model.frames import PROTOCOL_VERSION
 from gateway.own_command import CONNECT_VARIABLE
 
 ENV_PREFIX: Final = "HEXAPOD_"
@@ -164,7 +164,8 @@ def _line(path: Path | None, fault: Fault, variables: Variables = MappingProxyTy
 
 _WHICH_FRAMING: Final = (
     'is not set (after any "plain" frame the published STM32 firmware needs a reset); without a controller: run --sim',
-    *(f'{each.controller} needs "{each}"' for each in Framing),
+    'a controller written to the protocol document needs "plain"',
+    'the published STM32 firmware needs "length-prefixed"',
 )
 
 

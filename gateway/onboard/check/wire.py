@@ -139,7 +139,7 @@ def framing(robot: CheckedRobot) -> Iterator[Result | None]:
             warning(spi.framing is Framing.PLAIN, "plain, as in the protocol document; with it the published STM32 "
                     "firmware hangs until its reset",
                     'set spi.framing = "length-prefixed" for that firmware, and reset it'),
-            well(f"{spi.framing}, as {spi.framing.controller} wants it"))
+            well(f"{spi.framing}, as the published STM32 firmware wants it"))
         releases = spi.framing is not Framing.PLAIN or computer.gpio_selects(spi.device, robot.root)
         yield first("SPI lists",
             warning(not releases, f"it is unknown whether {driver} releases chip select between the "

@@ -185,29 +185,24 @@ class CyclicBus(Wire):
                 if device is not self._device:
                     device.close()
                     return
-                try:
-                    values = self._take(answer, now_ns - begun_ns, now_ns)
-                except SpiError as fault:
-                    failed(fault)
-                else:
-                    if values is not None:
-                        measured(values, now_ns)
+                found = self._take(answer, now_ns - begun_ns, now_ns)
+                if isinstance(found, SpiError):
+                    failed(found)
+                elif found is not None:
+                    measured(found, now_ns)
         with owner:  # after the transfer: answers that arrived while this process was delayed count
             silent = self.silent(self._clock())
             if silent is not None:
                 failed(silent)
 
-    def _take(self, answer: bytes | SpiError, took_ns: int, now_ns: int) -> Measured | None:
-        """Take a transfer's answer, and send the message that was due after its frame. Return the measurements.
-
-        A restarted controller gets no earlier message. Raises the transfer's fault, and SpiError if the UART fails or
-        the controller restarted.
-        """
+    def _take(self, answer: bytes | SpiError, took_ns: int, now_ns: int) -> Measured | SpiError | None:
+        """Take a transfer's answer, and send the message that was due after its frame. Return any measurements, or the
+        fault of the transfer, of the UART or of a restarted controller, which gets no earlier message."""
         if isinstance(answer, SpiError):
             self.errors += 1
             self._shut_down_at_once()
             self._release_device()
-            raise answer
+            return answer
         self.frames += 1
         self.transfer_latency.record(took_ns)
         measured, message = self._signs.answered(answer, now_ns), self._commanded.left()
@@ -216,14 +211,14 @@ class CyclicBus(Wire):
                 self._signs.receive(self._uart.read(), now_ns)
                 if message is not None and not self._signs.restarted:
                     self._uart.write(message)
-        except SpiError:
+        except SpiError as fault:
             self.errors += 1
             self._drop_uart()
-            raise
+            return fault
         if self._signs.restarted:
-            fault = ControllerRestartedError(f"the controller may have restarted: {self._signs.restarted}")
+            restart = ControllerRestartedError(f"the controller may have restarted: {self._signs.restarted}")
             self._signs = self._signs.anew()
-            raise fault if self._silent is not None else self._is_lost(fault)
+            return restart if self._silent is not None else self._is_lost(restart)
         return measured
 
     # ---- the devices

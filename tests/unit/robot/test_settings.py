@@ -235,7 +235,7 @@ def test_a_real_device_has_no_framing_unless_somebody_says_it(file: Path, monkey
         settings.load(file)
     unset, *wanted = str(raised.value).splitlines()
     assert unset.startswith(f"{file}: spi.framing: is not set")
-    assert wanted == [f'{file}: spi.framing: {framing.controller} needs "{framing}"' for framing in Framing]
+    assert [line.split(" needs ")[1] for line in wanted] == ['"plain"', '"length-prefixed"']
     assert load(file).spi.framing is Framing.PLAIN, "a simulated controller needs nobody to say it"
     with pytest.raises(FramingNotSetError, match=r"default\.toml: spi.framing: is not set"):
         settings.load()
