@@ -17,12 +17,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
 from typing import Final, NamedTuple
 
 from gateway.client import Client, leg_payload, servo_payload
 from gateway.errors import ZenohError
-from gateway.robot.protocol.latency import percentile
 from schemas.keys import LEGS_COMMAND, leg_command, servo_command
 from tests.benchmarks.processes import fds, program, publishing, rss_kb, threads
 from tests.support.gateway_process import Gateway
@@ -65,8 +64,7 @@ def one_minute(pid: int, client: Client, duration_s: float) -> Minute:
             due_s = max(due_s + 1 / ASKS_HZ, time.monotonic())
             time.sleep(max(0.0, due_s - time.monotonic()))
         samples.append((rss_kb(pid), fds(pid), threads(pid)))
-    latencies_ms.sort()
-    p50_ms, p99_ms = (percentile(latencies_ms, share) for share in (0.5, 0.99))
+    p50_ms, p99_ms = (quantiles(latencies_ms, n=100, method="inclusive")[place] for place in (49, 98))
     resident, descriptors, living = zip(*samples, strict=True)
     return Minute(p50_ms, p99_ms, lost, median(resident) / 1024, median(descriptors), min(living))
 

@@ -8,6 +8,7 @@ of its key if the payload cannot be read. A Stop too many is harmless.
 """
 
 import json
+from contextlib import suppress
 from typing import Final
 
 from gateway.model.frames import OP_START, STOP, servo_ids_of
@@ -35,13 +36,11 @@ def stops_in(rejected: Received) -> Targets:
     if key is None or words_of_stop(rejected) is None:
         return ()
     servo_ids = TARGETS[key.target].servos[key.number]
-    try:
+    with suppress(ValueError, RecursionError):  # all servos of the key
         payload = json.loads(rejected.payload, object_pairs_hook=each_name_once)
         if isinstance(payload, dict) and isinstance(payload.get("source"), str):
             del payload["source"]  # a name may contain any word
         servo_ids = _stopped_by(payload, servo_ids)
-    except (ValueError, RecursionError):
-        pass  # all servos of the key
     return tuple((servo_id, STOP) for servo_id in servo_ids)
 
 

@@ -5,17 +5,11 @@ They are apart from the other metrics, since `stop-servos` uses them and must lo
 
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 BOUNDS_US: Final = (50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 500_000)
 """Upper ends of the histogram's buckets, from one transfer (45 µs) to a delay that is visible on the robot."""
-
-
-def percentile(ordered: Sequence[float], share: float) -> float:
-    """Return the smallest value that at least `share` (0 to 1) of the sorted, non-empty values do not exceed."""
-    return ordered[max(0, -(-int(share * 1000) * len(ordered) // 1000) - 1)]
 
 
 @dataclass(slots=True)
@@ -39,8 +33,8 @@ class Latency:
         """Return the percentiles 50 and 99 of the last latencies (µs); None before the first."""
         if not self.recent_us:
             return None, None
-        ordered = sorted(self.recent_us)
-        return percentile(ordered, 0.5), percentile(ordered, 0.99)
+        ordered, count = sorted(self.recent_us), len(self.recent_us)
+        return ordered[-(-count // 2) - 1], ordered[-(-99 * count // 100) - 1]
 
     def at_most_us(self, share: float) -> float | None:
         """Return a bound (µs) that `share` of all did not exceed: a bucket's end or the worst. Coarse, but fast."""
