@@ -23,22 +23,22 @@ from tests.support.robot import Robot, leg, started_and_quiet
 
 
 @pytest.mark.parametrize(
-    ("latencies_us", "p50", "p99"),
+    ("latencies_us", "p50", "p99", "of_the_last"),
     [
-        ([], None, None),
-        ([30] * 99 + [4_000], 50, 50),
-        ([30] * 98 + [4_000] * 2, 50, 4_000),
-        ([60, 150, 150, 150], 150, 150),
-        ([60, 900_000], 100, 900_000),
+        ([], None, None, (None, None)),
+        ([30] * 99 + [4_000], 50, 50, (30, 30)),
+        ([30] * 98 + [4_000] * 2, 50, 4_000, (30, 4_000)),
+        ([60, 150, 150, 150], 150, 150, (150, 150)),
+        ([900_000, 60], 100, 900_000, (60, 900_000)),
     ],
 )
 def test_a_share_is_at_most_its_buckets_end_or_the_worst(
-    latencies_us: list[int], p50: float | None, p99: float | None
+    latencies_us: list[int], p50: float | None, p99: float | None, of_the_last: tuple[float | None, float | None]
 ) -> None:
     latency = Latency()
     for each_us in latencies_us:
         latency.record(each_us * 1000)
-    assert (latency.at_most_us(0.5), latency.at_most_us(0.99)) == (p50, p99)
+    assert (latency.at_most_us(0.5), latency.at_most_us(0.99), latency.p50_p99_us()) == (p50, p99, of_the_last)
 
 
 # ---- The file that says on this machine whether a servo runs
