@@ -57,7 +57,7 @@ class Bench(SpiDevice):
         """A call that succeeds takes what the wire needs."""
         self.stall_ns = self.pause_stall_ns = 0
         """What the next call, or the next pause, takes besides."""
-        self.takes_lists, self.rejects_all = True, False
+        self.takes_lists = True
         self.meddled: str | None = None
         self.looks = self.openings = self.open_now = 0
         self.report = BatchReport()
@@ -90,7 +90,7 @@ class Bench(SpiDevice):
         call = call_of(batch)
         self._count += 1
         failed = self.fails(self._count, call)
-        if not failed and (self.rejects_all or (len(batch) > 1 and not self.takes_lists)):
+        if not failed and len(batch) > 1 and not self.takes_lists:
             raise BatchRejectedError("no lists here")
         self.batches.append(tuple(batch))
         self.calls.append(call)
@@ -175,7 +175,6 @@ DONE: Final[dict[str, Callable[[Bench, str], object]]] = {
     "failing-takes": _set("failure_ns", _ns),
     "stalls": _set("stall_ns", _ns),
     "lists": _set("takes_lists", lambda word: word == "on"),
-    "rejects": _set("rejects_all", lambda word: word == "on"),
     "meddled": _set("meddled", str),
 }
 
