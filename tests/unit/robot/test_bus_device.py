@@ -21,12 +21,13 @@ SERVO_STOPS = [OneServo(10 * leg + joint, ServoOp(Op.STOP)) for leg in LEGS for 
 # ---- what leaves together
 
 
-def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length() -> None:
+@pytest.mark.parametrize("count", [6, 8])
+def test_a_preamble_and_the_stops_behind_it_are_one_call_of_bounded_length(count: int) -> None:
     bench = Bench()
-    bench.bus.write(STOPS, preamble=True)
+    bench.bus.write(SERVO_STOPS[:count], preamble=True)
     (batch,) = bench.batches
     assert batch[:PREAMBLE_ZEROS] == ((ZERO, ZERO_PAUSE_US),) * PREAMBLE_ZEROS
-    assert len(batch) == PREAMBLE_ZEROS + 2 * len(STOPS)
+    assert len(batch) == PREAMBLE_ZEROS + 2 * count
     assert wire_ns(batch) < 3_000_000, "the longest call there is, at the default pause"
 
 
@@ -61,13 +62,15 @@ def test_a_preamble_takes_16_pauses_and_150_us_for_each_zero(frame_gap_us: int, 
     assert Bench(frame_gap_us=frame_gap_us).bus.preamble_ns == preamble_ms * 1_000_000
 
 
-@pytest.mark.parametrize("framing", Framing)
-def test_what_is_too_long_for_one_call_leaves_in_more(framing: Framing) -> None:
+@pytest.mark.parametrize(
+    ("framing", "count", "sizes"),
+    [(Framing.PLAIN, 18, [18]), (PREFIXED, 9, [8, 8, 18]), (PREFIXED, 18, [8, 8, 32, 4])],
+)
+def test_what_is_too_long_for_one_call_leaves_in_more(framing: Framing, count: int, sizes: list[int]) -> None:
     bench = Bench(framing)
-    a_frame = 2 if bench.bus.announces else 1
-    assert bench.bus.write(SERVO_STOPS, preamble=True).fault is None
-    assert bench.written == [*[ZERO] * PREAMBLE_ZEROS * (a_frame - 1), *on_wire(framing, *SERVO_STOPS)]
-    assert [size for size in bench.sizes if size != 8] == {1: [18], 2: [32, 4]}[a_frame]
+    assert bench.bus.write(SERVO_STOPS[:count], preamble=True).fault is None
+    preamble = [ZERO] * PREAMBLE_ZEROS if framing is PREFIXED else []
+    assert (bench.written, bench.sizes) == ([*preamble, *on_wire(framing, *SERVO_STOPS[:count])], sizes)
 
 
 def test_a_frames_time_is_the_end_of_its_call() -> None:
