@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Collection, Iterable
 from contextlib import nullcontext
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
@@ -114,6 +114,12 @@ def test_what_has_changed_and_then_does_not_for_half_a_second_is_frozen() -> Non
     assert str(signs.silent(2800 * MS)).endswith(why)
     assert judged(signs, noisy(100, 50), 2800) == [True] * 100, "and counts again once it changes"
     assert judged(signs, noisy(1, 149) * 40, 4800).count(False) == 16, "as often as it freezes"
+
+
+@pytest.mark.parametrize("change", [{"temperature_c": 32.0}, {"feet": (1, 2, 3, 4, 5, 7)}], ids=["first", "last"])
+def test_each_value_is_evidence(change: dict[str, Any]) -> None:
+    two = [AT_REST, AT_REST._replace(**change)]
+    assert judged(SignsOfLife(SILENT_NS, 0), [*two * 25, *two[1:] * 40]).count(False) == 16
 
 
 QUIET = {
