@@ -71,21 +71,21 @@ _ROBOT: Final = Supervisor(Rules())
 _KNOWN: Final = (
     (
         _ROBOT,
-        "_rules legs lease buttons body power backlog calibrating _limits _opened _fault latch _ended outside watchdog",
+        "_rules legs lease buttons body power backlog calibrating _opened _fault latch _ended outside watchdog",
     ),
     (_ROBOT, "_interlocks _own mode due_ns"),
-    (_ROBOT.outside, "_rules"),
-    (_ROBOT.watchdog, "_rules expirations"),
-    (_ROBOT.latch, "_rules number since_ns unknown"),
-    (_ROBOT.lease, "_rules holder verified since_ns due_ns closed _token _askers"),
-    (_ROBOT.buttons, "_rules _by_token closed alive due_ns"),
-    (_ROBOT.body, "_rules watches low fallen beyond_ns"),
-    (_ROBOT.power, "_rules alive closed _refused"),
+    (_ROBOT.outside, "_rules _legs"),
+    (_ROBOT.watchdog, "_rules _legs expirations"),
+    (_ROBOT.latch, "_rules _legs number since_ns unknown"),
+    (_ROBOT.lease, "_rules _legs holder verified since_ns due_ns closed _token _askers"),
+    (_ROBOT.buttons, "_rules _legs _by_token closed alive due_ns objection down"),
+    (_ROBOT.body, "_rules _legs watches low beyond_ns objection"),
+    (_ROBOT.power, "_rules _legs alive closed _refused"),
     (_ROBOT.backlog, "_rules _legs _most _came_ns _until_ns held"),
     (Registration, "name holder counts count until_ns silent offset_ns newest_ns least_ns"),
-    (_ROBOT._limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited _free_cdeg"),
-    (_ROBOT.calibrating, "_rules _limits fault saving"),
-    (_ROBOT.legs, "_rules _limits by_number _all servos _queue instant_ns landing land_ns"),
+    (_ROBOT.legs.limits, "of_settings pose_of_settings avoid_cdeg calibration wire limited _free_cdeg"),
+    (_ROBOT.calibrating, "_rules _legs _limits fault saving"),
+    (_ROBOT.legs, "_rules limits by_number _all servos _queue instant_ns landing land_ns"),
     (_ROBOT.legs, "_speeds rest sends"),
     (_ROBOT.legs.rest, "_rules _settled_ns _runs_left runs due_ns"),
     (_ROBOT.legs, "due_ns repeat_ns at_rest"),  # these follow from the others: `take` sees to that
@@ -152,15 +152,16 @@ def copied_command(command: Command, commands: dict[int, Command]) -> Command:
     return commands[command.number]
 
 
-def _copied_interlocks(supervisor: Supervisor) -> Iterator[Interlock[Any]]:
+def _copied_interlocks(supervisor: Supervisor, legs: Legs) -> Iterator[Interlock[Any]]:
     """Copies that share nothing that changes."""
     for each in supervisor._interlocks:
         if isinstance(each, RobotLease):
-            yield cloned(each, _askers=dict(each._askers))
+            yield cloned(each, _legs=legs, _askers=dict(each._askers))
         elif isinstance(each, Buttons):
-            yield cloned(each, _by_token={token: replace(button) for token, button in each._by_token.items()})
+            by_token = {token: replace(button) for token, button in each._by_token.items()}
+            yield cloned(each, _legs=legs, _by_token=by_token)
         else:
-            yield cloned(each)
+            yield cloned(each, _legs=legs)
 
 
 def copied(supervisor: Supervisor) -> Supervisor:
@@ -175,9 +176,9 @@ def copied(supervisor: Supervisor) -> Supervisor:
         by_number[number] = type(leg)(number, (first, second, third), slots, *rest)
     _with_legs(legs, by_number)
     other = cloned(supervisor, legs=legs)
-    other.connect(_copied_interlocks(supervisor))
-    other._limits = legs._limits = other.calibrating._limits = cloned(supervisor._limits)
-    legs._speeds = cloned(supervisor.legs._speeds, _limits=other._limits)
+    other.connect(_copied_interlocks(supervisor, legs))
+    legs.limits = other.calibrating._limits = cloned(supervisor.legs.limits)
+    legs._speeds = cloned(supervisor.legs._speeds, _limits=legs.limits)
     backlog, queue = supervisor.backlog, supervisor.legs._queue
     came_ns, until_ns = dict(backlog._came_ns), dict(backlog._until_ns)
     other.backlog = cloned(backlog, _legs=legs, _came_ns=came_ns, _until_ns=until_ns, held=dict(backlog.held))
@@ -211,7 +212,7 @@ def _body_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
     body, tilt_ns = supervisor.body, supervisor._rules.tilt_ns
     age_ns = None if body.beyond_ns is None else now_ns - body.beyond_ns
     landing_ns = supervisor._rules.landing_ns
-    return body.low, body.fallen, age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns)
+    return body.low, body.down is not None, age_ns if age_ns is None else min(age_ns, tilt_ns + landing_ns)
 
 
 def _backlog_key(supervisor: Supervisor, now_ns: int) -> tuple[object, ...]:
@@ -228,7 +229,7 @@ def _calibration_key(calibration: RobotCalibration) -> tuple[object, ...]:
 
 def _calibrating_key(supervisor: Supervisor) -> tuple[object, ...]:
     """What of it can still matter."""
-    calibrating, limits = supervisor.calibrating, supervisor._limits
+    calibrating, limits = supervisor.calibrating, supervisor.legs.limits
     saving = calibrating.saving
     return (
         _calibration_key(limits.calibration),
@@ -245,7 +246,7 @@ def _takeover_key(legs: Legs, servo: Servo, now_ns: int) -> tuple[object, ...]:
     stood = None
     if servo.stopped is not None and not servo.running:
         angle_cdeg, stopped_ns, calibration = servo.stopped
-        if calibration is legs._limits.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
+        if calibration is legs.limits.calibration and now_ns - stopped_ns <= legs._rules.takeover_known_ns:
             stood = angle_cdeg, now_ns - stopped_ns
     return servo.source, servo.eases, stood
 

@@ -12,9 +12,8 @@ Only measurements advance the time here. The bus reports missing ones as a fault
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, BodyMeasured, Effect
-from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why, how_it_comes_down
+from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from schemas.telemetry import Kind, Reason
@@ -28,37 +27,31 @@ class BodyLimits(Interlock[BodyMeasured]):
 
     takes = (BodyMeasured,)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
         self.watches = rules.min_battery_mv > 0 or rules.max_tilt_cdeg > 0
         """Whether any measurement matters."""
         self.low = False
         """Whether the battery is too low for a start."""
-        self.fallen = False
         self.beyond_ns: int | None = None
         """Since when the body is tilted beyond the limit, or None."""
+        limit_deg = rules.max_tilt_cdeg / 100
+        self.objection = (
+            Reason.FALLEN,
+            f"the body is tilted beyond {limit_deg:g} degrees; put it upright, and start it again",
+        )
 
-    @property
-    def fell_ns(self) -> int:  # mutants accepted (Step): a fallen body has been tilted since a time
-        """When the tilt has lasted for `tilt_ns` (ns, monotonic)."""
-        return (self.beyond_ns or 0) + self._rules.tilt_ns
-
-    def why_not(self, request: Any, legs: Legs) -> Why | None:
-        if self.fallen:
-            return self._has_fallen()
-        if self.low and any(not legs.servos[servo_id].will_run for servo_id, _ in request.moves):
+    def why_not(self, request: Any) -> Why | None:
+        if self.down is not None:
+            return self.objection
+        if self.low and any(not self._legs.servos[servo_id].will_run for servo_id, _ in request.moves):
             limit_v = self._rules.min_battery_mv / 1000
             return Reason.BATTERY_LOW, f"the battery is below {limit_v:g} V; nothing starts until it is charged"
         return None
 
-    def _has_fallen(self) -> Why:
-        limit_deg = self._rules.max_tilt_cdeg / 100
-        return Reason.FALLEN, f"the body is tilted beyond {limit_deg:g} degrees; put it upright, and start it again"
-
-    def take(self, event: BodyMeasured, now_ns: int, legs: Legs) -> list[Effect]:
-        effects = [*self._battery(event.battery_mv), *self._tilt(event.tilt_cdeg, now_ns, legs)]
-        self.closed = self.low or self.fallen
-        self.down = Down("the body is tilted", self.fell_ns, *self._has_fallen()) if self.fallen else None
+    def take(self, event: BodyMeasured, now_ns: int) -> list[Effect]:
+        effects = [*self._battery(event.battery_mv), *self._tilt(event.tilt_cdeg, now_ns)]
+        self.closed = self.low or self.down is not None
         return effects
 
     def _battery(self, battery_mv: int) -> list[Effect]:
@@ -69,19 +62,19 @@ class BodyLimits(Interlock[BodyMeasured]):
         volts = f"{battery_mv / 1000:g} V, below {limit_mv / 1000:g} V"
         return [Announce(Kind.BATTERY_LOW, f"the battery is at {volts}; nothing starts until it is charged")]
 
-    def _tilt(self, tilt_cdeg: int | None, now_ns: int, legs: Legs) -> list[Effect]:
+    def _tilt(self, tilt_cdeg: int | None, now_ns: int) -> list[Effect]:
         limit_cdeg = self._rules.max_tilt_cdeg
         if not limit_cdeg:
             return []
         if tilt_cdeg is not None:
             if tilt_cdeg <= limit_cdeg:
-                self.beyond_ns, self.fallen = None, False
+                self.beyond_ns = self.down = None
             elif self.beyond_ns is None:
                 self.beyond_ns = now_ns
-        if self.fallen or self.beyond_ns is None or now_ns < self.fell_ns:
+        tilt_ns = self._rules.tilt_ns
+        if self.down is not None or self.beyond_ns is None or now_ns < self.beyond_ns + tilt_ns:
             return []
-        self.fallen = True
-        then = how_it_comes_down(legs, self._rules)
-        held_ms = self._rules.tilt_ns / NS_PER_MS
-        detail = f"the body has been tilted beyond {limit_cdeg / 100:g} degrees for {held_ms:g} ms"
+        self.down = Down("the body is tilted", self.beyond_ns + tilt_ns)
+        then = self._how_it_comes_down()
+        detail = f"the body has been tilted beyond {limit_cdeg / 100:g} degrees for {tilt_ns / NS_PER_MS:g} ms"
         return [Announce(Kind.FALLEN, f"{detail}; {then}" if then else detail, legs=ALL_LEGS if then else ())]

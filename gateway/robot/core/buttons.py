@@ -20,12 +20,11 @@ While fewer than `buttons_required` are alive, the supervisor starts and sets no
 
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import Any, Final
+from typing import Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, ButtonRequest, Command, Effect, RequestAnswer, Reset
-from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why, how_it_comes_down
+from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from schemas import keys
@@ -83,15 +82,14 @@ class Buttons(Interlock[ButtonRequest]):
     takes = (ButtonRequest,)
     bars = (Command, Reset)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
         self._by_token: dict[str, Registration] = {}
-        self.closed = rules.buttons_required > 0
-        """Whether too few are alive."""
         self.alive = 0
         """How many certificates (without proofs: names) with an alive button that counts."""
         self.due_ns: int | None = None
         """When the next button falls silent (ns); None if none is alive."""
+        self._count_alive(None)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,15 +100,9 @@ class Buttons(Interlock[ButtonRequest]):
         """Return whether a registration has this token. May be called from any thread."""
         return token in self._by_token
 
-    def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
-        return self._too_few()
-
-    def _too_few(self) -> Why:
-        return Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (a page's /button)"
-
     # ---- time
 
-    def expire(self, now_ns: int, legs: Legs) -> list[Effect]:
+    def expire(self, now_ns: int) -> list[Effect]:
         """Mark buttons as silent whose deadline has passed at `now_ns`. Return the events."""
         late = [
             (button.until_ns, button)
@@ -121,22 +113,22 @@ class Buttons(Interlock[ButtonRequest]):
         for at_ns, button in sorted(late, key=itemgetter(0)):
             button.until_ns, button.silent = None, True
             what = f"no check-in of the button {button.name} in {self._rules.buttons_timeout_ns / NS_PER_MS:g} ms"
-            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, legs, key=None)
+            effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, key=None)
         return effects
 
     # ---- requests
 
-    def take(self, event: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
+    def take(self, event: ButtonRequest, now_ns: int) -> list[Effect]:
         """Handle one request. Return its events, and its answer as the last effect."""
         match event.do:
             case "register":
-                return self._register(event, now_ns, legs)
+                return self._register(event, now_ns)
             case "alive":
-                return self._check_in(event, now_ns, legs)
+                return self._check_in(event, now_ns)
             case "leave":
-                return self._leave(event, now_ns, legs)
+                return self._leave(event, now_ns)
 
-    def _register(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
+    def _register(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         name = request.source or ""
         mine = {token: button for token, button in self._by_token.items() if button.holder == request.holder}
         same = next((token for token, button in mine.items() if button.name == name), None)
@@ -157,9 +149,9 @@ class Buttons(Interlock[ButtonRequest]):
             "" if same is None else ", and replaces the earlier one of this name"
         )
         answer = RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
-        return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns, legs), answer]
+        return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns), answer]
 
-    def _check_in(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
+    def _check_in(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         button = self._by_token.get(request.token)
         if button is None:
             return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
@@ -180,37 +172,32 @@ class Buttons(Interlock[ButtonRequest]):
             self._count_alive(now_ns)
             return [answer]
         what = f"the button {button.name} is back"
-        return [*self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns, legs), answer]
+        return [*self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), answer]
 
-    def _leave(self, request: ButtonRequest, now_ns: int, legs: Legs) -> list[Effect]:
+    def _leave(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         button = self._by_token.pop(request.token, None)
         if button is None:
             return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
         what = f"the button {button.name} has left on purpose"
-        return [*self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns, legs), RequestAnswer()]
+        return [*self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns), RequestAnswer()]
 
     # ----
 
-    def _changed(
-        self, kind: Kind, what: str, name: str, at_ns: int, legs: Legs, key: str | None = keys.BUTTON
-    ) -> list[Effect]:
+    def _changed(self, kind: Kind, what: str, name: str, at_ns: int, key: str | None = keys.BUTTON) -> list[Effect]:
         """Return the event of a change to one button; it names the legs that stop because of the change."""
-        then = how_it_comes_down(legs, self._rules) if self._count_alive(at_ns) else ""
+        then = self._how_it_comes_down() if self._count_alive(at_ns) else ""
         detail = f"{what}; {self._count()}{f'; {then}' if then else ''}"
         return [Announce(kind, detail, name, key, ALL_LEGS if then else ())]
 
-    def _count_alive(self, at_ns: int) -> bool:
-        """Count the buttons that are alive. Return whether they have just become too few."""
+    def _count_alive(self, at_ns: int | None) -> bool:
+        """Count the buttons that are alive. Return whether they have just become too few. None: at the beginning."""
         alive = [button for button in self._by_token.values() if button.until_ns is not None]
         self.due_ns = min((button.until_ns for button in alive if button.until_ns is not None), default=None)
         self.alive = len({(each.holder, each.name if each.holder is None else "") for each in alive if each.counts})
-        closed, self.closed = self.closed, self.alive < self._rules.buttons_required
-        if not self.closed:
-            self.down = None
-            return False
-        fell_ns = self.down and self.down.since_ns if closed else at_ns  # None: too few since the beginning
-        self.down = Down("too few buttons are alive", fell_ns, *self._too_few())
-        return not closed
+        self.objection = Reason.NO_BUTTON, f"{self._count()}; nothing moves until enough check in (a page's /button)"
+        before, self.closed = self.down, self.alive < self._rules.buttons_required
+        self.down = (before or Down("too few buttons are alive", at_ns)) if self.closed else None
+        return self.closed and before is None
 
     def _count(self) -> str:
         are = "is" if self.alive == 1 else "are"

@@ -13,7 +13,6 @@ robot's: with a wrong trim or direction, a leg would move to an angle that was n
 
 from typing import Any, Final
 
-from gateway.model.angle_limits import AngleLimits
 from gateway.model.calibration import CalibrationError, RobotCalibration, changed, changed_servos
 from gateway.robot.core.events import (
     Announce,
@@ -40,9 +39,9 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
 
     takes = (Calibrate, CalibrationSaved)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
-        self._limits = limits
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
+        self._limits = legs.limits
         self.fault: str | None = None
         """Why the calibration cannot be trusted, or None."""
         self.saving: tuple[Calibrate, RobotCalibration] | None = None
@@ -59,7 +58,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
         self.fault = fault
         self.closed = fault is not None
 
-    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
+    def why_not(self, request: Any) -> Why | None:
         if self.fault is not None:
             return Reason.SERVO_STOPPED, _UNTRUSTED.format(self.fault)
         for servo_id, _ in request.moves:
@@ -67,10 +66,10 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
                 return Reason.SERVO_STOPPED, f"servo {servo_id} is being calibrated; start it once the change is saved"
         return None
 
-    def take(self, event: Calibrate | CalibrationSaved, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
-        return self._kept(event) if isinstance(event, CalibrationSaved) else self._change(event, legs)
+    def take(self, event: Calibrate | CalibrationSaved, now_ns: int) -> list[Effect]:  # noqa: ARG002
+        return self._kept(event) if isinstance(event, CalibrationSaved) else self._change(event)
 
-    def _change(self, event: Calibrate, legs: Legs) -> list[Effect]:
+    def _change(self, event: Calibrate) -> list[Effect]:
         """Check a change. The supervisor has checked the mode and other interlocks."""
         rejection = self._why_not_now(event.change)
         if rejection is not None:
@@ -85,7 +84,7 @@ class Calibrating(Interlock[Calibrate | CalibrationSaved]):
             if why_not is not None:
                 return [Rejected(event, Reason.JOINT_LIMIT, f"the landing pose cannot be sent: {why_not}")]
         for servo_id in changed_servos(self.in_force, calibration):
-            if legs.servos[servo_id].will_run:
+            if self._legs.servos[servo_id].will_run:
                 detail = f"servo {servo_id} runs or waits to be started; stop it before its calibration is changed"
                 return [Rejected(event, Reason.INVALID, detail)]
         self.saving = event, calibration

@@ -5,12 +5,12 @@ A rule is a file with one such class, and a line in the supervisor's `ORDER`.
 
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from gateway.model.angle_limits import AngleLimits
-from gateway.robot.core.events import Calibrate, Command, Effect, Event, Reset
+from gateway.allowance import NS_PER_MS
+from gateway.robot.core.events import Announce, Calibrate, Command, Effect, Event, Reset
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from schemas.robot import LEGS
-from schemas.telemetry import Cause, Reason
+from schemas.telemetry import Cause, Kind, Reason
 
 Barred = Command | Reset | Calibrate
 """A request to which an interlock may object."""
@@ -33,8 +33,6 @@ class Down(NamedTuple):
 
     why: str
     since_ns: int | None
-    reason: Reason
-    detail: str
 
 
 class Interlock(Generic[Own]):
@@ -45,23 +43,26 @@ class Interlock(Generic[Own]):
     """The requests to which it may object. A command that only stops is never barred."""
     closed = False
     """Whether it may object; only then `why_not` is called."""
+    objection: Why
+    """Why it rejects. A rule needs none if it has its own `why_not` and is never `down`."""
     down: Down | None = None
     """Why no servo may run, or None."""
     due_ns: int | None = None
     """When `expire` is due, or None."""
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:  # noqa: ARG002
+    def __init__(self, rules: Rules, legs: Legs) -> None:
         self._rules = rules
+        self._legs = legs
 
-    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
+    def why_not(self, request: Any) -> Why | None:  # noqa: ARG002
         """Return why `request` is rejected, or None."""
-        return None
+        return self.objection
 
-    def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+    def expire(self, now_ns: int) -> list[Effect]:  # noqa: ARG002
         """Handle its deadline `due_ns`, which `now_ns` has reached. Return the effects."""
         return []
 
-    def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+    def overdue(self, now_ns: int) -> list[Effect]:  # noqa: ARG002
         """Handle legs' deadlines that `now_ns` has reached. Return the effects."""
         return []
 
@@ -69,18 +70,35 @@ class Interlock(Generic[Own]):
         """Return the Halt that precedes `take` of this event, or None. A Halt voids due deadlines."""
         return None
 
-    def take(self, event: Own, now_ns: int, legs: Legs) -> list[Effect]:
+    def take(self, event: Own, now_ns: int) -> list[Effect]:
         """Take one of its events, and return the effects."""
         raise NotImplementedError
 
+    def _how_it_comes_down(self) -> str:
+        """Return how the robot comes down in this step, for an event's text.
 
-def nothing_to_stop(legs: Legs) -> bool:
-    """Return whether all legs are stopped, the robot lands already, or the bus is at fault."""
-    return not legs.sends or legs.landing is not None or not any(leg.armed for leg in legs)
+        "": all legs are stopped, the robot lands already, or the bus is at fault.
+        """
+        legs = self._legs
+        if not legs.sends or legs.landing is not None or not any(leg.armed for leg in legs):
+            return ""
+        return "the robot lands" if self._rules.landing_ns and legs.running else "all six legs are stopped"
 
+    def bring_down(self, now_ns: int) -> list[Effect]:
+        """If no servo may run, land the robot if a servo runs and time is left, else stop all six legs."""
+        if self.down is None or not self._how_it_comes_down():
+            return []
+        why, since_ns = self.down
+        since_ns = now_ns if since_ns is None else since_ns
+        return self._land(why, since_ns, now_ns) or self._legs.stop(
+            dict.fromkeys(self._legs.by_number, since_ns), Cause.WATCHDOG, now_ns, *self.objection
+        )
 
-def how_it_comes_down(legs: Legs, rules: Rules) -> str:
-    """Return how the robot comes down in this step, for an event's text, or "" if nothing is to be stopped."""
-    if nothing_to_stop(legs):
-        return ""
-    return "the robot lands" if rules.landing_ns and legs.running else "all six legs are stopped"
+    def _land(self, why: str, since_ns: int, now_ns: int) -> list[Effect]:
+        """Begin a landing that counts from `since_ns` if a servo runs and time is left. Return its effects, or []."""
+        ends_ns = since_ns + self._rules.landing_ns
+        if now_ns >= ends_ns or not self._legs.running:
+            return []
+        dropped = self._legs.begin_landing(now_ns, ends_ns)
+        detail = f"{why}; the robot lands, and is stopped {self._rules.landing_ns / NS_PER_MS:g} ms later"
+        return [*dropped, Announce(Kind.LANDING, detail, legs=ALL_LEGS)]

@@ -3,7 +3,6 @@
 from typing import Final
 
 from gateway.allowance import NS_PER_S
-from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, Completed, Effect, EmergencyStop, EstopKept, Rejected, Reset
 from gateway.robot.core.interlock import Halt, Interlock
 from gateway.robot.core.leg import Rules
@@ -19,8 +18,8 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
 
     takes = (EmergencyStop, Reset, EstopKept)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
         self.number = 0
         """The number of the latest emergency stop; 0: none. It continues from the run before."""
         self.since_ns: int | None = None
@@ -31,7 +30,8 @@ class Latch(Interlock[EmergencyStop | Reset | EstopKept]):
     def halts(self, event: EmergencyStop | Reset | EstopKept) -> Halt | None:
         return Halt(Cause.ESTOP, Reason.ESTOPPED, ESTOPPED) if type(event) is EmergencyStop else None
 
-    def take(self, event: EmergencyStop | Reset | EstopKept, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+    def take(self, event: EmergencyStop | Reset | EstopKept, now_ns: int) -> list[Effect]:  # noqa: ARG002
+        legs = self._legs
         match event:
             case Reset():
                 return self._leave(event, legs.instant_ns)

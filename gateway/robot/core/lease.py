@@ -17,7 +17,6 @@ import hmac
 from typing import Any, Final
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, LeaseRequest, RequestAnswer, Reset
 from gateway.robot.core.interlock import Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
@@ -35,8 +34,8 @@ class RobotLease(Interlock[LeaseRequest]):
     takes = (LeaseRequest,)
     bars = (Command, Reset, Calibrate)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
         self.holder: str | None = None
         """The holder, or the nominee of a handover."""
         self.verified = False
@@ -62,7 +61,7 @@ class RobotLease(Interlock[LeaseRequest]):
 
     # ---- commands
 
-    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
+    def why_not(self, request: Any) -> Why | None:
         token = request.lease
         if self._token is not None:
             if token is not None and hmac.compare_digest(token, self._token):
@@ -84,7 +83,7 @@ class RobotLease(Interlock[LeaseRequest]):
 
     # ---- time
 
-    def expire(self, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+    def expire(self, now_ns: int) -> list[Effect]:  # noqa: ARG002
         ttl = f"{self._rules.lease_ttl_ns / NS_PER_MS:g} ms"
         if self._handed_over:
             detail = f"{self.holder} did not acquire the lease within {ttl} of its handover; it is free"
@@ -104,7 +103,7 @@ class RobotLease(Interlock[LeaseRequest]):
         taken = f"{event.source} has taken the lease"
         return Halt(Cause.COMMAND, Reason.NOT_HOLDER, taken) if event.do == "take" else None
 
-    def take(self, event: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
+    def take(self, event: LeaseRequest, now_ns: int) -> list[Effect]:
         """Handle one request. Return its effects; the last one is its answer."""
         why_not = self._why_not_granted(event)
         if why_not is not None:
@@ -113,7 +112,7 @@ class RobotLease(Interlock[LeaseRequest]):
         kind, who = Kind.LEASE_RELEASED, holder
         match event.do:
             case "acquire" | "take":
-                return self._acquired(event, now_ns, legs)
+                return self._acquired(event, now_ns)
             case "renew":
                 self.due_ns = now_ns + self._rules.lease_ttl_ns
                 return [RequestAnswer()]
@@ -146,8 +145,8 @@ class RobotLease(Interlock[LeaseRequest]):
                 return Reason.LEASE_DENIED, f"{request.to} has not asked for the lease"
         return None
 
-    def _acquired(self, request: LeaseRequest, now_ns: int, legs: Legs) -> list[Effect]:
-        name, before, taken = request.source, self.holder, request.do == "take"
+    def _acquired(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
+        legs, name, before, taken = self._legs, request.source, self.holder, request.do == "take"
         self._give(name, request.fresh_token, now_ns, verified=request.verified)
         # Others' waiting commands must not move the robot under the new holder.
         dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, f"{name} has acquired the lease")

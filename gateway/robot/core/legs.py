@@ -44,10 +44,10 @@ class Legs:
     """The six legs, and the pending commands of each."""
 
     # mutants accepted (FalseWithTrue, Forget, Step, TrueWithFalse): set before it is read
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
+    def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self._limits = limits
-        self._speeds = LimitedSpeeds(rules, limits)
+        self.limits = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
+        self._speeds = LimitedSpeeds(rules, self.limits)
         self.by_number = {number: Leg(number, servos_of(number), RateSlots(rules.period_ns)) for number in LEGS}
         self._all = tuple(self.by_number.values())
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
@@ -175,7 +175,7 @@ class Legs:
             elif servo.waiting is not None:
                 if servo.announced_cdeg is None:
                     servo.announced_cdeg = servo.waiting.angle_cdeg
-                found[servo_id] = self._limits.calibration.of(servo_id).wire_cdeg(servo.announced_cdeg)
+                found[servo_id] = self.limits.calibration.of(servo_id).wire_cdeg(servo.announced_cdeg)
         return found
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
@@ -359,7 +359,7 @@ class Legs:
         if leg.eases or self._rules.max_speed_cdeg_s:
             waiting = self._speeds.in_steps(leg, waiting, now_ns)
         frame = frame_of(leg, waiting)
-        wire = self._limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
+        wire = self.limits.wire  # here alone, users' angles become the servos' own; a Stop has no angle
         commands, done = self._note_written(leg, waiting, now_ns)
         return [Transmit(frame if wire is None else wire.frame(frame), cause, None, commands, done)]
 
@@ -390,7 +390,7 @@ class Legs:
 
     def begin_landing(self, now_ns: int, ends_ns: int) -> list[Effect]:
         """Begin to move each running servo to its angle of the pose until `ends_ns`. Reject all waiting commands."""
-        pose_cdeg = self._limits.landing_cdeg()
+        pose_cdeg = self.limits.landing_cdeg()
         ways = {
             servo.servo_id: (servo.angle_cdeg, pose_cdeg.get(servo.servo_id, servo.angle_cdeg))
             for servo in self.servos.values()
@@ -419,7 +419,7 @@ class Legs:
             for servo in leg.servos:
                 if servo.angle_cdeg is not None:
                     angle_cdeg = self.landing.angle_cdeg(servo.servo_id, leg.landed_ns)
-                    angle_cdeg = self._limits.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
+                    angle_cdeg = self.limits.near_side(servo.servo_id, servo.angle_cdeg, angle_cdeg)
                     if angle_cdeg != servo.angle_cdeg:
                         servo.waiting, servo.begun = SETS[angle_cdeg], True  # for no command
             effects += self._send(leg, now_ns, Cause.WATCHDOG)
@@ -452,7 +452,7 @@ class Legs:
         self._first_stops.add(servo.servo_id)
         self.stopping.add(servo.servo_id)
         if servo.angle_cdeg is not None:
-            servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self._limits.calibration), False
+            servo.stopped, servo.eases = (servo.angle_cdeg, now_ns, self.limits.calibration), False
         servo.angle_cdeg = servo.waiting = servo.announced_cdeg = servo.passing_cdeg = None
         if not servo.repeats_left:  # else the next repeat keeps its time
             servo.repeat_ns = now_ns + self._rules.repeat_interval_ns

@@ -3,11 +3,10 @@
 Until its end is known, no Start or Set is accepted, since a later Stop of `stop-servos` would undo it unnoticed.
 """
 
-from typing import Any, Final
+from typing import Final
 
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect, StoppedOutside
-from gateway.robot.core.interlock import Halt, Interlock, Why
-from gateway.robot.core.legs import Legs
+from gateway.robot.core.interlock import Halt, Interlock
 from schemas.telemetry import Cause, Kind, Reason
 
 _OUTSIDE: Final = "stop-servos stops all servos past the gateway; start them once it has ended"
@@ -18,14 +17,12 @@ class Outside(Interlock[StoppedOutside]):
 
     takes = (StoppedOutside,)
     bars = (Command, Calibrate)
-
-    def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
-        return Reason.SERVO_STOPPED, _OUTSIDE
+    objection = (Reason.SERVO_STOPPED, _OUTSIDE)
 
     def halts(self, event: StoppedOutside) -> Halt | None:
         return Halt(Cause.REPEAT, Reason.SERVO_STOPPED, _OUTSIDE) if event.at_work else None
 
-    def take(self, event: StoppedOutside, now_ns: int, legs: Legs) -> list[Effect]:  # noqa: ARG002
+    def take(self, event: StoppedOutside, now_ns: int) -> list[Effect]:  # noqa: ARG002
         before, self.closed = self.closed, event.at_work
         detail = "stop-servos stopped all servos past the gateway; nothing moves until it is started again"
         return [Announce(Kind.STOPPED_OUTSIDE, detail)] if self.closed and not before else []

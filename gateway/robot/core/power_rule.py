@@ -8,7 +8,6 @@ its angle.
 from collections.abc import Collection, Mapping
 from typing import Any, Final
 
-from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Effect, PowerSeen
 from gateway.robot.core.interlock import Down, Halt, Interlock, Why
 from gateway.robot.core.leg import Rules
@@ -24,43 +23,46 @@ class PowerRule(Interlock[PowerSeen]):
     """Rejects moves of servos that the board does not power, and stops their legs."""
 
     takes = (PowerSeen,)
+    objection = (Reason.NO_POWER, SILENT)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
         self.alive = not rules.power
         self.closed = rules.power
         self._refused: Mapping[int, str] = {}
 
-    def why_not(self, request: Any, legs: Legs) -> Why | None:  # noqa: ARG002
+    def why_not(self, request: Any) -> Why | None:
         if not self.alive:
-            return Reason.NO_POWER, SILENT
+            return self.objection
         for servo_id, _ in request.moves:
             if servo_id in self._refused:
                 return Reason.NO_POWER, f"servo {servo_id} is not fed: {self._refused[servo_id]}"
         return None
 
-    def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:
-        if legs.landing is not None:
+    def overdue(self, now_ns: int) -> list[Effect]:
+        if self._legs.landing is not None:
             return []
         since_ns = now_ns - self._rules.feed_ns
-        unfed = [leg.number for leg in legs if leg.unfed_ns is not None and leg.unfed_ns <= since_ns]
-        return self._stop(unfed, UNFED, now_ns, legs)
+        unfed = [leg.number for leg in self._legs if leg.unfed_ns is not None and leg.unfed_ns <= since_ns]
+        return self._stop(unfed, UNFED, now_ns)
 
     def halts(self, event: PowerSeen) -> Halt | None:
         return Halt(Cause.WATCHDOG, Reason.NO_POWER, event.doubt) if event.doubt else None
 
     # mutants accepted (Forget): only time is lost
-    def take(self, event: PowerSeen, now_ns: int, legs: Legs) -> list[Effect]:
+    def take(self, event: PowerSeen, now_ns: int) -> list[Effect]:
+        legs = self._legs
         self.alive, self._refused = event.alive, dict(event.refused)
         self.closed = not event.alive or bool(event.refused)
-        self.down = None if event.alive else Down(SILENT, None, Reason.NO_POWER, SILENT)
+        self.down = None if event.alive else Down(SILENT, None)
         legs.note_fed(event.fed)
         if not (legs.sends and event.alive):
             return []
         lost = {each // 10 for each in (*event.lost, *self._refused) if legs.servos[each].will_run}
-        return [*self._stop(lost, LOST, now_ns, legs), *legs.start_fed(now_ns)]
+        return [*self._stop(lost, LOST, now_ns), *legs.start_fed(now_ns)]
 
-    def _stop(self, unfed: Collection[int], detail: str, now_ns: int, legs: Legs) -> list[Effect]:
+    def _stop(self, unfed: Collection[int], detail: str, now_ns: int) -> list[Effect]:
         """Stop these legs, or all six if the robot only stops as a whole."""
+        legs = self._legs
         due = dict.fromkeys(legs.by_number if unfed and self._rules.stops_whole else sorted(unfed))
         return legs.stop(due, Cause.WATCHDOG, now_ns, Reason.NO_POWER, detail) if due else []

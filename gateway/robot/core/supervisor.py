@@ -39,7 +39,6 @@ another channel, and the emergency stop wins over a reset.
 from collections.abc import Iterable
 from typing import Any, Final, get_args
 
-from gateway.model.angle_limits import AngleLimits
 from gateway.model.frames import OP_SET
 from gateway.robot.core.backlog import Backlog
 from gateway.robot.core.body_limits import BodyLimits
@@ -73,7 +72,7 @@ from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from gateway.robot.core.outside import Outside
 from gateway.robot.core.power_rule import PowerRule
-from gateway.robot.core.watchdog import Watchdog, bring_down
+from gateway.robot.core.watchdog import Watchdog
 from schemas.telemetry import Cause, Kind, Mode, Reason
 
 _BUS_FAULT: Final = "the SPI bus is at fault; the gateway is trying to open it again"
@@ -122,10 +121,9 @@ class Supervisor:
 
     def __init__(self, rules: Rules) -> None:
         self._rules = rules
-        self._limits = AngleLimits(rules.joint_limits_cdeg, rules.landing_cdeg, rules.avoid_cdeg)
-        self.legs = Legs(rules, self._limits)
+        self.legs = Legs(rules)
         self.backlog = Backlog(rules, self.legs)
-        self.connect(each(rules, self._limits) for each in ORDER)
+        self.connect(each(rules, self.legs) for each in ORDER)
         self._opened = False  # ever
         self._fault = Kind.BUS_FAULT  # the announced fault, while there is one
         self._ended = False
@@ -161,7 +159,7 @@ class Supervisor:
         effects: list[Effect] = []
         for each in self._interlocks:
             if each.due_ns is not None and now_ns >= each.due_ns:
-                effects += each.expire(now_ns, legs)
+                effects += each.expire(now_ns)
         # An event comes after deadlines, for which it is too late, and before rate slots, which it may use.
         due = legs.sends and self.due_ns is not None and now_ns >= self.due_ns
         if own is not None and self._ended and kind in _NOT_AT_THE_END:
@@ -172,10 +170,10 @@ class Supervisor:
         else:
             for each in self._interlocks:
                 if each.down is not None:
-                    effects += bring_down(each.down, now_ns, legs, self._rules)
+                    effects += each.bring_down(now_ns)
         if due:
             for each in reversed(self._interlocks):  # the watchdog lands no robot for a leg that another rule stops
-                effects += each.overdue(now_ns, legs)
+                effects += each.overdue(now_ns)
         self.watchdog.closed = legs.landing is not None
         if halt is not None:
             effects += self._stop_all(halt, now_ns)
@@ -225,15 +223,14 @@ class Supervisor:
     def _take_own(self, own: Interlock[Any], event: Event, now_ns: int) -> list[Effect]:
         """Take an interlock's event. Any interlock may bar a request; an accepted one renews its sender's lease."""
         if not isinstance(event, Reset | Calibrate):
-            effects = own.take(event, now_ns, self.legs)
+            effects = own.take(event, now_ns)
             for each in self._interlocks:
-                if each.down is not None:
-                    effects = [*bring_down(each.down, now_ns, self.legs, self._rules), *effects]
+                effects = [*each.bring_down(now_ns), *effects]
             return effects
         why = self._why_not(event)
         if why is not None:
             return [Rejected(event, *why)]
-        effects = own.take(event, now_ns, self.legs)
+        effects = own.take(event, now_ns)
         if event.lease is not None and not isinstance(effects[0], Rejected):
             self.lease.record_use(event.lease, now_ns)
         return effects
@@ -265,15 +262,16 @@ class Supervisor:
             asked = None if request.lease is None else self.lease  # even a free lease objects to an old token
             for each in self._interlocks:
                 if (each.closed or each is asked) and kind in each.bars:
-                    why = each.why_not(request, self.legs)
+                    why = each.why_not(request)
                     if why is not None:
                         return why
         return None
 
     def _why_not_moved(self, command: Command) -> Why | None:
         moves = command.moves
-        for servo_id, op in moves if self._limits.limited else ():
-            why_not = self._limits.why_not(servo_id, op.angle_cdeg)
+        limits = self.legs.limits
+        for servo_id, op in moves if limits.limited else ():
+            why_not = limits.why_not(servo_id, op.angle_cdeg)
             if why_not is not None:
                 return Reason.JOINT_LIMIT, why_not
         servos, instant_ns = self.legs.servos, self.legs.instant_ns

@@ -8,12 +8,11 @@ fall. Nothing prolongs a landing: commands are rejected even if the link returns
 would be due later than the landing's end.
 """
 
-from typing import Any, Final, Never
+from typing import Final, Never
 
 from gateway.allowance import NS_PER_MS
-from gateway.model.angle_limits import AngleLimits
 from gateway.robot.core.events import Announce, Calibrate, Command, Effect
-from gateway.robot.core.interlock import ALL_LEGS, Down, Interlock, Why, nothing_to_stop
+from gateway.robot.core.interlock import ALL_LEGS, Interlock
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.legs import Legs
 from schemas.telemetry import Cause, Kind, Reason
@@ -25,19 +24,25 @@ class Watchdog(Interlock[Never]):
     """The legs' deadlines, and the landing in progress: then it is `closed`."""
 
     bars = (Command, Calibrate)
+    objection = (Reason.LANDING, _LANDING)
 
-    def __init__(self, rules: Rules, limits: AngleLimits) -> None:
-        super().__init__(rules, limits)
+    def __init__(self, rules: Rules, legs: Legs) -> None:
+        super().__init__(rules, legs)
         self.expirations = 0
         """How often a leg was silent for the timeout since the start."""
 
-    def why_not(self, request: Any, legs: Legs) -> Why:  # noqa: ARG002
-        return Reason.LANDING, _LANDING
-
-    def overdue(self, now_ns: int, legs: Legs) -> list[Effect]:
+    def overdue(self, now_ns: int) -> list[Effect]:
+        rules, legs = self._rules, self._legs
         if legs.landing is not None:
-            return self._touch_down(legs.landing.ends_ns, now_ns, legs)
-        rules = self._rules
+            if now_ns < legs.landing.ends_ns:
+                return []
+            due = dict.fromkeys(legs.by_number, legs.landing.ends_ns)
+            legs.landing = None
+            detail = "the robot has landed; all six legs are stopped"
+            return [
+                *self._stop(due, now_ns, *self.objection),
+                Announce(Kind.WATCHDOG_EXPIRED, detail, legs=ALL_LEGS),
+            ]
         deadlines = [(leg.number, leg.deadline_ns(rules.timeout_ns)) for leg in legs]
         silent = {number: deadline for number, deadline in deadlines if deadline is not None and now_ns >= deadline}
         if not silent:
@@ -45,16 +50,11 @@ class Watchdog(Interlock[Never]):
         self.expirations += len(silent)
         timeout_ms = rules.timeout_ns / NS_PER_MS
         first = min(silent.values())
-        ends_ns = first + rules.landing_ns
-        if now_ns < ends_ns and legs.running:
-            why = f"no command for leg {min(silent)} in {timeout_ms:g} ms"
-            return _begin_landing(why, ends_ns, now_ns, legs, rules)
+        landing = self._land(f"no command for leg {min(silent)} in {timeout_ms:g} ms", first, now_ns)
+        if landing:
+            return landing
         due = {leg.number: silent.get(leg.number, first) for leg in legs} if rules.stops_whole else silent
-        expired = [leg for leg in legs if leg.number in due and leg.armed]
-        detail = "the command was pending longer than the watchdog allows"
-        effects = legs.stop(due, Cause.WATCHDOG, now_ns, Reason.STALE, detail)
-        for leg in expired:
-            leg.expired = True
+        effects = self._stop(due, now_ns, Reason.STALE, "the command was pending longer than the watchdog allows")
         whole = "; all six legs are stopped" if rules.stops_whole else "; it is stopped"
         whole += ", since this robot can only be stopped as a whole" if rules.starts_whole else ""
         for number in silent:
@@ -63,31 +63,10 @@ class Watchdog(Interlock[Never]):
             effects.append(Announce(Kind.WATCHDOG_EXPIRED, detail, legs=stopped))
         return effects
 
-    def _touch_down(self, ends_ns: int, now_ns: int, legs: Legs) -> list[Effect]:
-        if now_ns < ends_ns:
-            return []
-        armed = [leg for leg in legs if leg.armed]
-        legs.landing = None
-        effects = legs.stop(dict.fromkeys(legs.by_number, ends_ns), Cause.WATCHDOG, now_ns, Reason.LANDING, _LANDING)
-        for leg in armed:
+    def _stop(self, due: dict[int, int], now_ns: int, reason: Reason, detail: str) -> list[Effect]:
+        """Stop these legs, and mark those as expired that ran or waited to be started."""
+        expired = [leg for leg in self._legs if leg.number in due and leg.armed]
+        effects = self._legs.stop(due, Cause.WATCHDOG, now_ns, reason, detail)
+        for leg in expired:
             leg.expired = True
-        detail = "the robot has landed; all six legs are stopped"
-        return [*effects, Announce(Kind.WATCHDOG_EXPIRED, detail, legs=ALL_LEGS)]
-
-
-def bring_down(down: Down, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
-    """Land the robot if a servo runs and time is left, else stop all six legs. Return the effects."""
-    if nothing_to_stop(legs):
-        return []
-    since_ns = now_ns if down.since_ns is None else down.since_ns
-    ends_ns = since_ns + rules.landing_ns
-    if now_ns < ends_ns and legs.running:
-        return _begin_landing(down.why, ends_ns, now_ns, legs, rules)
-    due = dict.fromkeys(legs.by_number, since_ns)
-    return legs.stop(due, Cause.WATCHDOG, now_ns, down.reason, down.detail)
-
-
-def _begin_landing(why: str, ends_ns: int, now_ns: int, legs: Legs, rules: Rules) -> list[Effect]:
-    dropped = legs.begin_landing(now_ns, ends_ns)
-    detail = f"{why}; the robot lands, and is stopped {rules.landing_ns / NS_PER_MS:g} ms later"
-    return [*dropped, Announce(Kind.LANDING, detail, legs=ALL_LEGS)]
+        return effects

@@ -57,9 +57,9 @@ def test_a_button_that_returns_starts_nothing_and_lets_start() -> None:
 def test_the_rejection_names_how_many_are_missing() -> None:
     robot = play(SLOW + "buttons_required=3" + KITCHEN_ALIVE)
     found = robot.supervisor.buttons
-    assert found._too_few()[1].startswith("1 of the 3 buttons that are required is alive")
+    assert found.objection[1].startswith("1 of the 3 buttons that are required is alive")
     robot.play("1 button register hall\n 1 button alive hall 0")
-    assert found._too_few()[1].startswith("2 of the 3 buttons that are required are alive")
+    assert found.objection[1].startswith("2 of the 3 buttons that are required are alive")
 
 
 SCENES: Final = {
@@ -193,10 +193,10 @@ def test_a_check_in_that_was_held_back_counts_no_longer_than_its_age() -> None:
 
 def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
     robot = Supervisor(RULES)
-    found, legs = robot.buttons, robot.legs
-    found.take(ButtonRequest("register", 0, "kitchen", fresh_token=KITCHEN), 0, legs)
+    found = robot.buttons
+    found.take(ButtonRequest("register", 0, "kitchen", fresh_token=KITCHEN), 0)
     check_in = ButtonRequest("alive", 5, token=KITCHEN, count=1)
-    (answer,) = found.take(check_in, 5 + TIMEOUT_MS * NS_PER_MS, legs)
+    (answer,) = found.take(check_in, 5 + TIMEOUT_MS * NS_PER_MS)
     assert isinstance(answer, RequestAnswer)
     assert answer.reason is Reason.STALE
     assert found.alive == 0
@@ -205,7 +205,7 @@ def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
 def offset_of(rise_ms: list[tuple[float, float]]) -> float:
     """How late a button's last message counts as sent, in ms: its messages come at (s) with so much delay (ms)."""
     robot = Supervisor(RULES)
-    buttons, legs = robot.buttons, robot.legs
+    buttons = robot.buttons
     for number, (at_s, delay_ms) in enumerate(rise_ms):
         received_ns = round(at_s * 1e9)
         do: ButtonDo = "alive" if number else "register"
@@ -218,11 +218,11 @@ def offset_of(rise_ms: list[tuple[float, float]]) -> float:
             count=number,
             sent_ms=at_s * 1000 - delay_ms,
         )
-        answer = buttons.take(request, received_ns, legs)[-1]
+        answer = buttons.take(request, received_ns)[-1]
         assert isinstance(answer, RequestAnswer)
         assert answer.reason is None
         if number:
-            buttons.expire(received_ns, legs)
+            buttons.expire(received_ns)
     assert buttons.due_ns is not None
     return TIMEOUT_MS - (buttons.due_ns - round(rise_ms[-1][0] * 1e9)) / NS_PER_MS
 
@@ -236,16 +236,16 @@ def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> No
 def test_check_ins_that_are_held_back_ever_longer_are_old(hours: int) -> None:
     """0.19 ms more each second is less than a slow clock may lose, and was 6.8 s after ten hours."""
     robot = Supervisor(RULES)
-    buttons, legs = robot.buttons, robot.legs
+    buttons = robot.buttons
     token = "0" * 32
-    buttons.take(ButtonRequest("register", 0, "kitchen", sent_ms=0, fresh_token=token), 0, legs)
+    buttons.take(ButtonRequest("register", 0, "kitchen", sent_ms=0, fresh_token=token), 0)
     counts_ms = 0.0
     for second in range(1, hours * 3600):
         sent_ms, held_back_ms = second * 1000, 0.19 * second
         came_ns = round((sent_ms + held_back_ms) * NS_PER_MS)
-        buttons.expire(came_ns, legs)
+        buttons.expire(came_ns)
         check_in = ButtonRequest("alive", came_ns, token=token, count=second, sent_ms=sent_ms)
-        buttons.take(check_in, came_ns, legs)
+        buttons.take(check_in, came_ns)
         if buttons.due_ns is not None:
             counts_ms = max(counts_ms, buttons.due_ns / NS_PER_MS - sent_ms)
     assert counts_ms <= 1.25 * TIMEOUT_MS + 1
