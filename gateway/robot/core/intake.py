@@ -73,34 +73,13 @@ def _of_legs(legs: Iterable[tuple[int | str, dict[str, Any]]], sent: dict[str, A
 # ---- the table
 
 
-def may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shortcut: what follows finds the same
-    """Return whether a payload may contain a Stop, in any spelling. It has false positives, but misses none.
-
-    JSON's escapes in a word have a backslash. A payload that does not begin like a JSON object (binary, a byte order
-    mark) or has a NUL (UTF-16) cannot be searched for a word.
-    """
-    if b"stop" in payload or b"\\" in payload or b"\0" in payload:
-        return True
-    if payload[:1] == b"{" and payload.islower():
-        return False  # a usual setpoint
-    return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
-
-
 class TargetRules(NamedTuple):  # mutants accepted (Step): no fields stand around less than a leg
     """One target. The number of its keys is the leg, the servo, or 0."""
 
     servos: Mapping[int, tuple[int, ...]]
     """By number: the servos that a message on the key may start, set or stop. A delete and lost messages stop them."""
-    follows: Mapping[int, tuple[int, ...]]
-    """By number: the servos whose older messages, on any key, are taken before a message on this key takes effect."""
     read: Callable[[int, bytes], Command | Reset] | None
-    """Reads a payload; None: any payload is accepted."""
-    may_stop: bool | None
-    """Whether a message may be a Stop; None: its payload decides (`may_contain_stop`).
-
-    No older Start overtakes such a message, newer messages of its key do not displace it, and it stops its servos even
-    if it is rejected.
-    """
+    """Reads a payload; None: any payload is accepted, and means a Stop."""
     fields_around: tuple[int, int] = (0, 0)
     """The number of fields around setpoints: once, and for each leg."""
     explicit_only: str | None = None
@@ -111,14 +90,11 @@ _ALL: Final = {0: SERVO_IDS}
 _OWN: Final = {servo_id: (servo_id,) for servo_id in SERVO_IDS}
 
 TARGETS: Final[dict[Target, TargetRules]] = {
-    Target.LEGS: TargetRules(_ALL, _ALL, _read_legs, None, (1, 2)),
-    Target.LEG: TargetRules(_IDS_OF_LEG, _IDS_OF_LEG, _read_leg, None, (1, 0)),
-    Target.SERVO: TargetRules(_OWN, _OWN, _read_servo, None),
-    Target.ESTOP: TargetRules(_ALL, _ALL, None, True),
-    # Commands sent while the emergency stop was engaged are rejected, even if a later reset is received first.
-    Target.RESET: TargetRules(
-        {0: ()}, _ALL, _read_reset, False, explicit_only=f"does not reset; put {{}} on {keys.RESET}"
-    ),
+    Target.LEGS: TargetRules(_ALL, _read_legs, (1, 2)),
+    Target.LEG: TargetRules(_IDS_OF_LEG, _read_leg, (1, 0)),
+    Target.SERVO: TargetRules(_OWN, _read_servo),
+    Target.ESTOP: TargetRules(_ALL, None),
+    Target.RESET: TargetRules({0: ()}, _read_reset, explicit_only=f"does not reset; put {{}} on {keys.RESET}"),
 }
 """Every target. If a row is missing, `unit/robot/test_intake.py` fails, and no gateway starts."""
 
@@ -129,8 +105,12 @@ def servos_of(key: CommandKey) -> frozenset[int]:
 
 
 def follows(key: CommandKey) -> frozenset[int]:
-    """Return the servos whose older messages are taken before a message on this key takes effect."""
-    return frozenset(TARGETS[key.target].follows[key.number])
+    """Return the servos whose older messages, on any key, are taken before a message on this key takes effect.
+
+    A reset follows all: commands sent while the emergency stop was engaged are rejected, even if the later reset is
+    received first.
+    """
+    return servos_of(key) or frozenset(SERVO_IDS)
 
 
 def stops_of(key: CommandKey) -> Targets:
@@ -162,30 +142,42 @@ def read(received: Received) -> Command | Reset | Rejection:
             return Rejection(Reason.INVALID, str(error))
         return Rejection(Reason.INVALID, f"{echo_of(received.expression)} names no command key")
     row = TARGETS[key.target]
-    if row.explicit_only is not None and received.expression != received.key:
-        return Rejection(Reason.INVALID, f"a wildcard {row.explicit_only}")
-    found = deleted(key) if received.verb is _DELETE else _decoded(row, key.number, received)
+    deletes, is_wildcard = received.verb is _DELETE, received.expression != received.key
+    if row.explicit_only is not None and (deletes or is_wildcard):
+        return Rejection(Reason.INVALID, f"a {'wildcard' if is_wildcard else 'delete'} {row.explicit_only}")
+    found = Command(stops_of(key)) if deletes else _decoded(row, key.number, received)
     if type(found) is not Rejection:
         found.key, found.verb, found.reply = received.key, received.verb, received.reply
         found.received_ns, found.source = received.received_ns, found.source or received.source
     return found
 
 
-def deleted(key: CommandKey) -> Command | Rejection:
-    """Return Stops for the servos of a deleted key, or a Rejection if the key takes no delete."""
-    explicit_only = TARGETS[key.target].explicit_only
-    return Command(stops_of(key)) if explicit_only is None else Rejection(Reason.INVALID, f"a delete {explicit_only}")
+def _may_contain_stop(payload: bytes) -> bool:  # mutants accepted (Step): a shortcut: what follows finds the same
+    """Return whether a payload may contain a Stop, in any spelling. It has false positives, but misses none.
+
+    JSON's escapes in a word have a backslash. A payload that does not begin like a JSON object (binary, a byte order
+    mark) or has a NUL (UTF-16) cannot be searched for a word.
+    """
+    if b"stop" in payload or b"\\" in payload or b"\0" in payload:
+        return True
+    if payload[:1] == b"{" and payload.islower():
+        return False  # a usual setpoint
+    return payload.lstrip()[:1] not in (b"", b"{") or b"stop" in payload.lower()
 
 
 def words_of_stop(received: Received) -> bytes | None:
-    """Return the payload of a message that may be a Stop, else None. A payload too large to read may be one."""
+    """Return the payload of a message that may be a Stop, else None. A payload too large to read may be one.
+
+    No older Start overtakes such a message, newer messages of its key do not displace it, and it stops its servos even
+    if it is rejected.
+    """
     if received.verb is _DELETE:
         return b""
     key = received.target
-    may_stop = False if key is None else TARGETS[key.target].may_stop
-    if may_stop is None:
-        may_stop = received.size > MAX_PAYLOAD_BYTES or may_contain_stop(received.payload)
-    return received.payload if may_stop else None
+    if key is None or not TARGETS[key.target].servos[key.number]:
+        return None
+    by_key = TARGETS[key.target].read is None or received.size > MAX_PAYLOAD_BYTES
+    return received.payload if by_key or _may_contain_stop(received.payload) else None
 
 
 def is_json(encoding: str) -> bool:

@@ -38,12 +38,7 @@ TOO_MANY_FIELDS: Final = Rejection(Reason.INVALID, "the payload has more fields 
 
 def echo_of(key: str) -> str:
     """Return an unknown key for an event: at most `MAX_KEY` characters, without secrets."""
-    return without_secrets(key[: 2 * MAX_KEY])[:MAX_KEY]
-
-
-def without_secrets(text: str) -> str:
-    """Return a sender's text without parts that may be a lease's token."""
-    return _SECRET.sub("(hex digits)", text)
+    return _SECRET.sub("(hex digits)", key[: 2 * MAX_KEY])[:MAX_KEY]
 
 
 def too_large(size: int, most: int = MAX_PAYLOAD_BYTES) -> Rejection:
@@ -101,4 +96,4 @@ def explain(error: ValidationError) -> Rejection:
 
 def _name(name: str) -> str:
     """Return a sender's name in printable characters, without tokens, cut to `_MAX_NAME`."""
-    return visible(without_secrets(name))[:_MAX_NAME]
+    return visible(_SECRET.sub("(hex digits)", name))[:_MAX_NAME]

@@ -16,7 +16,7 @@ from gateway.model.frames import Frame, OneLeg, OneServo, Op, ServoOp, servo_ids
 from gateway.robot.core import intake
 from gateway.robot.core.events import Command, Reset, Targets
 from gateway.robot.core.flat import into_dicts
-from gateway.robot.core.intake import TARGETS, deleted, follows, read, servos_of, stops_of, words_of_stop
+from gateway.robot.core.intake import TARGETS, follows, read, servos_of, stops_of, words_of_stop
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.rejections import Rejection, echo_of, explain
 from schemas import keys
@@ -364,7 +364,8 @@ def test_what_each_row_says(key: str, servos: tuple[int, ...], followed: tuple[i
     stops = tuple((servo_id, STOP_OP) for servo_id in servos)
     assert stops_of(target) == stops
     no_reset = Rejection(Reason.INVALID, "a delete does not reset; put {} on hexapod/reset/cmd")
-    assert meant(deleted(target)) == (no_reset if key == keys.RESET else Intent(stops))
+    deleted = read(Received(key, key, target, Verb.DELETE, b"", 0, "", None, 0))
+    assert meant(deleted) == (no_reset if key == keys.RESET else Intent(stops))
     for count, rejected in ((52 + 64, False), (52 + 65, True)) if key != keys.ESTOP else ():
         answer = decode(target, as_json({f"x{number}": 0 for number in range(count)}), "application/json")
         assert isinstance(answer, Rejection)
