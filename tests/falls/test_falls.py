@@ -108,7 +108,7 @@ def landed(begin: Mapping[int, float], settings: Settings) -> Iterator[physics.S
         servo_id: (round(100 * angle_deg), round(100 * ends.get(servo_id, angle_deg)))
         for servo_id, angle_deg in begin.items()
     }
-    way = Landing(began_ns, began_ns + length_ns, length_ns, period_ns, ways_cdeg)
+    way = Landing(began_ns, began_ns + length_ns, length_ns - 2 * period_ns, period_ns, ways_cdeg)
     now_ns, part_ns = began_ns, 0
     while now_ns < way.ends_ns and part_ns < way.length_ns:
         part_ns = way.next_part_ns(part_ns, now_ns)

@@ -112,11 +112,12 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
             "            servo.note_stop(cause, self.instant_ns)\n            self._stopped(servo, now_ns)\n",
             "            servo.note_stop(cause, now_ns)\n            self._stopped(servo, now_ns)\n",
         ),
+        ByHand("the oldest angle of a start counts", "newest = STARTS[op.angle_cdeg]", "newest = servo.waiting"),
         ByHand("what was rejected for one leg still moves another", "in self.servos.values():  #", "in servos:  #"),
         ByHand(
             "late repeats are made up in a burst",
-            "            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n        return stops(",
-            "            servo.repeat_ns += self._rules.repeat_interval_ns\n        return stops(",
+            "            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns\n        self.stopping",
+            "            servo.repeat_ns += self._rules.repeat_interval_ns\n        self.stopping",
         ),
         ByHand(
             "a Stop moves a repeat that is owed to a later time",
@@ -147,7 +148,6 @@ MADE: Final[Mapping[str, tuple[ByHand, ...]]] = {
         ),
     ),
     "gateway/robot/core/leg.py": (
-        ByHand("the oldest target counts", "    return newer\n", "    return older\n"),
         ByHand("the last comes first: the others may wait for ever", "legs.append(leg)", "legs.insert(0, leg)"),
     ),
 }

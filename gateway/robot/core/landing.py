@@ -17,16 +17,12 @@ class Landing(NamedTuple):
     began_ns: int
     ends_ns: int
     """When all six legs get their Stop, at any angle. A landing that begins late is stopped on its way."""
-    landing_ns: int
+    length_ns: int
+    """The motion's duration: in time, it arrives two rate slots before `ends_ns`. A short one takes one frame."""
     period_ns: int
     """A leg's rate slot: the most that one frame advances the landing."""
     ways_cdeg: Mapping[int, tuple[int, int]]
     """Begin and end of each running servo's motion, in hundredths of a degree."""
-
-    @property
-    def length_ns(self) -> int:
-        """The motion's duration: in time, it arrives two rate slots before `ends_ns`. A short one takes one frame."""
-        return max(self.period_ns, self.landing_ns - 2 * self.period_ns)
 
     def next_part_ns(self, part_ns: int, now_ns: int) -> int:
         """Return the time within the motion (ns) for a leg's next frame, if its last frame was at `part_ns`.

@@ -7,10 +7,8 @@ from typing import Final
 from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.model.calibration import RobotCalibration
 from gateway.model.frames import (
-    OP_SET,
     OP_START,
     SETS,
-    STARTS,
     STOP,
     STOP_REPEAT_MS,
     STOP_REPEATS,
@@ -109,13 +107,6 @@ BUCKET: Final = 3
 periods. Three slots cover two periods, since the frame itself uses one."""
 SPACING_SHARE: Final = 4
 """The least time between two frames of a leg is its period divided by this."""
-
-
-def merged(older: ServoOp, newer: ServoOp) -> ServoOp:
-    """Return the newer target. A waiting start stays a start if only its angle changes."""
-    if older.op is OP_START and newer.op is OP_SET:
-        return STARTS[newer.angle_cdeg]
-    return newer
 
 
 @dataclass(slots=True)

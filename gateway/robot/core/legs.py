@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Final
 
 from gateway.model.angle_limits import AngleLimits
-from gateway.model.frames import OP_START, OP_STOP, SETS, STOP, OneServo, ServoOp, stop_leg
+from gateway.model.frames import OP_SET, OP_START, OP_STOP, SETS, STARTS, STOP, OneServo, ServoOp, stop_leg
 from gateway.robot.core.events import Command, Completed, Effect, Rejected, Targets, Transmit
 from gateway.robot.core.landing import Landing
 from gateway.robot.core.leg import (
@@ -20,7 +20,6 @@ from gateway.robot.core.leg import (
     Servo,
     StartQueue,
     frame_of,
-    merged,
     servos_of,
     stops,
     taken_over,
@@ -180,9 +179,16 @@ class Legs:
 
     def repeat_stops(self, now_ns: int) -> list[Effect]:
         """Return the repeated Stops that are due. If nothing runs, all pending repeats leave together: one preamble."""
-        due = any(servo.repeats_left and now_ns >= servo.repeat_ns for servo in self.servos.values())
-        together = due and self.at_rest
-        return [effect for leg in self for effect in self._repeat(leg, now_ns, together=together)] if due else []
+        owed = [servo for servo in self.servos.values() if servo.repeats_left]
+        due = [servo for servo in owed if now_ns >= servo.repeat_ns]
+        if due and self.at_rest:
+            due = [servo for servo in owed if servo in due or servo.servo_id not in self._first_stops]
+        for servo in due:
+            servo.repeats_left -= servo.servo_id not in self.stopping  # after a first Stop of this step, all are left
+            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
+        self.stopping.update(servo.servo_id for servo in due)
+        by_leg = ((leg, [servo for servo in leg.servos if servo in due]) for leg in self) if due else ()
+        return [effect for leg, servos in by_leg for effect in stops(leg, servos, Cause.REPEAT)]
 
     def take_slots(self, now_ns: int) -> list[Effect]:
         """Return the frames of the legs whose rate slot has come."""
@@ -312,7 +318,8 @@ class Legs:
         for servo_id, op in targets:
             servo, newest = self.servos[servo_id], op
             if servo.waiting is not None:
-                newest = merged(servo.waiting, op)
+                if op.op is OP_SET and servo.waiting.op is OP_START:
+                    newest = STARTS[op.angle_cdeg]  # a waiting start stays a start
                 effects += self._replaced(servo)
             servo.waiting, servo.waiting_for, servo.begun = newest, command, False
             if op.op is OP_STOP:
@@ -396,8 +403,9 @@ class Legs:
             for servo in self.servos.values()
             if servo.angle_cdeg is not None
         }
-        self.landing = Landing(now_ns, ends_ns, self._rules.landing_ns, self._rules.period_ns, ways)
-        self.land_ns = now_ns + self._rules.period_ns
+        period_ns = self._rules.period_ns
+        self.landing = Landing(now_ns, ends_ns, max(period_ns, self._rules.landing_ns - 2 * period_ns), period_ns, ways)
+        self.land_ns = now_ns + period_ns
         for leg in self:
             leg.source, leg.landed_ns = None, 0
             for servo in leg.servos:
@@ -496,16 +504,3 @@ class Legs:
             if not self.by_number[number].waits_to_start:
                 self._queue.leave(number)
         return [withdrawn(command, reason, detail) for command in rejected]
-
-    def _repeat(self, leg: Leg, now_ns: int, *, together: bool) -> list[Effect]:
-        due = [
-            servo
-            for servo in leg.servos
-            if servo.repeats_left
-            and (now_ns >= servo.repeat_ns or (together and servo.servo_id not in self._first_stops))
-        ]
-        for servo in due:
-            servo.repeats_left -= servo.servo_id not in self.stopping  # after a first Stop of this step, all are left
-            self.stopping.add(servo.servo_id)
-            servo.repeat_ns = now_ns + self._rules.repeat_interval_ns
-        return stops(leg, due, Cause.REPEAT)

@@ -94,8 +94,9 @@ PERIOD_NS = 20 * NS_PER_MS
 
 def one(first: int, last: int, length_ms: int = 1000, late_ms: int = 0) -> Landing:
     """A landing of one servo, which begins so late."""
-    end_ns, landing_ns = length_ms * NS_PER_MS, length_ms * NS_PER_MS
-    return Landing(late_ms * NS_PER_MS, end_ns, landing_ns, PERIOD_NS, {32: (first, last)})
+    end_ns = length_ms * NS_PER_MS
+    length_ns = max(PERIOD_NS, end_ns - 2 * PERIOD_NS)
+    return Landing(late_ms * NS_PER_MS, end_ns, length_ns, PERIOD_NS, {32: (first, last)})
 
 
 def said_at(way: Landing, times_ms: Iterable[float]) -> list[int]:
