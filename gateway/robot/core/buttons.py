@@ -19,7 +19,6 @@ While fewer than `buttons_required` are alive, the supervisor starts and sets no
 """
 
 from dataclasses import dataclass
-from operator import itemgetter
 from typing import Final
 
 from gateway.allowance import NS_PER_MS
@@ -104,13 +103,10 @@ class Buttons(Interlock[ButtonRequest]):
 
     def expire(self, now_ns: int) -> list[Effect]:
         """Mark buttons as silent whose deadline has passed at `now_ns`. Return the events."""
-        late = [
-            (button.until_ns, button)
-            for button in self._by_token.values()
-            if button.until_ns is not None and now_ns >= button.until_ns
-        ]
         effects: list[Effect] = []
-        for at_ns, button in sorted(late, key=itemgetter(0)):
+        while self.due_ns is not None and now_ns >= self.due_ns:
+            at_ns = self.due_ns
+            button = next(each for each in self._by_token.values() if each.until_ns == at_ns)
             button.until_ns, button.silent = None, True
             what = f"no check-in of the button {button.name} in {self._rules.buttons_timeout_ns / NS_PER_MS:g} ms"
             effects += self._changed(Kind.BUTTON_SILENT, what, button.name, at_ns, key=None)

@@ -52,8 +52,6 @@ class Legs:
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
         self.sends = False
         """Whether the bus is open and not at fault."""
-        self.instant_ns = 0
-        """When the present instant began; see `Supervisor.step`."""
         self.due_ns: int | None = None
         """When the next deadline, repeat or rate slot is due; as of the last `plan`, like the next two."""
         self.repeat_ns: int | None = None
@@ -61,18 +59,13 @@ class Legs:
         self.at_rest = True
         """Whether no servo of any leg runs."""
         self.rest = RestStops(rules)
-        self._first_stops: set[int] = set()
-        """The servos that get a first Stop in this step."""
-        self.stopping: set[int] = set()
-        """The servos that get a Stop in this step."""
-        self._silent = False
-        """Whether the watchdog stops a leg in this step."""
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
         self._fed: frozenset[int] | None = frozenset() if rules.power else None
         """Servos that the power board powers; None: there is no board."""
         self.land_ns = 0
         """When the landing's next frames are due: one for each leg in a period, at any speed."""
+        self.begin(0)
 
     def __iter__(self) -> Iterator[Leg]:
         return iter(self._all)
@@ -87,9 +80,15 @@ class Legs:
     def begin(self, instant_ns: int) -> None:
         """Begin a step of this instant (ns)."""
         self.instant_ns = instant_ns
+        """When the present instant began; see `Supervisor.step`."""
         if self._fed:  # stopped servos have lost their power
             self._fed = frozenset([each for each in self._fed if each in self.servos and self.servos[each].will_run])
-        self.stopping, self._first_stops, self._silent = set(), set(), False
+        self.stopping: set[int] = set()
+        """The servos that get a Stop in this step."""
+        self._first_stops: set[int] = set()
+        """The servos that get a first Stop in this step."""
+        self._silent = False
+        """Whether the watchdog stops a leg in this step."""
 
     def plan(self, now_ns: int) -> None:  # mutants accepted (Forget, Lt_LtE): equal times; each step sets it anew
         """End a step: compute what is due next, and whether anything runs."""

@@ -9,28 +9,17 @@ first interlock that objects. A rule's Stops precede the answer to its event.
 
 Further rules, here and in `Legs`, by their names in docs/interface.md, *Behaviour*:
 
-*Start*: `BusOpened` stops all six legs, at the start and after a fault. Before it, nothing is accepted.
-*Start before Set*: Only an accepted `start` energises a servo. A command with a `set` for a servo that neither runs nor
-    waits to be started is rejected. A Stop drops its servo's waiting target.
-*Rate limit*: Starts and Sets wait for their leg's rate slot (`leg`); each servo's newest target counts. A Stop does
-    not wait. Stops precede all other effects of a step.
+*Start*: Before the first `BusOpened`, nothing is accepted. It stops all six legs, at the start and after a fault.
+*Start before Set*: A command with a `set` for a servo that neither runs nor waits to be started is rejected.
+*Rate limit*: Stops precede all other effects of a step.
 *Answered in part*: Of a rejected command, the Stops are carried out, whatever the reason.
-*Watchdog*: Deadlines precede a command of the same step, so a late command does not save its leg (`watchdog`). Every
-    Stop is repeated until its servo is started again.
-*Legs at rest*: They get Stops, too, since lost bytes may start a servo (`Legs.stop_at_rest`). These Stops take no rate
-    slot and do not precede a first Stop. A due Stop is never postponed.
+*Watchdog*: Deadlines precede a command of the same step, so a late command does not save its leg.
+*Legs at rest*: These Stops do not precede a first Stop. A due Stop is never postponed.
 *Bus fault*: `BusFailed` drops waiting commands. Until `BusOpened` nothing is sent, and every request is rejected. The
     latch of an emergency stop remains.
-*End*: `ShutDown` stops six legs and rejects all further events except an emergency stop. A bus that answers again only
-    then still gets its Stops.
-*Calibration*: Angles here are users'. Only outgoing frames have the servos' own (`Legs`).
-*Speed*: A servo with a limited speed approaches its target in steps, one in each rate slot (`speed`).
-*Take-over and first frame*: Under another source, and soon after its Stop, a servo goes to its first target at a
-    limited speed (`speed`).
-*The whole robot*: Either all servos run or wait to be started, or none does. A start names all of them and leaves with
-    the last leg's rate slot. A Stop of one stops all in the same step.
-*Power*: A start, and its leg's watchdog, wait until its servo is powered (`power_rule`).
-*Bursts without `sent_ms`*: They start no stopped leg (`backlog`).
+*End*: `ShutDown` rejects all further events except an emergency stop. A bus that answers again only then still gets its
+    Stops.
+*The whole robot*: Either all servos run or wait to be started, or none does.
 
 Within one instant, the order of messages from different channels is unknown. So a Stop wins over a Start or Set of
 another channel, and the emergency stop wins over a reset.

@@ -171,14 +171,10 @@ class LeaseAnswers(_ProvedAnswers):
     watches = False
 
     def _event(self, request: Claim | Renew | Release, now_ns: int) -> LeaseRequest:  # noqa: ARG002
-        match request:
-            case Claim():
-                proved = self._checker is not None
-                return LeaseRequest(request.do, request.source, proved, fresh_token=self._fresh())
-            case Renew():
-                return LeaseRequest("renew", token=request.lease)
-            case Release():
-                return LeaseRequest("release", token=request.lease, to=request.to)
+        if isinstance(request, Claim):
+            return LeaseRequest(request.do, request.source, self._checker is not None, fresh_token=self._fresh())
+        to = request.to if isinstance(request, Release) else None
+        return LeaseRequest(request.do, token=request.lease, to=to)
 
     def _granted(self, answer: RequestAnswer) -> dict[str, object]:
         lease, ttl_ms = self._conductor.supervisor.lease, self._conductor.settings.lease.ttl_ms
