@@ -297,6 +297,7 @@ class _Service:
     def inbox_of(self, session: zenoh.Session) -> Inbox:
         """Return what receives all messages of this session."""
         conductor, settings = self.conductor, self.settings
+        conductor.reports.names_proved = self.checker is not None
         lease = LeaseAnswers(conductor, self.checker)
         button = ButtonAnswers(conductor, self.checker)
         answers: dict[str, Callable[[Reply], None]] = {

@@ -77,7 +77,7 @@ _KNOWN: Final = (
     (_ROBOT.outside, "_rules _legs"),
     (_ROBOT.watchdog, "_rules _legs expirations"),
     (_ROBOT.latch, "_rules _legs number since_ns unknown"),
-    (_ROBOT.lease, "_rules _legs holder verified since_ns due_ns closed _token _askers"),
+    (_ROBOT.lease, "_rules _legs holder since_ns due_ns closed _token _askers"),
     (_ROBOT.buttons, "_rules _legs _by_token closed alive due_ns objection down"),
     (_ROBOT.body, "_rules _legs watches low beyond_ns objection"),
     (_ROBOT.power, "_rules _legs alive closed _refused"),
@@ -155,9 +155,7 @@ def copied_command(command: Command, commands: dict[int, Command]) -> Command:
 def _copied_interlocks(supervisor: Supervisor, legs: Legs) -> Iterator[Interlock[Any]]:
     """Copies that share nothing that changes."""
     for each in supervisor._interlocks:
-        if isinstance(each, RobotLease):
-            yield cloned(each, _legs=legs, _askers=dict(each._askers))
-        elif isinstance(each, Buttons):
+        if isinstance(each, Buttons):
             by_token = {token: replace(button) for token, button in each._by_token.items()}
             yield cloned(each, _legs=legs, _by_token=by_token)
         else:
@@ -195,7 +193,7 @@ def _rest_key(rest: RestStops, now_ns: int) -> tuple[object, ...]:
 def _lease_key(lease: RobotLease, now_ns: int) -> tuple[object, ...]:
     """What of it can still matter; one token is as good as another."""
     left_ns = None if lease.due_ns is None else lease.due_ns - now_ns
-    return lease.holder, lease._token is not None, left_ns, lease.closed, tuple(lease._askers)
+    return lease.holder, lease._token is not None, left_ns, lease.closed, lease._askers
 
 
 def _buttons_key(buttons: Buttons, now_ns: int) -> tuple[object, ...]:

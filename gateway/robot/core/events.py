@@ -162,11 +162,10 @@ LeaseDo = Literal["acquire", "ask", "take", "renew", "release"]
 
 @value
 class LeaseRequest:
-    """A request for the lease. `verified`: `source` was proved. `fresh_token` is 128 random bits for a new lease."""
+    """A request for the lease. `fresh_token` is 128 random bits for a new lease."""
 
     do: LeaseDo
     source: str | None = None
-    verified: bool = False
     token: str | None = field(default=None, repr=False)
     to: str | None = None
     fresh_token: str = field(default="", repr=False)

@@ -38,7 +38,6 @@ class RobotLease(Interlock[LeaseRequest]):
         super().__init__(rules, legs)
         self.holder: str | None = None
         """The holder, or the nominee of a handover."""
-        self.verified = False
         self.since_ns: int | None = None
         """When its holder acquired it; None while it is free or handed over."""
         self.due_ns: int | None = None
@@ -46,8 +45,8 @@ class RobotLease(Interlock[LeaseRequest]):
         self.closed = rules.lease_required
         """Whether commands need a token. If not, only commands with a token are checked."""
         self._token: str | None = None
-        self._askers: dict[str, bool] = {}
-        """The clients that have asked, in this order, and whether their names are verified."""
+        self._askers: tuple[str, ...] = ()
+        """The clients that have asked, in this order."""
 
     @property
     def _handed_over(self) -> bool:
@@ -57,7 +56,7 @@ class RobotLease(Interlock[LeaseRequest]):
     @property
     def asked_by(self) -> str | None:
         """The client that asked for the lease last, or None."""
-        return next(reversed(self._askers), None)
+        return self._askers[-1] if self._askers else None
 
     # ---- commands
 
@@ -95,7 +94,7 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def end(self) -> None:
         """Free the lease."""
-        self._give(None, None, None, verified=False)
+        self._give(None, None, None)
 
     # ---- requests
 
@@ -117,13 +116,11 @@ class RobotLease(Interlock[LeaseRequest]):
                 self.due_ns = now_ns + self._rules.lease_ttl_ns
                 return [RequestAnswer()]
             case "ask":
-                self._askers.pop(name, None)
-                if len(self._askers) == MOST_ASKERS:
-                    del self._askers[next(iter(self._askers))]
-                self._askers[name] = event.verified
+                others = [each for each in self._askers if each != name]
+                self._askers = (*others, name)[-MOST_ASKERS:]
                 kind, who, detail = Kind.LEASE_ASKED, name, f"{name} asks {holder} for the lease"
             case "release" if to is not None:
-                self._give(to, None, now_ns, verified=self._askers[to])
+                self._give(to, None, now_ns)
                 detail = f"{holder} has handed the lease over to {to}"
             case "release":
                 self.end()
@@ -147,7 +144,7 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def _acquired(self, request: LeaseRequest, now_ns: int) -> list[Effect]:
         legs, name, before, taken = self._legs, request.source, self.holder, request.do == "take"
-        self._give(name, request.fresh_token, now_ns, verified=request.verified)
+        self._give(name, request.fresh_token, now_ns)
         # Others' waiting commands must not move the robot under the new holder.
         dropped = legs.drop(legs.servos.values(), Reason.NOT_HOLDER, f"{name} has acquired the lease")
         kind = Kind.LEASE_TAKEN if taken and before is not None else Kind.LEASE_ACQUIRED
@@ -161,10 +158,10 @@ class RobotLease(Interlock[LeaseRequest]):
         """Return whether this is the holder's token. May be called from any thread."""
         return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
 
-    def _give(self, holder: str | None, token: str | None, now_ns: int | None, *, verified: bool) -> None:
+    def _give(self, holder: str | None, token: str | None, now_ns: int | None) -> None:
         """Assign the lease to a holder, reserve it for a nominee (no token), or free it."""
-        self.holder, self._token, self.verified = holder, token, verified
+        self.holder, self._token = holder, token
         self.since_ns = None if token is None else now_ns
         self.due_ns = None if now_ns is None else now_ns + self._rules.lease_ttl_ns
-        self._askers = {}
+        self._askers = ()
         self.closed = holder is not None or self._rules.lease_required

@@ -70,7 +70,7 @@ class Numbers(Collector):
         supervisor, certificate, events = conductor.supervisor, reports.certificate, metrics.events
         lease, buttons, calibrating = supervisor.lease, supervisor.buttons, supervisor.calibrating
         holder = lease.holder  # read once: this thread does not own the state
-        driving = None if holder is None else {"holder": holder, "verified": str(lease.verified).lower()}
+        driving = None if holder is None else {"holder": holder, "verified": str(reports.names_proved).lower()}
         expiry = None if certificate is None else {certificate.file: certificate.expires.timestamp()}
         yield InfoMetricFamily("hexapod_build", "What runs", {"version": __version__, "protocol": settings.protocol})
         yield _gauge("sessions", "Zenoh sessions that are open", metrics.sessions)

@@ -126,6 +126,8 @@ class RobotReports:
         self.estop_fault: str | None = None
         """Why the emergency stop may not outlast a restart, or counts as engaged."""
         self.revocations: telemetry.RevocationsReport | None = None
+        self.names_proved = False
+        """Whether a certificate has to prove the name of a lease's holder."""
         self.simulated = False
         """Whether the controller is simulated."""
         self.physics: str | None = None
@@ -293,7 +295,7 @@ class RobotReports:
             loop_lag_us=telemetry.LoopLag(p50=lag.at_most_us(0.5), p99=lag.at_most_us(0.99), max=lag.max_us),
             lease=telemetry.LeaseReport(
                 holder=lease.holder,
-                verified=lease.verified,
+                verified=lease.holder is not None and self.names_proved,
                 held_s=None if lease.since_ns is None else (now_ns - lease.since_ns) / 1e9,
                 expires_in_ms=None if lease.due_ns is None else max(0.0, (lease.due_ns - now_ns) / 1e6),
                 asked_by=lease.asked_by,

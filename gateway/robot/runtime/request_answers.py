@@ -172,13 +172,13 @@ class LeaseAnswers(_ProvedAnswers):
 
     def _event(self, request: Claim | Renew | Release, now_ns: int) -> LeaseRequest:  # noqa: ARG002
         if isinstance(request, Claim):
-            return LeaseRequest(request.do, request.source, self._checker is not None, fresh_token=self._fresh())
+            return LeaseRequest(request.do, request.source, fresh_token=self._fresh())
         to = request.to if isinstance(request, Release) else None
         return LeaseRequest(request.do, token=request.lease, to=to)
 
     def _granted(self, answer: RequestAnswer) -> dict[str, object]:
         lease, ttl_ms = self._conductor.supervisor.lease, self._conductor.settings.lease.ttl_ms
-        verified = None if lease.holder is None else lease.verified
+        verified = None if lease.holder is None else self._checker is not None
         return {"lease": answer.token, "holder": lease.holder, "ttl_ms": ttl_ms, "verified": verified}
 
 

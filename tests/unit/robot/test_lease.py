@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from gateway.robot.core.events import LeaseRequest, RequestAnswer
+from gateway.robot.core.events import RequestAnswer
 from gateway.robot.core.lease import MOST_ASKERS
 from tests.support.scenes import Scenes, play, scene_test
 
@@ -62,23 +62,6 @@ def test_few_askers_are_remembered_the_latest() -> None:
     play(f"""{HELD}{asked}
         3 lease release to person 0 (token anna) → lease_denied
         3 lease release to person 1 (token anna) → announce lease_released; granted""")
-
-
-@pytest.mark.parametrize("verified", [False, True])
-def test_whether_a_name_is_verified_goes_with_it(verified: bool) -> None:
-    assert not Scenes().supervisor.lease.verified
-    robot = play(HELD)
-    lease = robot.supervisor.lease
-    robot.take(2, LeaseRequest("ask", "bert", verified))
-    assert not lease.verified, "anna's is not"
-    robot.do(3, "lease release to bert (token anna)")
-    assert lease.verified is verified
-    robot.do(3, "lease acquire carl (fresh carl)")
-    assert (robot.only(RequestAnswer).detail, lease.verified) == ("the lease is handed over to bert", verified)
-    robot.take(4, LeaseRequest("acquire", "bert", verified, fresh_token=BERT))
-    assert lease.verified is verified
-    robot.do(5, "lease release (token bert)")
-    assert not lease.verified
 
 
 def test_no_repr_shows_a_token() -> None:
@@ -165,6 +148,7 @@ ANNA_HOLDS_IT: Final = {
         60 leg 1 set 45 (lease bert) → rejected 4 not_holder
         60 leg 1 set 45 → rejected 5 not_holder
         61 lease acquire carl (fresh carl) → lease_held
+        answers the lease is handed over to bert
         61 lease ask carl → lease_held
         62 lease acquire bert (fresh bert) → announce lease_acquired; granted
         63 leg 1 set 45 (lease bert) → command 1 set 45; completed 6""",
