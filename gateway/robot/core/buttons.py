@@ -116,13 +116,16 @@ class Buttons(Interlock[ButtonRequest]):
 
     def take(self, event: ButtonRequest, now_ns: int) -> list[Effect]:
         """Handle one request. Return its events, and its answer as the last effect."""
-        match event.do:
-            case "register":
-                return self._register(event, now_ns)
-            case "alive":
-                return self._check_in(event, now_ns)
-            case "leave":
-                return self._leave(event, now_ns)
+        if event.do == "register":
+            return self._register(event, now_ns)
+        button = self._by_token.get(event.token)
+        if button is None:
+            return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
+        if event.do == "alive":
+            return self._check_in(button, event, now_ns)
+        del self._by_token[event.token]
+        what = f"the button {button.name} has left on purpose"
+        return [*self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns), RequestAnswer()]
 
     def _register(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
         name = request.source or ""
@@ -147,10 +150,7 @@ class Buttons(Interlock[ButtonRequest]):
         answer = RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
         return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns), answer]
 
-    def _check_in(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
-        button = self._by_token.get(request.token)
-        if button is None:
-            return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
+    def _check_in(self, button: Registration, request: ButtonRequest, now_ns: int) -> list[Effect]:
         if request.count <= button.count:
             detail = f"count is {request.count}, and {button.count} was already received: a check-in counts once"
             return [RequestAnswer(Reason.STALE, detail)]
@@ -169,13 +169,6 @@ class Buttons(Interlock[ButtonRequest]):
             return [answer]
         what = f"the button {button.name} is back"
         return [*self._changed(Kind.BUTTON_RETURNED, what, button.name, now_ns), answer]
-
-    def _leave(self, request: ButtonRequest, now_ns: int) -> list[Effect]:
-        button = self._by_token.pop(request.token, None)
-        if button is None:
-            return [RequestAnswer(Reason.UNKNOWN_BUTTON, _UNKNOWN)]
-        what = f"the button {button.name} has left on purpose"
-        return [*self._changed(Kind.BUTTON_LEFT, what, button.name, now_ns), RequestAnswer()]
 
     # ----
 

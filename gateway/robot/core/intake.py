@@ -201,8 +201,11 @@ def _decoded(row: TargetRules, number: int, received: Received) -> Command | Res
     except ValidationError as error:
         return explain(error)
     # Each field has a colon. A setpoint with no more colons than fields has no name twice and is read only once.
-    fields = _fields(row, command) if type(command) is Command else 0
-    return (name_given_twice(payload) if colons > fields else None) or command
+    if type(command) is Command:
+        once, each_leg = row.fields_around
+        colons -= (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
+        colons -= once + each_leg * len(command.by_leg) + command.left + len(command.moves)  # a Stop has no angle
+    return (name_given_twice(payload) if colons > 0 else None) or command
 
 
 def named_source(payload: bytes) -> str | None:
@@ -211,10 +214,3 @@ def named_source(payload: bytes) -> str | None:
         return SENDER.validate_json(payload).source
     except ValidationError:
         return None
-
-
-def _fields(row: TargetRules, command: Command) -> int:
-    """Return the least number of fields of a payload with this content."""
-    once, each_leg = row.fields_around
-    sender = (command.source is not None) + (command.sent_ms is not None) + (command.lease is not None)
-    return sender + once + each_leg * len(command.by_leg) + command.left + len(command.moves)  # a Stop has no angle

@@ -223,13 +223,6 @@ class Legs:
                     self._stopped(servo, now_ns)
         return effects
 
-    def lose_bus(self, reason: Reason, detail: str) -> list[Effect]:
-        """Drop all waiting targets after a bus fault. The next opening of the bus stops all legs."""
-        for servo in self.servos.values():
-            servo.repeats_left = 0
-        self.rest.forget()
-        return self.drop(self.servos.values(), reason, detail)
-
     # ---- commands
 
     def apply(self, command: Command, now_ns: int) -> list[Effect]:  # mutants accepted (Forget): only time is lost
@@ -239,8 +232,11 @@ class Legs:
         taken: list[Effect] = []
         moved: list[Leg] = []
         stops_some = len(command.moves) < len(command.targets)
-        whole = self._rules.starts_whole and stops_some
-        for number, targets in (self._stop_whole(command) if whole else command.by_leg).items():
+        by_leg, whole = command.by_leg, self._rules.starts_whole and stops_some
+        if whole:  # all servos get a Stop; the moves are never written, so a command with moves is not completed
+            command.left += len(self.servos) - len(command.stops)
+            by_leg = {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
+        for number, targets in by_leg.items():
             leg = self.by_number[number]
             moves = not stops_some or any(op.op is not OP_STOP for _, op in targets)
             if command.lost:
@@ -288,14 +284,6 @@ class Legs:
         if not moves or len(moves) < len(command.targets) or len(moves) == len(self.servos):
             return None
         return None if self.servos[moves[0][0]].will_run else (Reason.WHOLE_ROBOT, _PARTLY)
-
-    def _stop_whole(self, command: Command) -> dict[int, Targets]:
-        """Return Stops of all servos, for a command with a Stop on a robot that can only be stopped as a whole.
-
-        The command's moves are never written, so it is not completed.
-        """
-        command.left += len(self.servos) - len(command.stops)
-        return {leg.number: tuple((servo.servo_id, STOP) for servo in leg.servos) for leg in self}
 
     def _stop_on_command(self, leg: Leg, servos: list[Servo], command: Command, now_ns: int) -> list[Effect]:
         """Carry out a command's Stops for a leg that it only stops: the frames leave now."""

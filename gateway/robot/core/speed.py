@@ -64,12 +64,6 @@ class LimitedSpeeds:
         known = calibration is self._limits.calibration and now_ns - stopped_ns <= self._rules.takeover_known_ns
         return angle_cdeg if known else None
 
-    def _speed_cdeg_s(self, servo: Servo) -> int | None:
-        own, takeover = self._rules.max_speed_cdeg_s.get(servo.servo_id), self._rules.takeover_cdeg_s
-        if not servo.eases:
-            return own
-        return takeover if own is None else min(own, takeover)
-
     # mutants accepted (Forget): only time is lost
     def in_steps(self, leg: Leg, waiting: list[tuple[Servo, ServoOp]], now_ns: int) -> list[tuple[Servo, ServoOp]]:
         """Return the operations in the frame that leaves now: with a speed limit, steps towards the waiting targets."""
@@ -85,7 +79,10 @@ class LimitedSpeeds:
         if stands_cdeg is None:
             stands_cdeg = servo.announced_cdeg if self._rules.angles_first else self._stood_cdeg(servo, now_ns)
             servo.eases, servo.since_ns = self._eases, now_ns
-        speed_cdeg_s = self._speed_cdeg_s(servo)
+        speed_cdeg_s = self._rules.max_speed_cdeg_s.get(servo.servo_id)
+        if servo.eases:
+            takeover_cdeg_s = self._rules.takeover_cdeg_s
+            speed_cdeg_s = min(speed_cdeg_s or takeover_cdeg_s, takeover_cdeg_s)
         if speed_cdeg_s is not None and stands_cdeg is not None:  # else its angle is unknown: no step
             crosses = self._limits.crosses(servo.servo_id, stands_cdeg, target_cdeg)
             from_cdeg = servo.passing_cdeg if crosses and servo.passing_cdeg is not None else stands_cdeg

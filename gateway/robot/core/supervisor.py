@@ -289,7 +289,10 @@ class Supervisor:
         # A restarted controller that does not return is silent, which needs a person.
         stays_away = event.kind is Kind.CONTROLLER_SILENT and self._fault is Kind.CONTROLLER_RESTARTED
         self.legs.landing = None  # once the bus opens again, all legs are stopped and none lands
-        effects = self.legs.lose_bus(Reason.BUS_FAULT, _BUS_FAULT)
+        self.legs.rest.forget()
+        for servo in self.legs.servos.values():
+            servo.repeats_left = 0
+        effects = self.legs.drop(self.legs.servos.values(), Reason.BUS_FAULT, _BUS_FAULT)
         if first or stays_away:
             self._fault = event.kind
             effects.append(Announce(event.kind, event.detail))
