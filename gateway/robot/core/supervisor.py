@@ -91,7 +91,6 @@ _AT_START: Final[frozenset[type[Event]]] = frozenset(
     {EmergencyStop, EstopKept, BusOpened, BusFailed, BodyMeasured, PowerSeen, TimePassed, ShutDown}
 )
 ALL_EVENTS: Final[frozenset[type[Event]]] = frozenset(get_args(Event))
-"""An interlock's event that is not listed here is legal in every mode."""
 LEGAL: Final = {mode: ALL_EVENTS - {BusOpened, EstopKept} for mode in (Mode.IDLE, Mode.ACTIVE)} | {
     Mode.ESTOPPED: ALL_EVENTS - {BusOpened},
     Mode.STARTING: _AT_START,
@@ -142,7 +141,7 @@ class Supervisor:
         """
         kind, legs = type(event), self.legs
         own = self._own.get(kind)
-        if kind not in LEGAL[self.mode] and (kind in ALL_EVENTS or own is None):
+        if kind not in LEGAL[self.mode]:
             raise IllegalEvent(f"{kind.__name__} while {self.mode}")
         legs.begin(now_ns if instant_ns is None else instant_ns)
         effects: list[Effect] = []

@@ -54,14 +54,6 @@ def test_a_button_that_returns_starts_nothing_and_lets_start() -> None:
     robot.play("5001 leg 1 start 90 → command 1 start 90; completed 2")
 
 
-def test_the_rejection_names_how_many_are_missing() -> None:
-    robot = play(SLOW + "buttons_required=3" + KITCHEN_ALIVE)
-    found = robot.supervisor.buttons
-    assert found.objection[1].startswith("1 of the 3 buttons that are required is alive")
-    robot.play("1 button register hall\n 1 button alive hall 0")
-    assert found.objection[1].startswith("2 of the 3 buttons that are required are alive")
-
-
 SCENES: Final = {
     "nothing starts before a button is alive": f"""{REQUIRED}
         1 leg 1 start 90 → rejected 1 no_button
@@ -138,6 +130,7 @@ def test_two_names_of_one_certificate_are_not_the_two_that_are_required() -> Non
         2 button register rogue/1 (holder the rogue's) → announce button_registered; granted
         2 button alive rogue/1 1 (holder the rogue's) → granted
         3 leg 1 start 90 → rejected 2 no_button
+        mentions 1 of the 2 buttons that are required is alive
         4 button register anna (holder anna's)
         4 button alive anna 1 (holder anna's) → granted
         5 leg 1 start 90 → command 1 start 90; …""")
@@ -232,15 +225,14 @@ def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> No
     assert offset_of([(0, 0), (10, 50), (2010, 400)]) == 150
 
 
-@pytest.mark.parametrize("hours", [1, 10])
-def test_check_ins_that_are_held_back_ever_longer_are_old(hours: int) -> None:
+def test_check_ins_that_are_held_back_ever_longer_are_old() -> None:
     """0.19 ms more each second is less than a slow clock may lose, and was 6.8 s after ten hours."""
     robot = Supervisor(RULES)
     buttons = robot.buttons
     token = "0" * 32
     buttons.take(ButtonRequest("register", 0, "kitchen", sent_ms=0, fresh_token=token), 0)
     counts_ms = 0.0
-    for second in range(1, hours * 3600):
+    for second in range(1, 10 * 3600):
         sent_ms, held_back_ms = second * 1000, 0.19 * second
         came_ns = round((sent_ms + held_back_ms) * NS_PER_MS)
         buttons.expire(came_ns)

@@ -99,10 +99,6 @@ SCENES: Final = {
     "a command that comes after its ttl does not save it": f"""{SLOW}
         1001 leg 1 set 45 (lease anna) → announce lease_expired; rejected 2 not_holder
         1002 lease release (token anna) → not_holder""",
-    "a request at the end delays no repeated stop": """
-        rules repeats=1
-        0 end
-        20 lease acquire anna (fresh anna) → repeat 1-6 stop; stopping""",
 }
 test_a_scene = scene_test(SCENES)
 

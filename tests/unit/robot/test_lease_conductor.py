@@ -8,27 +8,16 @@ import pytest
 
 from schemas import keys
 from schemas.button import ButtonAck
-from schemas.lease import LeaseAck
 from schemas.telemetry import Kind, Reason
-from tests.support.robot import LEG_3, START, Robot, leg, started_and_quiet
+from tests.support.robot import LEG_3, START, Robot, started_and_quiet
 
-SET = leg("set", 45, 45, 45)
 pytestmark = pytest.mark.virtual_time
 
 
-def with_token(command: dict[str, Any], ack: LeaseAck) -> dict[str, Any]:
-    return {**command, "lease": ack.lease}
-
-
-async def driven_by_anna(**sections: Any) -> tuple[Robot, LeaseAck]:
-    robot = await started_and_quiet(**sections)
-    ack = robot.lease("acquire", "anna")
-    assert robot.ask(LEG_3, with_token(START, ack)).accepted
-    return robot, ack
-
-
 async def test_whoever_acquires_it_hears_the_token_and_all_hear_the_name() -> None:
-    robot, ack = await driven_by_anna()
+    robot = await started_and_quiet()
+    ack = robot.lease("acquire", "anna")
+    assert robot.ask(LEG_3, {**START, "lease": ack.lease}).accepted
     assert (ack.accepted, ack.holder, ack.ttl_ms, ack.verified) == (True, "anna", 1000, False)
     assert ack.lease is not None
     (event,) = robot.events(Kind.LEASE_ACQUIRED)
@@ -77,22 +66,6 @@ async def test_what_is_no_request_is_answered_and_told_and_repeats_nothing(
     assert (event.key, event.reason) == (key, reason)
     assert TOKEN.lower() not in (answers[0].decode() + event.model_dump_json()).lower()
     assert robot.state().buttons.alive == 1
-
-
-async def test_no_report_has_the_token() -> None:
-    robot, anna = await driven_by_anna(telemetry={"frames": True})
-    robot.lease("ask", "bert")
-    robot.ask(LEG_3, {"servos": 1, "lease": anna.lease})
-    robot.ask(LEG_3, {"servos": anna.lease})
-    robot.ask(LEG_3, [with_token(SET, anna)])
-    robot.ask(LEG_3, {str(anna.lease): 1})
-    robot.lease("take", "bert")
-    robot.ask(LEG_3, with_token(SET, anna))
-    state = robot.state()
-    out = "".join(report.model_dump_json() for report in (*(each for _, each in robot.reports), state))
-    assert anna.lease is not None
-    assert anna.lease not in out
-    assert "anna" in out
 
 
 # ---- Who watches, from the payload on `hexapod/button/cmd` to the answer, the frames, the events and the state
