@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from pydantic import BaseModel, ConfigDict, RootModel, ValidationError, computed_field, model_validator
+from pydantic import BaseModel, ValidationError
 from pydantic_core import SchemaValidator
 
 from gateway.model import frames
@@ -426,25 +426,3 @@ def outcome(read: Any, payload: bytes) -> object:
 )
 def test_the_model_says_the_same_of_any_payload(model: type[BaseModel], payload: bytes) -> None:
     assert outcome(READERS[model].validate_json, payload) == outcome(model.model_validate_json, payload)
-
-
-class Checked(LegCommand):
-    @model_validator(mode="after")
-    def check(self) -> "Checked":
-        return self
-
-
-class Computed(LegCommand):
-    @computed_field
-    def legs(self) -> int:
-        return 6
-
-
-class Numbers(RootModel[list[int]]):
-    model_config = ConfigDict(strict=True)
-
-
-@pytest.mark.parametrize("model", [Checked, Computed, Numbers])
-def test_a_model_that_is_more_than_its_fields_is_not_read_so(model: type[BaseModel]) -> None:
-    with pytest.raises(ValueError, match=r"expects the model|more than its fields"):
-        into_dicts(model)
