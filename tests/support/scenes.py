@@ -184,7 +184,7 @@ class Scenes:
     ) -> list[str]:
         """`register` by a name, whose token that then is as well (with a certificate, its holder's before it); `alive`
         and `leave` by that token."""
-        do, token = cast(events.ButtonDo, verb), who if holder is None else f"{holder}: {who}"
+        do, token = cast("Any", verb), who if holder is None else f"{holder}: {who}"
         return self.take(at_ms, events.ButtonRequest(do, _ns(at_ms), who, holder, counts, token, count, sent_ms, token))
 
     def next_number(self) -> int:
@@ -317,7 +317,7 @@ def _lease(_robot: Scenes, words: str, options: Options) -> events.LeaseRequest:
     to = name.removeprefix("to ") if name.startswith("to ") else None
     source = name if name and to is None else None
     token, fresh = options.get("token"), options.get("fresh", "")
-    return events.LeaseRequest(cast(events.LeaseDo, verb), source, token=token, to=to, fresh_token=fresh)
+    return events.LeaseRequest(cast("Any", verb), source, token=token, to=to, fresh_token=fresh)
 
 
 def change_of(words: str) -> CalibrationCommand:

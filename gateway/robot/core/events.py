@@ -157,21 +157,15 @@ class EmergencyStop:
     key: str | None = None
 
 
-LeaseDo = Literal["acquire", "ask", "take", "renew", "release"]
-
-
 @value
 class LeaseRequest:
     """A request for the lease. `fresh_token` is 128 random bits for a new lease."""
 
-    do: LeaseDo
+    do: Literal["acquire", "ask", "take", "renew", "release"]
     source: str | None = None
     token: str | None = field(default=None, repr=False)
     to: str | None = None
     fresh_token: str = field(default="", repr=False)
-
-
-ButtonDo = Literal["register", "alive", "leave"]
 
 
 @value
@@ -182,7 +176,7 @@ class ButtonRequest:
     towards `buttons.required`.
     """
 
-    do: ButtonDo
+    do: Literal["register", "alive", "leave"]
     received_ns: int
     source: str | None = None
     holder: str | None = None

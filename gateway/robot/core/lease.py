@@ -36,17 +36,9 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def __init__(self, rules: Rules, legs: Legs) -> None:
         super().__init__(rules, legs)
-        self.holder: str | None = None
-        """The holder, or the nominee of a handover."""
-        self.since_ns: int | None = None
-        """When its holder acquired it; None while it is free or handed over."""
-        self.due_ns: int | None = None
-        """When the lease, or the handover, expires; None while it is free."""
-        self.closed = rules.lease_required
-        """Whether commands need a token. If not, only commands with a token are checked."""
-        self._token: str | None = None
         self._askers: tuple[str, ...] = ()
         """The clients that have asked, in this order."""
+        self.end()
 
     @property
     def _handed_over(self) -> bool:
@@ -160,8 +152,13 @@ class RobotLease(Interlock[LeaseRequest]):
 
     def _give(self, holder: str | None, token: str | None, now_ns: int | None) -> None:
         """Assign the lease to a holder, reserve it for a nominee (no token), or free it."""
-        self.holder, self._token = holder, token
+        self.holder = holder
+        """The holder, or the nominee of a handover."""
+        self._token = token
         self.since_ns = None if token is None else now_ns
+        """When its holder acquired it; None while it is free or handed over."""
         self.due_ns = None if now_ns is None else now_ns + self._rules.lease_ttl_ns
+        """When the lease, or the handover, expires; None while it is free."""
         self._askers = ()
         self.closed = holder is not None or self._rules.lease_required
+        """Whether commands need a token. If not, only commands with a token are checked."""

@@ -52,12 +52,6 @@ class Legs:
         self.servos = {servo.servo_id: servo for leg in self._all for servo in leg.servos}
         self.sends = False
         """Whether the bus is open and not at fault."""
-        self.due_ns: int | None = None
-        """When the next deadline, repeat or rate slot is due; as of the last `plan`, like the next two."""
-        self.repeat_ns: int | None = None
-        """When the next repeated Stop, or the next one for legs at rest, is due."""
-        self.at_rest = True
-        """Whether no servo of any leg runs."""
         self.rest = RestStops(rules)
         self._queue = StartQueue(rules.start_pause_ns)
         self.landing: Landing | None = None
@@ -65,7 +59,10 @@ class Legs:
         """Servos that the power board powers; None: there is no board."""
         self.land_ns = 0
         """When the landing's next frames are due: one for each leg in a period, at any speed."""
+        self.at_rest = True
+        """Whether no servo of any leg runs; as of the last `plan`."""
         self.begin(0)
+        self.plan(0)
 
     def __iter__(self) -> Iterator[Leg]:
         return iter(self._all)
@@ -127,7 +124,9 @@ class Legs:
             repeat_ns = self.rest.due_ns if self.rest.due_ns < repeat_ns else repeat_ns
         due_ns = repeat_ns if repeat_ns < due_ns else due_ns
         self.due_ns = None if due_ns == NEVER else due_ns
+        """When the next deadline, repeat or rate slot is due; as of the last `plan`, like the next."""
         self.repeat_ns = None if repeat_ns == NEVER else repeat_ns
+        """When the next repeated Stop, or the next one for legs at rest, is due."""
         self.at_rest = at_rest
 
     def _slot_ns(self, leg: Leg) -> int:  # mutants accepted (Step): all servos are in one state

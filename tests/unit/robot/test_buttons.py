@@ -6,7 +6,7 @@ import pytest
 
 from gateway.allowance import NS_PER_MS
 from gateway.robot.core.buttons import MOST_OF_ONE, MOST_UNPROVED
-from gateway.robot.core.events import ButtonDo, ButtonRequest, RequestAnswer
+from gateway.robot.core.events import ButtonRequest, RequestAnswer
 from gateway.robot.core.leg import Rules
 from gateway.robot.core.supervisor import Supervisor
 from schemas.telemetry import Reason
@@ -14,7 +14,7 @@ from tests.support.scenes import Scenes, all_stopped, play, scene_test
 
 TIMEOUT_MS = 1000
 KITCHEN = "k" * 32
-RULES = Rules(buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS)
+RULES = Rules(repeats=0, rest_runs=0, buttons_required=1, buttons_timeout_ns=TIMEOUT_MS * NS_PER_MS)
 SLOW: Final = "rules timeout_ms=10000, rest_ms=10000, "
 """The watchdog is slower than the buttons, so that it is not what stops the legs."""
 REQUIRED: Final = SLOW + "buttons_required=1\n"
@@ -197,27 +197,13 @@ def test_one_that_waited_for_the_whole_timeout_is_rejected() -> None:
 
 def offset_of(rise_ms: list[tuple[float, float]]) -> float:
     """How late a button's last message counts as sent, in ms: its messages come at (s) with so much delay (ms)."""
-    robot = Supervisor(RULES)
-    buttons = robot.buttons
+    robot, at_ms = Scenes(RULES), 0.0
     for number, (at_s, delay_ms) in enumerate(rise_ms):
-        received_ns = round(at_s * 1e9)
-        do: ButtonDo = "alive" if number else "register"
-        request = ButtonRequest(
-            do,
-            received_ns,
-            source="kitchen",
-            token=KITCHEN,
-            fresh_token=KITCHEN,
-            count=number,
-            sent_ms=at_s * 1000 - delay_ms,
-        )
-        answer = buttons.take(request, received_ns)[-1]
-        assert isinstance(answer, RequestAnswer)
-        assert answer.reason is None
-        if number:
-            buttons.expire(received_ns)
-    assert buttons.due_ns is not None
-    return TIMEOUT_MS - (buttons.due_ns - round(rise_ms[-1][0] * 1e9)) / NS_PER_MS
+        at_ms = at_s * 1000
+        do = "alive" if number else "register"
+        assert robot.button(at_ms, do, "kitchen", number, sent_ms=at_ms - delay_ms)[-1] == "granted"
+    assert robot.due_ms is not None
+    return TIMEOUT_MS - (robot.due_ms - at_ms)
 
 
 def test_how_far_a_clock_may_fall_behind_counts_from_its_fastest_message() -> None:
