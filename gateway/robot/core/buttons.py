@@ -144,9 +144,8 @@ class Buttons(Interlock[ButtonRequest]):
         button = Registration(name, request.holder, request.counts, until_ns)
         self._by_token[request.fresh_token] = button
         button.sent_ns(request, self._rules)
-        what = f"{name} is registered as a button" + (
-            "" if same is None else ", and replaces the earlier one of this name"
-        )
+        replaces = "" if same is None else ", and replaces the earlier one of this name"
+        what = f"{name} is registered as a button{replaces}"
         answer = RequestAnswer(token=request.fresh_token, detail="" if request.counts else _UNCOUNTED)
         return [*self._changed(Kind.BUTTON_REGISTERED, what, name, now_ns), answer]
 

@@ -37,8 +37,6 @@ def _without_models(node: Any) -> Any:
             }
             for name, schema in schemas.items()
         },
-        "strict": node["config"]["strict"],
-        "extra_behavior": node["config"]["extra_fields_behavior"],
-        "config": node["config"],
-        **({"ref": node["ref"]} if "ref" in node else {}),
+        "config": node["config"],  # it has `strict`, and forbids further fields
+        "ref": node["ref"],
     }
