@@ -228,7 +228,8 @@ class RobotSupply:
         for servo_id, kind, detail in found:
             announcements.append(Announce(kind, detail, legs=legs_of([servo_id])))
             if kind is Kind.SERVO_DRAWS:
-                doubt = doubt or self._drew(servo_id, detail)
+                why = self._drew(servo_id, detail)  # of each: none may start before a reset
+                doubt = doubt or why
         status = self.line.status
         if self._cut and status.supplied & self._asked:
             self._cut = False

@@ -271,11 +271,13 @@ async def test_a_switch_that_has_melted_is_found_by_the_current_and_stops_the_wh
     robot.put(keys.LEGS_COMMAND, all_legs("start", 90))
     await keep(robot, 1.0, keys.LEGS_COMMAND, all_legs("set", 90))
     robot.line.board.draws_ma = [300.0] * len(SERVO_IDS)
-    robot.line.board.stuck = SERVO_31
-    robot.put(keys.servo_command(31), servo("stop"))
+    robot.line.board.stuck = SERVO_31 | SERVO_31 << 1
+    robot.put(keys.LEGS_COMMAND, all_legs("stop", legs=[3]))
     await keep(robot, 0.7, keys.leg_command(1), leg("set", 90, 90, 90))
     assert robot.events(Kind.SERVO_DRAWS)
     assert running(robot) == []
+    for each in (31, 32):
+        assert robot.ask(keys.servo_command(each), servo("start", 90)).reason is Reason.NO_POWER, "until a reset"
     assert robot.said[-1][1] == "shutdown"
 
 
