@@ -36,6 +36,7 @@ from gateway.robot.host import stop_note
 from gateway.robot.host.disk import StateFolder, report_mistake
 from gateway.robot.host.ownership import Ownership
 from gateway.robot.host.systemd import SystemdNotifier
+from gateway.robot.power.line import PowerLine
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.estop_keeper import EstopKeeper
@@ -43,7 +44,6 @@ from gateway.robot.runtime.report import wall_clock
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers
 from gateway.robot.runtime.revocations import Revocations, list_common_names, revocation_state
 from gateway.robot.runtime.shutdown import SHUTDOWN_S, ServiceEnd, close_within, stop_the_robot
-from gateway.robot.runtime.supply import supply_of
 from gateway.robot.settings import Settings
 from gateway.robot.spi.cyclic import CyclicBus, run_cycles
 from gateway.robot.wires import SimulatedParts
@@ -200,7 +200,9 @@ class _Service:
         state = None if found is None else StateFolder(found)
         self.bus = wires.wire(settings, simulated)
         failed = partial(report_mistake, loop, "a thread failed")
-        self.supply = supply_of(settings, self.bus, simulated.board_channel, loop, owner, failed)
+        power, channel = settings.power, simulated.board_channel
+        power = power if channel is None else replace(power, interface="slcan", channel=channel)
+        self.line = PowerLine(power, failed) if power.interface else None
         self.outbox = ZenohOutbox()
         self.conductor = Conductor(
             settings,
@@ -211,8 +213,10 @@ class _Service:
             clock=time.monotonic_ns,
             recorder=recorder,
             owner=owner,
-            supply=self.supply,
+            line=self.line,
         )
+        if self.line is not None:
+            self.line.start()
         self.keeper = EstopKeeper(self.conductor, state, loop)
         reports, forgotten = self.conductor.reports, "" if state is None else forgets(state.path)
         reports.simulated, reports.physics = simulated.controller, simulated.body_id
@@ -278,7 +282,7 @@ class _Service:
         self.unknown_keys = UnknownKeys(session, self.simulated.body_id)
         self.beat: asyncio.Handle = self.loop.call_soon(self.look_after_all, self.loop.time())
         closes = [self.outbox.close, connection_limiter.close, self.upkeep.close, self.inbox.close, session.close]
-        return closes if self.supply is None else [*closes, self.supply.line.close]
+        return closes if self.line is None else [*closes, self.line.close]
 
     def show(self, status: str, missing: tuple[str, ...]) -> None:
         """Show a sentence in `systemctl status`, and these endpoints in the state. For any thread."""
@@ -317,7 +321,7 @@ class _Service:
             },
             tokens={lease.key: conductor.supervisor.lease.holds, button.key: conductor.supervisor.buttons.knows},
             depth=put_depth(settings.limits.leg_rate_hz, settings.watchdog.timeout_ms),
-            on_estop_received=(lambda: None) if self.supply is None else self.supply.line.cut,
+            on_estop_received=(lambda: None) if self.line is None else self.line.cut,
         )
 
     # ---- the beat: timers instead of a task's sleep, so that an idle loop turns once for each beat, and not twice
@@ -347,7 +351,7 @@ class _Service:
         self.servos.write(now_ns, any_runs=not at_rest)
         if not self.inbox.makes_progress():
             self.end.because("a thread that takes commands has ended or is stuck")
-        elif self.supply is not None and not self.supply.makes_progress():
+        elif conductor.supply is not None and not conductor.supply.makes_progress():
             self.end.because("the thread that receives from the power board is stuck")
         else:
             self.notifier.alive()

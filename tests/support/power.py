@@ -1,13 +1,12 @@
 """A robot with a power board in virtual time: the real rules of both sides, and a line that takes no time."""
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final, cast
 
 from gateway.allowance import NS_PER_S
 from gateway.robot.power.board import Confirmed, News, Status
 from gateway.robot.power.line import PowerLine
-from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S
 from tests.support.elkapod import ElkapodRobot
 from tests.support.power_link import Link
@@ -23,9 +22,8 @@ class VirtualLine(Link):
         super().__init__(outputs=outputs, confirm_ms=confirm_ms, flight_ns=0, look_ns=PUMP_NS)
         self._loop = loop
         self.listens = True
-        self.on_news: Callable[[], None] = lambda: None
+        self.on_news: Callable[[list[News | Confirmed]], None] = lambda _: None
         self._status = Status()
-        self._news: list[News | Confirmed] = []
         self._pump()
 
     def catch_up(self) -> None:
@@ -43,17 +41,13 @@ class VirtualLine(Link):
     def polled_ns(self) -> int:
         return round(self._loop.time() * 1e9) if self.listens else 0
 
-    def news(self) -> list[News | Confirmed]:
-        news, self._news = self._news, []
-        return news
-
     def _pump(self) -> None:
         self.catch_up()
         before, self._status = self._status, self.ours.status
-        self._news += [item for _, item in self.told]
+        news = [item for _, item in self.told]
         self.told.clear()
-        if self._news or before[:7] != self._status[:7]:
-            self._loop.call_soon(self.on_news)
+        if news or before[:7] != self._status[:7]:
+            self.on_news(news)
         self._loop.call_later(PUMP_NS / NS_PER_S, self._pump)
 
 
@@ -68,18 +62,11 @@ class _Fed(Robot):
     def __init__(self, **sections: dict[str, Any]) -> None:
         super().__init__({"power": {"interface": "sim", **sections.pop("power", {})}, **sections})
 
-    def ready(self) -> Callable[[Mapping[int, int | None]], frozenset[int]] | None:
-        """Which servos may be fed; None: the wire starts them."""
-        return None
-
-    def supply(self) -> RobotSupply:
+    def power_line(self) -> PowerLine:
         power = self.settings.power
         self.line = VirtualLine(self.loop, power.outputs, power.confirm_ms)
-        self.line.want(frozenset(), 0)
         self.loop.call_later(BEAT_S, self._check)
-        supply = RobotSupply(cast(PowerLine, self.line), power.interface, self.ready())
-        self.line.on_news = lambda: supply.on_news()  # noqa: PLW0108  (it is set behind this)
-        return supply
+        return cast(PowerLine, self.line)
 
     def _check(self) -> None:
         """The service's."""
@@ -98,6 +85,3 @@ class FedRobot(_Fed):
 
 class FedElkapod(_Fed, ElkapodRobot):
     """A robot of elkapod-2025 with a power board: each servo starts and stops by its supply."""
-
-    def ready(self) -> Callable[[Mapping[int, int | None]], frozenset[int]]:
-        return self.cyclic.ready_servos

@@ -6,7 +6,7 @@ from itertools import count
 
 from gateway.allowance import NS_PER_MS
 from gateway.model.power_board import SET_SUPPLY, CanFrame
-from gateway.robot.power.board import Confirmed, News, PowerBoard
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Then
 from gateway.simulation.board import SimulatedBoard
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
@@ -88,8 +88,8 @@ class Link:
     def clear_errors(self) -> None:
         self._do(self.ours.clear_errors)
 
-    def when_off(self, servos: frozenset[int], asked_ns: int | None = None, token: int = 0) -> None:
-        self._do(lambda now_ns: self.ours.when_off(servos, now_ns if asked_ns is None else asked_ns, token, now_ns))
+    def when_off(self, servos: frozenset[int], asked_ns: int | None = None, then: Then = lambda _: None) -> None:
+        self._do(lambda now_ns: self.ours.when_off(servos, now_ns if asked_ns is None else asked_ns, then, now_ns))
 
     def _do(self, act: Callable[[int], object]) -> None:
         self.catch_up()

@@ -20,10 +20,10 @@ from gateway.robot.blackbox.recorder import Recorder
 from gateway.robot.core.message import Received, Verb
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.disk import StateFolder
+from gateway.robot.power.line import PowerLine
 from gateway.robot.runtime.calibrations import Calibrations
 from gateway.robot.runtime.conductor import Conductor
 from gateway.robot.runtime.request_answers import ButtonAnswers, LeaseAnswers, RequestAnswers
-from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.service import BEAT_S, rules
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Batch, Wire
@@ -77,7 +77,7 @@ class Robot:
             self.loop,
             clock=self.now_ns,
             recorder=Recorder(self.settings, {}, self.now_ns, lambda: WALL_NS),
-            supply=self.supply(),
+            line=self.power_line(),
         )
         self.conductor.reports.simulated = True
         self.conductor.messages = self
@@ -103,8 +103,8 @@ class Robot:
 
         self.controller.transfer = one_by_one  # type: ignore[method-assign]
 
-    def supply(self) -> RobotSupply | None:
-        """What feeds its servos; None: no board."""
+    def power_line(self) -> PowerLine | None:
+        """Its power board's; None: no board."""
         return None
 
     def _beat(self) -> None:

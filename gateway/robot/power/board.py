@@ -13,7 +13,7 @@
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from gateway.allowance import NS_PER_MS
@@ -57,6 +57,8 @@ _AT_ONCE: Final = 6
 _NONE: Final = frozenset[int]()
 
 
+Then = Callable[[float | None], None]
+"""The owner calls it once: how many ms after the Stop was received the board has confirmed it; None: it has not."""
 _Kind = Literal["off_button", "power_fault", "power_unconfirmed"]
 
 
@@ -69,9 +71,9 @@ class News(NamedTuple):
 
 
 class Confirmed(NamedTuple):
-    """The answer to a `when_off`: after how many ms the board has confirmed these servos off; None: not in time."""
+    """The answer to a `when_off`, to be called with `ms`."""
 
-    token: int
+    then: Then
     ms: float | None
 
 
@@ -85,7 +87,7 @@ class _Off(NamedTuple):
 class _Wait(NamedTuple):
     """A request that waits until these servos are confirmed off, by mask number `number` or later."""
 
-    token: int
+    then: Then
     servos: frozenset[int]
     asked_ns: int
     number: int
@@ -188,11 +190,11 @@ class PowerBoard:
         self._settle(now_ns)
         self._anew(self._servos, now_ns)
 
-    def when_off(self, servos: frozenset[int], asked_ns: int, token: int, now_ns: int) -> None:
-        """Have `news` return a `Confirmed` with this token, `confirm_ns` after `asked_ns` at the latest."""
+    def when_off(self, servos: frozenset[int], asked_ns: int, then: Then, now_ns: int) -> None:
+        """Have `news` return a `Confirmed` with `then`, `confirm_ns` after `asked_ns` at the latest."""
         self._anew(servos - self._kept - self._offs.keys(), now_ns)
         self._repeat_until_ns = now_ns + REPEAT_FOR_NS  # also of masks that were given up
-        self._waits.append(_Wait(token, servos, asked_ns, self._cut_by(servos, self._number)))
+        self._waits.append(_Wait(then, servos, asked_ns, self._cut_by(servos, self._number)))
 
     def clear_errors(self, now_ns: int) -> None:
         """Delete all errors of the board, so that it powers blocked servos once they are wanted again."""
@@ -213,9 +215,16 @@ class PowerBoard:
         self._reports_ns = self._reports_ns or now_ns + START_NS
         self._anew(tuple(self._offs), now_ns)
 
-    def closed(self, why: str, now_ns: int) -> None:
-        """Record that the interface is gone, which makes the board silent."""
-        self._fall_silent(why, now_ns)
+    # mutants accepted (Forget, Step): either forgets what was fed
+    def fall_silent(self, why: str, now_ns: int) -> None:
+        """Record a silent board. It may have restarted with all off, so all powered servos count as lost."""
+        if not self.alive:
+            return
+        self.alive = False
+        self._unknown |= self._target
+        self._sent = _NONE
+        self._milliamperes.clear()
+        self._lose(self._target, why, now_ns, "power_unconfirmed")
 
     # ---- what the owner reads
 
@@ -281,7 +290,7 @@ class PowerBoard:
     def poll(self, now_ns: int) -> None:  # mutants accepted (GtE_Gt): equal times
         """Detect a silent board, an unconfirmed off, the end of a wait. Call it every 10 ms at least."""
         if self._questions.silent(now_ns):
-            self._fall_silent("the power board does not answer", now_ns)
+            self.fall_silent("the power board does not answer", now_ns)
         late = frozenset(servo for servo, off in self._offs.items() if now_ns - off.since_ns >= self._confirm_ns)
         if late and not self._unconfirmed and now_ns >= self._reports_ns:
             self._unconfirmed = True
@@ -289,7 +298,7 @@ class PowerBoard:
             self._news.append(News("power_unconfirmed", why, late))
         for wait in [each for each in self._waits if now_ns - each.asked_ns >= self._confirm_ns]:
             self._waits.remove(wait)
-            self._news.append(Confirmed(wait.token, None))
+            self._news.append(Confirmed(wait.then, None))
 
     # ---- what is sent
 
@@ -391,7 +400,7 @@ class PowerBoard:
         self._offs = {each: off for each, off in self._offs.items() if each in shown or off.number > reached}
         for wait in [each for each in self._waits if each.number <= reached and shown.isdisjoint(each.servos)]:
             self._waits.remove(wait)
-            self._news.append(Confirmed(wait.token, (now_ns - wait.asked_ns) / NS_PER_MS))
+            self._news.append(Confirmed(wait.then, (now_ns - wait.asked_ns) / NS_PER_MS))
         self._anew(on_again, now_ns)
         gone = {
             servo for servo, at_ns in self._fed.items() if servo not in shown and at_ns < self._questions.reached_ns
@@ -438,14 +447,3 @@ class PowerBoard:
         """Return whether to report a state seen now: it is new, had ended, or there was a reset since."""
         seen_ns, self._seen_ns[state] = self._seen_ns.get(state), now_ns
         return seen_ns is None or now_ns - seen_ns >= LASTS_NS
-
-    # mutants accepted (Forget, Step): either forgets what was fed
-    def _fall_silent(self, why: str, now_ns: int) -> None:
-        """Record a silent board. It may have restarted with all off, so all powered servos count as lost."""
-        if not self.alive:
-            return
-        self.alive = False
-        self._unknown |= self._target
-        self._sent = _NONE
-        self._milliamperes.clear()
-        self._lose(self._target, why, now_ns, "power_unconfirmed")

@@ -21,7 +21,7 @@ from gateway.allowance import NS_PER_MS, NS_PER_S
 from gateway.host import realtime
 from gateway.host.settings_table import PowerSettings
 from gateway.model.power_board import CanFrame, set_supply
-from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Status, Then
 from gateway.robot.power.interface import LineError, open_bus, receive, send
 
 if TYPE_CHECKING:
@@ -43,27 +43,23 @@ _SHOWN: Final = slice(Status._fields.index("answered_ns"))
 
 
 class PowerLine:
-    """A board and its interface, from `start` to `close`. Any thread may read `news` and `status`, and request."""
+    """A board and its interface, from `start` to `close`. Any thread may read `status`, and request."""
 
     def __init__(
         self,
         settings: PowerSettings,
-        on_news: Callable[[], None],
         failed: Callable[[Exception], None],
         *,
         opener: "Callable[[PowerSettings], can.BusABC]" = open_bus,
     ) -> None:
-        """`on_news` is called on the receiver's thread for news or a changed status, and must not wait.
-
-        `failed` is called with an unexpected exception that ended one of the threads.
-        """
+        """`failed` is called with an unexpected exception that ended one of the threads."""
         self._settings = settings
         self._board = PowerBoard(settings.outputs, confirm_ns=round(settings.confirm_ms * NS_PER_MS))
-        self._on_news = on_news
+        self.on_news: Callable[[list[News | Confirmed]], None] = lambda _: None
+        """Called on the receiver's thread for news or a changed status. It must not wait."""
         self._failed = failed
         self._opener = opener
         self._requests: deque[Callable[[int], None]] = deque()
-        self._news: deque[News | Confirmed] = deque()
         self._lock = threading.Lock()
         """Held while the board is used, not while frames are sent or received."""
         self._wake = threading.Lock()
@@ -104,15 +100,11 @@ class PowerLine:
         self._cuts = True
         self._request(self._board.cut)
 
-    def when_off(self, servos: frozenset[int], asked_ns: int, token: int) -> None:
-        self._request(partial(self._board.when_off, servos, asked_ns, token))
+    def when_off(self, servos: frozenset[int], asked_ns: int, then: Then) -> None:
+        self._request(partial(self._board.when_off, servos, asked_ns, then))
 
     def clear_errors(self) -> None:
         self._request(self._board.clear_errors)
-
-    def news(self) -> list[News | Confirmed]:
-        """Return the events since the last call."""
-        return [self._news.popleft() for _ in range(len(self._news))]
 
     def _request(self, request: Callable[[int], None]) -> None:
         self._requests.append(request)
@@ -148,7 +140,7 @@ class PowerLine:
         with self._lock:
             if self._bus is bus:
                 self._bus = None
-                self._board.closed(f"the interface of the power board is gone: {error}", time.monotonic_ns())
+                self._board.fall_silent(f"the interface of the power board is gone: {error}", time.monotonic_ns())
         self._awake()
 
     # ---- the sender
@@ -227,8 +219,7 @@ class PowerLine:
             self.status = self._board.status
             news = self._board.news()
             due = self._board.due_ns <= now_ns
-        self._news += news
         if due:
             self._awake()
         if news or before[_SHOWN] != self.status[_SHOWN]:
-            self._on_news()
+            self.on_news(news)

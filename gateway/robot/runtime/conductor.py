@@ -5,7 +5,8 @@ The owner of the state (`robot.host.ownership`) makes all calls here, on any thr
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field
 from itertools import count
 from typing import Final
@@ -36,6 +37,8 @@ from gateway.robot.core.message import Messages, NoMessages, Outbox, Received, V
 from gateway.robot.core.rejections import Rejection, echo_of
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.host.ownership import Ownership, OwnersTimer
+from gateway.robot.power.board import Confirmed, News
+from gateway.robot.power.line import PowerLine
 from gateway.robot.runtime.executor import Executor, Outcome
 from gateway.robot.runtime.report import RobotReports, wall_clock
 from gateway.robot.runtime.supply import RobotSupply, off_button
@@ -76,16 +79,17 @@ class Conductor:
     recorder: Recorder
     owner: Ownership = field(default_factory=Ownership)
     """Callers own the state while they call."""
-    supply: RobotSupply | None = None
-    """The power board's; None: there is no board."""
+    line: PowerLine | None = None
+    """The power board's, to be started after this; None: there is no board."""
 
     def __post_init__(self) -> None:
-        settings, supervisor, bus, supply = self.settings, self.supervisor, self.bus, self.supply
-        self.reports = RobotReports(settings, supervisor, bus, supply, self.outbox, self.recorder, self.clock)
+        settings, supervisor, bus, line = self.settings, self.supervisor, self.bus, self.line
+        self.supply = None if line is None else RobotSupply(line, supervisor, bus)
+        if line is not None:
+            line.on_news = self._power_changed_soon
+        self.reports = RobotReports(settings, supervisor, bus, line, self.outbox, self.recorder, self.clock)
         self.metrics = self.reports.metrics
-        self.executor = Executor(bus, supervisor, supply, self.reports, publish_frames=settings.telemetry.frames)
-        if supply is not None:
-            supply.on_news = self.power_changed
+        self.executor = Executor(bus, self.supply, self.reports, publish_frames=settings.telemetry.frames)
         self._instant_ns = self.clock()
         self.messages: Messages = NoMessages()
         """Where received messages come from."""
@@ -214,16 +218,25 @@ class Conductor:
         self.reports.newest = values, now_ns
         self.recorder.measured(values, now_ns)
         if self.supply is not None:
-            self.supply.after_step(self.supervisor)  # the frame may contain the angle of a servo that is to be powered
+            self.supply.after_step()  # the frame may contain the angle of a servo that is to be powered
         if self.supervisor.body.watches:
             tilt_cdeg = None if values.tilt_deg is None else round(values.tilt_deg * 100)
             self._step(BodyMeasured(tilt_cdeg, round(values.voltage_v * 1000)))
 
-    def power_changed(self) -> None:
+    def _power_changed_soon(self, news: Sequence[News | Confirmed]) -> None:
+        """Let the loop wait for the state, since the board's receiving thread must not."""
+        with suppress(RuntimeError):  # the loop is closed: the service has ended
+            self.loop.call_soon_threadsafe(self._power_changed_on_loop, news)
+
+    def _power_changed_on_loop(self, news: Sequence[News | Confirmed]) -> None:
+        with self.owner:
+            self.power_changed(news)
+
+    def power_changed(self, news: Sequence[News | Confirmed] = ()) -> None:
         """Take the changes that the power board has reported."""
         if self.closed or self.supply is None:
             return
-        event, announcements = self.supply.take_news()
+        event, announcements = self.supply.take_news(news)
         self._step(event)
         for each in announcements:
             self.reports.announce(each)

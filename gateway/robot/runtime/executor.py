@@ -23,7 +23,6 @@ from gateway.robot.core.events import (
     results,
 )
 from gateway.robot.core.rejections import echo_of
-from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.runtime.report import RobotReports
 from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.spi import Wire
@@ -72,7 +71,6 @@ class Executor:
     """
 
     bus: Wire
-    supervisor: Supervisor
     supply: RobotSupply | None
     reports: RobotReports
     publish_frames: bool
@@ -135,7 +133,7 @@ class Executor:
         them.
         """
         supply = self.supply
-        cuts = [] if supply is None else supply.before_step(self.supervisor)
+        cuts = [] if supply is None else supply.before_step()
         outcome = self._write(effects)
         self.reports.recorder.step(command, outcome.written, outcome.results)
         for result in outcome.results:
@@ -151,7 +149,7 @@ class Executor:
             if any(type(request) is Reset and verdict == ACCEPTED for request, verdict, _ in outcome.results):
                 supply.reset()
             if outcome.fault is None:  # after a fault, the step for the fault follows, and powers nothing
-                supply.after_step(self.supervisor)
+                supply.after_step()
         for each in cuts:
             self.reports.announce(each)
         return outcome

@@ -23,8 +23,8 @@ from gateway.robot.core.leg import Leg
 from gateway.robot.core.message import Outbox, Received, Reply
 from gateway.robot.core.supervisor import Supervisor
 from gateway.robot.power.board import Status
+from gateway.robot.power.line import PowerLine
 from gateway.robot.protocol.latency import Latency
-from gateway.robot.runtime.supply import RobotSupply
 from gateway.robot.settings import Settings
 from gateway.robot.spi import Wire
 from schemas import keys, telemetry
@@ -95,7 +95,7 @@ class RobotReports:
     settings: Settings
     supervisor: Supervisor
     bus: Wire
-    supply: RobotSupply | None
+    line: PowerLine | None
     outbox: Outbox
     recorder: Recorder
     clock: Callable[[], int]
@@ -218,12 +218,21 @@ class RobotReports:
 
     def power(self) -> telemetry.PowerReport | None:
         """Return the power board's report, or None without a board. For any thread."""
-        return None if self.supply is None else self.supply.report(self.clock())
+        if self.line is None:
+            return None
+        now_ns, status = self.clock(), self.line.status
+        return telemetry.PowerReport(
+            interface=self.settings.power.interface,
+            alive=status.alive,
+            supplied=tuple(sorted(status.supplied)),
+            confirmed=status.confirmed,
+            age_ms=None if status.answered_ns is None else max(0, now_ns - status.answered_ns) / 1e6,
+        )
 
     def measured(self) -> telemetry.Telemetry | None:
         """Return the measurements of the robot and its power board, or None without any. For any thread."""
         now_ns, time = self.clock(), wall_clock()
-        found = {} if self.supply is None else board_values(self.supply.line.status, now_ns)
+        found = {} if self.line is None else board_values(self.line.status, now_ns)
         newest = self.newest
         if newest is not None:
             values, measured_ns = newest

@@ -17,7 +17,7 @@ from gateway.model.power_board import (
     CanFrame,
     set_supply,
 )
-from gateway.robot.power.board import Confirmed, News, PowerBoard, Status
+from gateway.robot.power.board import Confirmed, News, PowerBoard, Status, Then
 from schemas.robot import SERVO_IDS
 from schemas.telemetry import Kind
 from tests.support.power_link import ALL_SERVOS, CONFIRM_MS, NONE, Link, fed
@@ -35,7 +35,7 @@ def test_a_stop_while_others_are_switched_on_is_confirmed_in_time(pass_us: int, 
     link.want(ALL_SERVOS)
     link.run(behind_ms)
     link.want(ALL_SERVOS - {61, 62, 63})
-    link.when_off(frozenset({61, 62, 63}), token=1)
+    link.when_off(frozenset({61, 62, 63}))
     link.run(450)
     (confirmed,) = link.confirmations()
     assert confirmed.ms is not None
@@ -120,7 +120,8 @@ def test_an_answer_to_another_nodes_question_confirms_nothing(board: PowerBoard)
     """That question was asked before our mask, which has not reached the board."""
     board.receive(CanFrame(0x97), 0)
     board.cut(0)
-    board.when_off(ALL_SERVOS, -10, 7, 0)
+    then: Then = lambda _: None  # noqa: E731
+    board.when_off(ALL_SERVOS, -10, then, 0)
     (asked,) = (frame for frame in board.next_frames(0) if frame in ASK_RAILS)
     board.receive(asked, 1)
     board.receive(answer_to(asked), 2)
@@ -129,7 +130,7 @@ def test_an_answer_to_another_nodes_question_confirms_nothing(board: PowerBoard)
     board.receive(answer_to(asked), 4)
     board.receive(CanFrame(0x6B, bytes(3)), 5)
     assert board.confirmed, "the second answer is ours"
-    assert board.news() == [Confirmed(7, 15 / NS_PER_MS)]
+    assert board.news() == [Confirmed(then, 15 / NS_PER_MS)]
 
 
 def test_no_error_is_deleted_before_the_board_has_a_mask_without_what_it_blocks(board: PowerBoard) -> None:

@@ -40,11 +40,12 @@ class Owner:
         self.news: list[News | Confirmed] = []
         self.mistakes: list[Exception] = []
         self._something = threading.Condition()
-        self.line = PowerLine(settings, self._reported, self.mistakes.append, opener=opener if buses else open_bus)
+        self.line = PowerLine(settings, self.mistakes.append, opener=opener if buses else open_bus)
+        self.line.on_news = self._reported
 
-    def _reported(self) -> None:
+    def _reported(self, news: list[News | Confirmed]) -> None:
         with self._something:
-            self.news += self.line.news()
+            self.news += news
             self._something.notify_all()
 
     def until(self, done: Callable[[], bool]) -> None:
@@ -68,7 +69,7 @@ class Owner:
 
     def cut_and_confirm(self) -> Confirmed:
         self.line.cut()
-        self.line.when_off(ALL_SERVOS, time.monotonic_ns(), 1)
+        self.line.when_off(ALL_SERVOS, time.monotonic_ns(), lambda _: None)
         self.until(lambda: any(isinstance(item, Confirmed) for item in self.news))
         return next(item for item in self.news if isinstance(item, Confirmed))
 
@@ -230,7 +231,7 @@ def test_an_interface_that_opens_and_sends_nothing_is_opened_ten_times_a_second_
 def test_a_mistake_in_the_gateway_is_reported(bus: BoardBus) -> None:
     owner = Owner(bus)
     bus.answer(0x97)
-    owner.line._on_news = lambda: 1 / 0  # type: ignore[assignment]
+    owner.line.on_news = lambda _: 1 / 0  # type: ignore[assignment]
     owner.line.start()
     while not owner.mistakes:
         time.sleep(0.001)

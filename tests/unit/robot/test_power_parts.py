@@ -15,11 +15,14 @@ from gateway.model.power_board import (
     CLEAR_ERROR,
     CanFrame,
 )
-from gateway.robot.power.board import Confirmed, Status
+from gateway.robot.core.leg import Rules
+from gateway.robot.core.supervisor import Supervisor
+from gateway.robot.power.board import Confirmed, Status, Then
 from gateway.robot.power.errors import BoardErrors
 from gateway.robot.power.line import PowerLine
 from gateway.robot.power.questions import BoardQuestions
 from gateway.robot.runtime.supply import MOST_WAITING, CurrentRules, RobotSupply
+from gateway.robot.spi import Wire
 from schemas.telemetry import Kind
 
 
@@ -262,17 +265,15 @@ def test_a_servo_that_draws_nothing_is_silent_after_a_second() -> None:
 
 
 def test_some_wait_for_the_board_and_further_ones_learn_at_once_that_nothing_is_confirmed() -> None:
-    asked: list[tuple[frozenset[int], int, int]] = []
-    line = SimpleNamespace(when_off=lambda *question: asked.append(question), news=list, status=Status())
-    supply = RobotSupply(cast(PowerLine, line), "sim", None)
+    asked: list[tuple[frozenset[int], int, Then]] = []
+    line = SimpleNamespace(when_off=lambda *it: asked.append(it), want=lambda *_: None, status=Status())
+    supply = RobotSupply(cast(PowerLine, line), Supervisor(Rules(power=True)), cast(Wire, None))
     answers: dict[int, float | None] = {}
     for number in range(MOST_WAITING + 1):
         supply.confirm((11, 12), number, partial(answers.__setitem__, number))
     assert answers == {MOST_WAITING: None}
     assert [servos for servos, _, _ in asked] == [frozenset({11, 12})] * MOST_WAITING
-    line.news = lambda: [Confirmed(asked[7][2], 30.0), Confirmed(asked[8][2], None)]
-    supply.take_news()
+    supply.take_news([Confirmed(asked[7][2], 30.0), Confirmed(asked[8][2], None)])
     assert (answers[7], answers[8], len(answers)) == (30.0, None, 3)
     supply.close()
     assert len(answers) == MOST_WAITING + 1
-    supply.take_news()  # each learns it once

@@ -56,10 +56,10 @@ DONE: Final[dict[str, Callable[[Link, str], object]]] = {
     "want": lambda link, who: link.want(servos(who)),
     "anew": lambda link, who: link.want_anew(servos(who)),
     "cut": lambda link, _: link.cut(),
-    "ask": lambda link, who: link.when_off(servos(who), token=1),
+    "ask": lambda link, who: link.when_off(servos(who)),
     "reset": lambda link, _: link.clear_errors(),
     "opened": lambda link, _: link.ours.opened(link.now_ns),
-    "gone": lambda link, why: link.ours.closed(why, link.now_ns),
+    "gone": lambda link, why: link.ours.fall_silent(why, link.now_ns),
     "hangs": lambda link, _: setattr(link, "hangs", True),
     # the link
     "cable": lambda link, state: setattr(link, "cable", state == "on"),
